@@ -1,0 +1,271 @@
+//! The bracket: differently exposed photographs of one scene, decoded and ordered.
+//!
+//! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the code values the camera wrote (8 or 16 bit,
+//! camera-encoded, orientation applied): three values a pixel, never floats. Cost: that of the decoders, one frame per thread.
+
+pub mod colour;
+pub mod decode;
+pub mod exposure;
+
+use crate::error::{Error, Result, Warning};
+use crate::plane::Plane;
+use colour::Profile;
+use exposure::Exposure;
+use std::path::{Path, PathBuf};
+
+/// The code values of a picture: interleaved RGB by rows, three to a pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// 0..=255.
+    Eight(Vec<u8>),
+    /// 0..=65535.
+    Sixteen(Vec<u16>),
+}
+
+impl Samples {
+    /// The largest code value: 255 or 65535.
+    pub fn max(&self) -> u16 {
+        match self {
+            Samples::Eight(_) => u8::MAX.into(),
+            Samples::Sixteen(_) => u16::MAX,
+        }
+    }
+
+    /// How many values there are: three times the pixels.
+    pub fn len(&self) -> usize {
+        match self {
+            Samples::Eight(v) => v.len(),
+            Samples::Sixteen(v) => v.len(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// What the camera noted beside the exposure: carried over to the outputs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Capture {
+    /// EXIF Make.
+    pub make: Option<String>,
+    /// EXIF Model.
+    pub model: Option<String>,
+    /// EXIF DateTimeOriginal, as `YYYY:MM:DD HH:MM:SS`.
+    pub date: Option<String>,
+}
+
+/// One photograph, decoded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    path: PathBuf,
+    width: usize,
+    height: usize,
+    samples: Samples,
+    /// How it was exposed.
+    pub exposure: Exposure,
+    /// Its colour profile; none is taken for sRGB.
+    pub profile: Option<Profile>,
+    /// What else the camera noted.
+    pub capture: Capture,
+}
+
+impl Frame {
+    /// A frame of `width` x `height` pixels from interleaved RGB code values.
+    ///
+    /// # Panics
+    /// When the number of samples does not fit the size, or the size is zero: decoders check before.
+    pub fn new(path: PathBuf, width: usize, height: usize, samples: Samples, exposure: Exposure) -> Self {
+        assert!(
+            width > 0 && height > 0 && samples.len() == 3 * width * height,
+            "a frame holds three samples a pixel"
+        );
+        Frame {
+            path,
+            width,
+            height,
+            samples,
+            exposure,
+            profile: None,
+            capture: Capture::default(),
+        }
+    }
+
+    /// The file it came from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Width in pixels, orientation applied.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels, orientation applied.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The code values.
+    pub fn samples(&self) -> &Samples {
+        &self.samples
+    }
+
+    /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
+    pub fn grey(&self) -> Plane<u8> {
+        let stride = 3 * self.width;
+        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
+            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code)),
+            Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
+        })
+    }
+}
+
+fn grey_row<T: Copy>(rgb: &[T], grey: &mut [u8], code8: impl Fn(T) -> u32) {
+    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
+        *out = ((54 * code8(p[0]) + 183 * code8(p[1]) + 19 * code8(p[2])) >> 8) as u8;
+    }
+}
+
+/// Which frame the others are aligned to.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum ReferenceChoice {
+    /// The frame that sees the most: see [`choose_reference`].
+    #[default]
+    Auto,
+    /// The N-th of the files as given, from 1.
+    Number(usize),
+    /// The frame read from this file.
+    File(PathBuf),
+}
+
+/// Frames of one size by rising relative exposure (then by path), and the one that the others are aligned to.
+#[derive(Debug, Clone)]
+pub struct Bracket {
+    frames: Vec<Frame>,
+    reference: usize,
+}
+
+impl Bracket {
+    /// Orders `frames` by exposure and settles the reference.
+    ///
+    /// # Errors
+    /// [`Error::TooFewFrames`], [`Error::SizeMismatch`], or [`Error::Option`] where the reference is no frame of the bracket.
+    pub fn new(mut frames: Vec<Frame>, reference: &ReferenceChoice) -> Result<Self> {
+        let Some(first) = frames.first() else {
+            return Err(Error::TooFewFrames { given: 0 });
+        };
+        if frames.len() < 2 {
+            return Err(Error::TooFewFrames { given: frames.len() });
+        }
+        if let Some(odd) = frames
+            .iter()
+            .find(|f| (f.width, f.height) != (first.width, first.height))
+        {
+            return Err(Error::SizeMismatch {
+                path: odd.path.clone(),
+                size: (odd.width, odd.height),
+                other: first.path.clone(),
+                other_size: (first.width, first.height),
+            });
+        }
+        let chosen = match reference {
+            ReferenceChoice::Auto => None,
+            ReferenceChoice::Number(n) => Some(
+                n.checked_sub(1)
+                    .and_then(|i| frames.get(i))
+                    .ok_or_else(|| Error::Option {
+                        option: "--reference",
+                        reason: format!(
+                            "there is no photograph number {n}; give 1 to {}, or a file name",
+                            frames.len()
+                        ),
+                    })?
+                    .path
+                    .clone(),
+            ),
+            ReferenceChoice::File(path) => Some(find_path(&frames, path)?),
+        };
+        frames.sort_by(|a, b| {
+            a.exposure
+                .relative()
+                .total_cmp(&b.exposure.relative())
+                .then_with(|| a.path.cmp(&b.path))
+        });
+        let reference = match chosen {
+            Some(path) => frames.iter().position(|f| f.path == path).unwrap_or(0),
+            None => choose_reference(&frames),
+        };
+        Ok(Bracket { frames, reference })
+    }
+
+    /// The frames by rising exposure.
+    pub fn frames(&self) -> &[Frame] {
+        &self.frames
+    }
+
+    /// The index of the reference in [`frames`](Self::frames).
+    pub fn reference_index(&self) -> usize {
+        self.reference
+    }
+
+    /// The frame that the others are aligned to, and whose rectangle the result has.
+    pub fn reference(&self) -> &Frame {
+        &self.frames[self.reference]
+    }
+
+    /// Width of every frame, in pixels.
+    pub fn width(&self) -> usize {
+        self.frames[0].width
+    }
+
+    /// Height of every frame, in pixels.
+    pub fn height(&self) -> usize {
+        self.frames[0].height
+    }
+}
+
+/// The frame of `frames` that was read from `path`, compared as given, then by the file it leads to.
+fn find_path(frames: &[Frame], path: &Path) -> Result<PathBuf> {
+    let real = |p: &Path| std::fs::canonicalize(p).ok();
+    frames
+        .iter()
+        .find(|f| f.path == path)
+        .or_else(|| real(path).and_then(|wanted| frames.iter().find(|f| real(&f.path).as_deref() == Some(&wanted))))
+        .map(|f| f.path.clone())
+        .ok_or_else(|| Error::Option {
+            option: "--reference",
+            reason: format!(
+                "{} is not among the photographs; name one of them, or its number",
+                path.display()
+            ),
+        })
+}
+
+/// The frame that sees the most: that with the most pixels of which no channel is near either end of its range.
+/// Of frames within a twentieth of the best, the one nearest the middle of the bracket. Frames are by rising exposure.
+fn choose_reference(frames: &[Frame]) -> usize {
+    let seen: Vec<u64> = frames.iter().map(well_exposed).collect();
+    let best = seen.iter().copied().max().unwrap_or(0);
+    let centre = frames.len() as i64 - 1;
+    (0..frames.len())
+        .filter(|&i| 20 * seen[i] >= 19 * best)
+        .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
+        .unwrap_or(frames.len() / 2)
+}
+
+/// Of every fourth pixel of every fourth row, how many have all channels within 1/16 .. 15/16 of the range.
+fn well_exposed(frame: &Frame) -> u64 {
+    fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
+        let inside = |p: &[T]| p.iter().all(|&c| c >= low && c <= high);
+        v.chunks_exact(3 * width)
+            .step_by(4)
+            .map(|row| row.chunks_exact(3).step_by(4).filter(|p| inside(p)).count() as u64)
+            .sum()
+    }
+    match &frame.samples {
+        Samples::Eight(v) => count(v, frame.width, 16, 239),
+        Samples::Sixteen(v) => count(v, frame.width, 16 << 8, 239 << 8),
+    }
+}

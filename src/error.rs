@@ -1,0 +1,213 @@
+//! What can go wrong, and what the caller should know although it went right.
+//!
+//! [`Error`] stops a run: it names the file or the option, says what is wrong and what to do about it.
+//! [`Warning`] does not: it travels in the report, and those that [degrade](Warning::degrades) the result make `--strict` exit with 3.
+
+use std::io;
+use std::path::PathBuf;
+
+/// The result of every fallible call of this crate.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Why a run stopped. The text names the file and the remedy; nothing was left half-written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file could not be opened or read.
+    #[error("{}: cannot be read: {source}; check the name and the permissions", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The content is none of the formats that are read, whatever the extension says.
+    #[error("{}: is not a JPEG, PNG or TIFF picture ({found}); convert it first, or leave it out", path.display())]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+        /// What the first bytes look like, in words.
+        found: String,
+    },
+    /// The format is known but the content is damaged or of a kind that is not supported.
+    #[error("{}: cannot be decoded as {format}: {reason}", path.display())]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// The format by content: `JPEG`, `PNG`, `TIFF`.
+        format: &'static str,
+        /// What is wrong with it, and the remedy.
+        reason: String,
+    },
+    /// A bracket needs at least two frames.
+    #[error(
+        "a bracket needs at least two photographs, {given} given; name them all, as in `hdralign merge IMG_1.jpg IMG_2.jpg IMG_3.jpg`"
+    )]
+    TooFewFrames {
+        /// How many were given.
+        given: usize,
+    },
+    /// Frames of one bracket must have one size.
+    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have one size (orientation applied)",
+            path.display(), size.0, size.1, other.display(), other_size.0, other_size.1)]
+    SizeMismatch {
+        /// The frame that differs.
+        path: PathBuf,
+        /// Its width and height, in pixels.
+        size: (usize, usize),
+        /// The first frame.
+        other: PathBuf,
+        /// Width and height of the first frame, in pixels.
+        other_size: (usize, usize),
+    },
+    /// The same file was given more than once, perhaps by two names.
+    #[error("{}: is the same file as {}; give each photograph once", path.display(), other.display())]
+    SameFile {
+        /// The later name.
+        path: PathBuf,
+        /// The earlier name.
+        other: PathBuf,
+    },
+    /// No exposure is known and none can be had from the file.
+    #[error("{}: {reason}; give the exposures with -e, in EV and in the order of the files, as in `-e=-2,0,2`", path.display())]
+    NoExposure {
+        /// The file.
+        path: PathBuf,
+        /// What was looked for and not found.
+        reason: String,
+    },
+    /// An option has a value that cannot be used, by itself or with these inputs.
+    #[error("{option}: {reason}")]
+    Option {
+        /// The option as it is typed: `--reference`.
+        option: &'static str,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
+    /// An output exists already.
+    #[error("{}: exists already; choose another name with -o, or replace it with --force", path.display())]
+    OutputExists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The extension of an output is none of those written.
+    #[error("{}: the extension must be one of {known}", path.display())]
+    UnknownExtension {
+        /// The file.
+        path: PathBuf,
+        /// The extensions that would do.
+        known: &'static str,
+    },
+    /// A result could not be written.
+    #[error("{}: cannot be written: {source}; check the folder, its permissions and the space left", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system or the encoder said.
+        source: io::Error,
+    },
+    /// A saved response curve could not be used.
+    #[error("{}: is no usable response file: {reason}", path.display())]
+    ResponseFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+impl Error {
+    /// Whether the command line, rather than a file or the machine, is at fault: exit code 2 instead of 1.
+    pub fn is_usage(&self) -> bool {
+        matches!(
+            self,
+            Error::TooFewFrames { .. } | Error::SameFile { .. } | Error::Option { .. } | Error::UnknownExtension { .. }
+        )
+    }
+}
+
+/// What a user should know about a result that was nevertheless made.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Warning {
+    /// No model explains this frame's motion; it was left out.
+    #[error("{}: left out: {reason}", path.display())]
+    FrameRejected {
+        /// The frame.
+        path: PathBuf,
+        /// Why it could not be placed.
+        reason: String,
+    },
+    /// This frame was placed, but with little certainty.
+    #[error("{}: aligned with low confidence ({confidence:.2}); look at the result, or leave it out", path.display())]
+    LowConfidence {
+        /// The frame.
+        path: PathBuf,
+        /// 0..1.
+        confidence: f64,
+    },
+    /// The exposures written in the files contradict the pixels; the step was estimated from the pixels.
+    #[error(
+        "the exposures in the files contradict the pixels ({detail}); estimated from the pixels instead, give -e to set them"
+    )]
+    ExposureContradicted {
+        /// What was written and what was seen.
+        detail: String,
+    },
+    /// A part of the exposure is missing in this file and was assumed equal in all.
+    #[error("{}: {detail}", path.display())]
+    ExposureIncomplete {
+        /// The frame.
+        path: PathBuf,
+        /// Which tag is missing, and what was assumed.
+        detail: String,
+    },
+    /// The response could not be recovered from this bracket; a stated curve was used.
+    #[error("the camera's response could not be recovered ({reason}); {used} is used instead")]
+    ResponseFallback {
+        /// Why.
+        reason: String,
+        /// The curve that took its place.
+        used: String,
+    },
+    /// Frames carry different colour profiles; that of the reference was kept.
+    #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
+    ProfilesDiffer {
+        /// The frame.
+        path: PathBuf,
+        /// Its profile.
+        found: String,
+        /// The reference's profile.
+        kept: String,
+    },
+    /// A part of the file could not be understood, without harm to the pixels.
+    #[error("{}: {detail}", path.display())]
+    Metadata {
+        /// The frame.
+        path: PathBuf,
+        /// What was ignored.
+        detail: String,
+    },
+    /// Values were outside what the output format can hold.
+    #[error("{}: {detail}", path.display())]
+    OutOfRange {
+        /// The output.
+        path: PathBuf,
+        /// How many values, and what became of them.
+        detail: String,
+    },
+}
+
+impl Warning {
+    /// Whether the result is less than what was asked for: a frame left out or doubtful, an exposure guessed, a curve assumed.
+    pub fn degrades(&self) -> bool {
+        matches!(
+            self,
+            Warning::FrameRejected { .. }
+                | Warning::LowConfidence { .. }
+                | Warning::ExposureContradicted { .. }
+                | Warning::ExposureIncomplete { .. }
+                | Warning::ResponseFallback { .. }
+        )
+    }
+}

@@ -1,0 +1,183 @@
+//! [`Plane`], the one picture buffer, and the bands in which all parallel work goes.
+//!
+//! In: sizes and closures. Out: the same bytes on any number of threads, because the bands are fixed by the height alone, each is
+//! computed by itself, and results are kept or folded in index order. Cost: what the closures cost.
+
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Rows in a band: the unit of parallel work. Part of the result's definition, never of the machine's.
+pub const BAND_ROWS: usize = 64;
+
+/// A picture of `T`, row-major; x to the right, y down; (0, 0) is the centre of the top-left pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> Plane<T> {
+    /// A plane over `data`, which must hold `width * height` values by rows.
+    ///
+    /// # Panics
+    /// When the length does not fit the size: that is a fault of the caller, never of a file.
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
+        assert_eq!(
+            data.len(),
+            width * height,
+            "a plane of {width}x{height} needs that many values"
+        );
+        Plane { width, height, data }
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All values, by rows.
+    pub fn as_slice(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All values, by rows.
+    pub fn as_mut_slice(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// The values, by rows.
+    pub fn into_vec(self) -> Vec<T> {
+        self.data
+    }
+
+    /// Row `y`.
+    pub fn row(&self, y: usize) -> &[T] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Rows `rows`, one after the other.
+    pub fn rows(&self, rows: Range<usize>) -> &[T] {
+        &self.data[rows.start * self.width..rows.end * self.width]
+    }
+
+    /// Row `y`.
+    pub fn row_mut(&mut self, y: usize) -> &mut [T] {
+        &mut self.data[y * self.width..(y + 1) * self.width]
+    }
+}
+
+impl<T: Copy> Plane<T> {
+    /// The value at column `x` of row `y`.
+    pub fn at(&self, x: usize, y: usize) -> T {
+        self.data[y * self.width + x]
+    }
+}
+
+impl<T: Clone> Plane<T> {
+    /// A plane with `value` everywhere.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Plane {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
+    }
+}
+
+impl<T: Copy + Default + Send> Plane<T> {
+    /// A plane whose rows `fill(y, row)` computes, in parallel by bands.
+    pub fn from_rows(width: usize, height: usize, fill: impl Fn(usize, &mut [T]) + Sync) -> Self {
+        let mut plane = Plane::filled(width, height, T::default());
+        plane.fill_rows(fill);
+        plane
+    }
+
+    /// Computes every row anew by `fill(y, row)`, in parallel by bands.
+    pub fn fill_rows(&mut self, fill: impl Fn(usize, &mut [T]) + Sync) {
+        let width = self.width;
+        self.fill_bands(|rows, band| {
+            for (y, row) in rows.zip(band.chunks_exact_mut(width)) {
+                fill(y, row);
+            }
+        });
+    }
+
+    /// Computes every band anew by `fill(rows, values)`, in parallel.
+    pub fn fill_bands(&mut self, fill: impl Fn(Range<usize>, &mut [T]) + Sync) {
+        if self.data.is_empty() {
+            return;
+        }
+        let (width, height) = (self.width, self.height);
+        self.data
+            .par_chunks_mut(BAND_ROWS * width)
+            .enumerate()
+            .for_each(|(band, values)| fill(band_rows(band, height), values));
+    }
+}
+
+/// The number of bands of a picture `height` rows high.
+pub fn band_count(height: usize) -> usize {
+    height.div_ceil(BAND_ROWS)
+}
+
+/// The rows of band `band` in a picture `height` rows high; the last may be short.
+pub fn band_rows(band: usize, height: usize) -> Range<usize> {
+    band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height)
+}
+
+/// `map` of every band's rows, computed in parallel, given back in order.
+pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync) -> Vec<R> {
+    (0..band_count(height))
+        .into_par_iter()
+        .map(|band| map(band_rows(band, height)))
+        .collect()
+}
+
+/// `map` of every band's rows, computed in parallel, then `fold`ed in index order: sums of floats come out the same on any machine.
+pub fn fold_bands<R: Send, A>(
+    height: usize,
+    map: impl Fn(Range<usize>) -> R + Sync,
+    start: A,
+    fold: impl FnMut(A, R) -> A,
+) -> A {
+    map_bands(height, map).into_iter().fold(start, fold)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_cover_every_row_once() {
+        for height in [1, 63, 64, 65, 200] {
+            let rows: Vec<usize> = map_bands(height, |r| r.collect::<Vec<_>>()).concat();
+            assert_eq!(rows, (0..height).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn rows_are_filled_in_place() {
+        let plane = Plane::from_rows(3, 130, |y, row| {
+            for (x, v) in row.iter_mut().enumerate() {
+                *v = (10 * y + x) as u32;
+            }
+        });
+        assert_eq!((plane.at(2, 129), plane.row(64)), (1292, &[640, 641, 642][..]));
+    }
+
+    #[test]
+    fn a_sum_is_the_same_on_any_number_of_threads() {
+        let value = |y: usize| 1.0 / (1.0 + y as f32);
+        let sum = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| fold_bands(10_000, |r| r.map(value).sum::<f32>(), 0.0f32, |a, b| a + b))
+        };
+        assert_eq!(sum(1).to_bits(), sum(5).to_bits());
+    }
+}

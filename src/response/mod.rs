@@ -1,0 +1,1 @@
+//! Response: from code values to exposure.
