@@ -1,5 +1,12 @@
 //! Alignment: where every frame's pixels lie in the reference, and how sure that is.
 
+pub mod bitmap;
+pub mod features;
+pub mod homography;
+pub mod mtb;
+pub mod ransac;
+pub mod resample;
+pub mod sift;
 pub mod warp;
 
 use warp::Warp;

@@ -1,13 +1,10 @@
-//! Warps: where a pixel of the reference lies in another frame, and resampling a frame by one in a single step.
+//! Warps: where a pixel of the reference lies in another frame.
 //!
-//! In: a [`Frame`] and a [`Warp`]. Out: code values as floats on the reference's grid, by rows, with a mark where the frame does not
-//! reach. Cost: 36 multiply-adds a value (Lanczos, three lobes); a copy where nothing moves.
+//! In: a motion. Out: its 3x3 matrix on pixel coordinates, and what people ask of it: shift, rotation, distance. Cost: none to speak of.
 //! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
-use crate::bracket::{Frame, Samples};
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
-use std::ops::Range;
 
 /// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at the centre
 /// of the top-left one.
@@ -100,34 +97,31 @@ pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     )
 }
 
-/// What [`resample_rows`] puts into all three channels where the frame has no pixel.
-pub const OUTSIDE: f32 = -1.0;
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by rows into `out`.
-///
-/// A pixel whose place in the frame is outside the rectangle of its pixel centres is [`OUTSIDE`] in all channels.
-///
-/// # Panics
-/// When `out` does not hold `columns.len() * rows.len()` pixels.
-pub fn resample_rows(frame: &Frame, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
-    assert_eq!(out.len(), columns.len() * rows.len());
-    let h = warp.matrix(frame.width(), frame.height());
-    for (y, line) in rows.zip(out.chunks_exact_mut(columns.len().max(1))) {
-        for (x, pixel) in columns.clone().zip(line) {
-            let (u, v) = map(&h, x as f64, y as f64);
-            *pixel = nearest(frame, u, v);
-        }
+    #[test]
+    fn a_rigid_warp_turns_about_the_centre() {
+        let warp = Warp::Rigid {
+            dx: 3.0,
+            dy: -2.0,
+            angle: 0.1,
+        };
+        let (dx, dy) = warp.shift_px(101, 51);
+        assert!((dx - 3.0).abs() < 1e-12 && (dy + 2.0).abs() < 1e-12);
+        assert!((warp.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);
+        // The point one to the right of the centre goes to (cos, sin), y pointing down: clockwise on the screen.
+        let (x, y) = map(&warp.matrix(101, 51), 51.0, 25.0);
+        assert!((x - 53.0 - 0.1f64.cos()).abs() < 1e-12 && (y - 23.0 - 0.1f64.sin()).abs() < 1e-12);
     }
-}
 
-fn nearest(frame: &Frame, u: f64, v: f64) -> [f32; 3] {
-    let (x, y) = ((u + 0.5).floor(), (v + 0.5).floor());
-    if !(x >= 0.0 && y >= 0.0 && x < frame.width() as f64 && y < frame.height() as f64) {
-        return [OUTSIDE; 3];
-    }
-    let i = 3 * (y as usize * frame.width() + x as usize);
-    match frame.samples() {
-        Samples::Eight(s) => [s[i], s[i + 1], s[i + 2]].map(f32::from),
-        Samples::Sixteen(s) => [s[i], s[i + 1], s[i + 2]].map(|c| f32::from(c) / 257.0),
+    #[test]
+    fn corner_distance_is_that_of_the_worst_corner() {
+        let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
+        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01 along.
+        let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
+        let worst = Warp::Homography(h).corner_distance(&Warp::Identity, 101, 51);
+        assert!((worst - across.hypot(along)).abs() < 1e-9);
     }
 }

@@ -38,3 +38,16 @@ impl Exposure {
         self.relative
     }
 }
+impl Exposure {
+    /// An exposure that is known only in relation to the others, in EV.
+    pub fn from_ev(ev: f64) -> Self {
+        Exposure {
+            time_s: None,
+            f_number: None,
+            iso: None,
+            relative: libm::exp2(ev),
+            source: ExposureSource::Given,
+            tags: "-e".into(),
+        }
+    }
+}

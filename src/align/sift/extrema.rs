@@ -1,0 +1,152 @@
+//! Extrema of the differences of Gaussians, placed between the samples (Lowe 2004, sections 3.1 and 4).
+
+use super::SiftOptions;
+use super::scale_space::{Octave, ScaleSpace};
+use crate::plane::{Plane, map_bands};
+use nalgebra::{Matrix3, Vector3};
+
+/// An extremum of D, in pixels of its octave.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Extremum {
+    pub(super) octave: usize,
+    pub(super) interval: usize,
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) sigma: f64,
+    /// |D| at the extremum.
+    pub(super) response: f32,
+}
+
+/// Samples nearest the border that are not looked at.
+const BORDER: usize = 5;
+/// Moves to a neighbouring sample before a fit is given up.
+const MOST_MOVES: usize = 5;
+
+/// All extrema that are strong enough and no edges, by octave, interval, row, column.
+pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
+    let mut found = Vec::new();
+    for (index, octave) in space.octaves.iter().enumerate() {
+        for interval in 1..=options.intervals {
+            let height = octave.differences[interval].height();
+            let bands = map_bands(height, |rows| {
+                let mut band = Vec::new();
+                for y in rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER)) {
+                    find_in_row(space, octave, index, interval, y, options, &mut band);
+                }
+                band
+            });
+            found.extend(bands.into_iter().flatten());
+        }
+    }
+    found
+}
+
+fn find_in_row(
+    space: &ScaleSpace,
+    octave: &Octave,
+    index: usize,
+    interval: usize,
+    y: usize,
+    options: &SiftOptions,
+    found: &mut Vec<Extremum>,
+) {
+    let [below, here, above] = [-1, 0, 1].map(|d: isize| &octave.differences[interval.wrapping_add_signed(d)]);
+    let (up, row, down) = (here.row(y - 1), here.row(y), here.row(y + 1));
+    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the contrast.
+    let least = (0.5 * options.contrast) as f32;
+    for x in BORDER..row.len().saturating_sub(BORDER) {
+        let v = row[x];
+        if v.abs() <= least {
+            continue;
+        }
+        let beats = |w: f32| if v > 0.0 { v >= w } else { v <= w };
+        let beside = |r: &[f32]| beats(r[x - 1]) && beats(r[x]) && beats(r[x + 1]);
+        let is_extremum = beats(row[x - 1])
+            && beats(row[x + 1])
+            && beside(up)
+            && beside(down)
+            && [below, above].iter().all(|p| (y - 1..=y + 1).all(|r| beside(p.row(r))));
+        if is_extremum && let Some((interval, x, y, offset, value)) = localise(octave, interval, x, y, options) {
+            let response = value.abs();
+            if response >= options.contrast && !is_edge(&octave.differences[interval], x, y, options.edge_ratio) {
+                found.push(Extremum {
+                    octave: index,
+                    interval,
+                    x: x as f64 + offset[0],
+                    y: y as f64 + offset[1],
+                    sigma: space.sigma_at(interval as f64 + offset[2]),
+                    response: response as f32,
+                });
+            }
+        }
+    }
+}
+
+/// Fits D with a quadratic and moves to the sample nearest its extremum (section 4, eq. 2 and 3): interval, x, y, offset, D there.
+fn localise(
+    octave: &Octave,
+    mut interval: usize,
+    mut x: usize,
+    mut y: usize,
+    options: &SiftOptions,
+) -> Option<(usize, usize, usize, Vector3<f64>, f64)> {
+    for _ in 0..MOST_MOVES {
+        let d = |dx: isize, dy: isize, ds: isize| -> f64 {
+            octave.differences[interval.wrapping_add_signed(ds)]
+                .at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
+                .into()
+        };
+        let v = d(0, 0, 0);
+        let gradient = 0.5
+            * Vector3::new(
+                d(1, 0, 0) - d(-1, 0, 0),
+                d(0, 1, 0) - d(0, -1, 0),
+                d(0, 0, 1) - d(0, 0, -1),
+            );
+        let cross = |a: f64, b: f64, c: f64, e: f64| 0.25 * (a - b - c + e);
+        let xy = cross(d(1, 1, 0), d(-1, 1, 0), d(1, -1, 0), d(-1, -1, 0));
+        let xs = cross(d(1, 0, 1), d(-1, 0, 1), d(1, 0, -1), d(-1, 0, -1));
+        let ys = cross(d(0, 1, 1), d(0, -1, 1), d(0, 1, -1), d(0, -1, -1));
+        let hessian = Matrix3::new(
+            d(1, 0, 0) + d(-1, 0, 0) - 2.0 * v,
+            xy,
+            xs,
+            xy,
+            d(0, 1, 0) + d(0, -1, 0) - 2.0 * v,
+            ys,
+            xs,
+            ys,
+            d(0, 0, 1) + d(0, 0, -1) - 2.0 * v,
+        );
+        let offset = -(hessian.try_inverse()? * gradient);
+        if offset.iter().all(|o| o.abs() <= 0.5) {
+            return Some((interval, x, y, offset, v + 0.5 * gradient.dot(&offset)));
+        }
+        if offset.iter().any(|o| !o.is_finite() || o.abs() > 100.0) {
+            return None;
+        }
+        let plane = &octave.differences[interval];
+        let step = |i: usize, o: f64, low: usize, high: usize| -> Option<usize> {
+            let moved = i as f64 + (o + 0.5).floor();
+            (moved >= low as f64 && moved < high as f64).then_some(moved as usize)
+        };
+        x = step(x, offset[0], BORDER, plane.width() - BORDER)?;
+        y = step(y, offset[1], BORDER, plane.height() - BORDER)?;
+        interval = step(interval, offset[2], 1, options.intervals + 1)?;
+    }
+    None
+}
+
+/// Whether the principal curvatures differ by more than r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
+fn is_edge(difference: &Plane<f32>, x: usize, y: usize, r: f64) -> bool {
+    let d = |dx: isize, dy: isize| -> f64 {
+        difference
+            .at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
+            .into()
+    };
+    let v = d(0, 0);
+    let (xx, yy) = (d(1, 0) + d(-1, 0) - 2.0 * v, d(0, 1) + d(0, -1) - 2.0 * v);
+    let xy = 0.25 * (d(1, 1) - d(-1, 1) - d(1, -1) + d(-1, -1));
+    let (trace, determinant) = (xx + yy, xx * yy - xy * xy);
+    determinant <= 0.0 || trace * trace * r >= (r + 1.0) * (r + 1.0) * determinant
+}

@@ -1,0 +1,95 @@
+//! The scale space: octaves of ever smoother pictures, and the differences between neighbours (Lowe 2004, section 3).
+
+use super::SiftOptions;
+use super::extrema::Extremum;
+use crate::align::features::Keypoint;
+use crate::plane::Plane;
+use crate::pyramid::{double, every_second, gaussian};
+
+/// Blur that the camera's picture is taken to have, in its own pixels (section 3.3).
+const CAMERA_SIGMA: f64 = 0.5;
+/// Short side under which an octave holds no more extrema worth having, in pixels.
+const LEAST_SIDE: usize = 16;
+
+/// One octave: s + 3 Gaussians L and the s + 2 differences D between them.
+pub(super) struct Octave {
+    pub(super) gaussians: Vec<Plane<f32>>,
+    pub(super) differences: Vec<Plane<f32>>,
+}
+
+/// All octaves of a picture.
+pub(super) struct ScaleSpace {
+    pub(super) octaves: Vec<Octave>,
+    intervals: usize,
+    sigma: f64,
+    /// Pixels of the picture for a pixel of the first octave: 1/2 where it was doubled.
+    first_step: f64,
+}
+
+impl ScaleSpace {
+    pub(super) fn new(picture: &Plane<f32>, options: &SiftOptions) -> Self {
+        let (s, sigma) = (options.intervals, options.sigma);
+        let (mut base, blur) = if options.double {
+            (double(picture), 2.0 * CAMERA_SIGMA)
+        } else {
+            (picture.clone(), CAMERA_SIGMA)
+        };
+        base = gaussian(&base, (sigma * sigma - blur * blur).max(0.01).sqrt());
+        let k = libm::exp2(1.0 / s as f64);
+        let mut octaves = Vec::new();
+        while base.width().min(base.height()) >= LEAST_SIDE {
+            let mut gaussians = vec![base];
+            let mut reached = sigma;
+            for _ in 1..s + 3 {
+                let next = reached * k;
+                let step = (next * next - reached * reached).sqrt();
+                gaussians.push(gaussian(&gaussians[gaussians.len() - 1], step));
+                reached = next;
+            }
+            let differences = gaussians.windows(2).map(|pair| subtract(&pair[1], &pair[0])).collect();
+            base = every_second(&gaussians[s]);
+            octaves.push(Octave { gaussians, differences });
+        }
+        ScaleSpace {
+            octaves,
+            intervals: s,
+            sigma,
+            first_step: if options.double { 0.5 } else { 1.0 },
+        }
+    }
+
+    /// Pixels of the picture for a pixel of octave `octave`.
+    fn step(&self, octave: usize) -> f64 {
+        self.first_step * (1u64 << octave) as f64
+    }
+
+    /// The picture in which the surroundings of `extremum` are looked at: the Gaussian of its scale.
+    pub(super) fn level_of(&self, extremum: &Extremum) -> &Plane<f32> {
+        &self.octaves[extremum.octave].gaussians[extremum.interval]
+    }
+
+    /// The extremum as a point of the picture.
+    pub(super) fn keypoint(&self, extremum: &Extremum, angle: f32) -> Keypoint {
+        let step = self.step(extremum.octave);
+        Keypoint {
+            x: (extremum.x * step) as f32,
+            y: (extremum.y * step) as f32,
+            scale: (extremum.sigma * step) as f32,
+            angle,
+            response: extremum.response,
+        }
+    }
+
+    /// sigma at a fractional interval, in pixels of its octave.
+    pub(super) fn sigma_at(&self, interval: f64) -> f64 {
+        self.sigma * libm::exp2(interval / self.intervals as f64)
+    }
+}
+
+fn subtract(a: &Plane<f32>, b: &Plane<f32>) -> Plane<f32> {
+    Plane::from_rows(a.width(), a.height(), |y, row| {
+        for (d, (p, q)) in row.iter_mut().zip(a.row(y).iter().zip(b.row(y))) {
+            *d = p - q;
+        }
+    })
+}
