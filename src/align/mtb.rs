@@ -236,6 +236,38 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     }
 }
 
+/// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At most `most`,
+/// the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of moderate size.
+pub fn rivals(
+    reference: &GreyPyramid,
+    frame: &GreyPyramid,
+    angle: f64,
+    most: usize,
+    options: &MtbOptions,
+) -> Vec<Motion> {
+    let level = (0..reference.len())
+        .find(|&i| reference.level(i).width().min(reference.level(i).height()) < 2 * RIVALS_SIDE)
+        .unwrap_or(reference.len() - 1);
+    let percentile = common_percentile(reference.histogram(level), frame.histogram(level), options.exclusion);
+    let pair = Pair {
+        reference: reference.bitmaps(level, percentile, options.exclusion),
+        frame: frame.bitmaps(level, percentile, options.exclusion),
+        max_angle: angle.abs(),
+    };
+    let scale = (1u64 << level) as f64;
+    let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
+    let distinct = |a: &Motion, b: &Motion| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5;
+    let found = best_distinct(rated, most, distinct);
+    found
+        .into_iter()
+        .map(|m| Motion {
+            dx: m.dx * scale,
+            dy: m.dy * scale,
+            ..m
+        })
+        .collect()
+}
+
 /// The bitmaps of two frames at one level.
 struct Pair {
     reference: ThresholdBitmaps,
@@ -264,52 +296,51 @@ impl Pair {
         }
     }
 
+    /// The largest shift sought along an axis, in pixels of this level.
+    fn reach(&self, max_shift: f64) -> i64 {
+        let bitmap = &self.reference.threshold;
+        libm::ceil(max_shift * bitmap.width().max(bitmap.height()) as f64) as i64
+    }
+
+    /// The share that differs at every whole shift up to `reach`, turned by `angle`.
+    fn rate_shifts(&self, angle: f64, reach: i64) -> Vec<(f64, Motion)> {
+        let area = (self.reference.threshold.width() * self.reference.threshold.height()) as f64;
+        let mut rated = Vec::with_capacity((2 * reach + 1).pow(2) as usize);
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let motion = Motion {
+                    dx: dx as f64,
+                    dy: dy as f64,
+                    angle,
+                };
+                // Without a rotation the corners can speak as well.
+                let rate = if angle == 0.0 {
+                    let difference = difference_shifted(&self.reference, &self.frame, dx, dy);
+                    if (difference.compared as f64) < LEAST_COMPARED * area {
+                        1.0
+                    } else {
+                        difference.rate()
+                    }
+                } else {
+                    self.rate(&motion)
+                };
+                rated.push((rate, motion));
+            }
+        }
+        rated
+    }
+
     /// Every whole shift within reach, at every angle that moves the circle's rim by a pixel: the best few that are not neighbours.
     fn search_everywhere(&self, max_shift: f64) -> Vec<Motion> {
-        let bitmap = &self.reference.threshold;
-        let reach = libm::ceil(max_shift * bitmap.width().max(bitmap.height()) as f64) as i64;
         let step = 1.0 / self.radius();
         let turns = libm::floor(self.max_angle / step) as i64;
-        let mut found: Vec<(f64, Motion)> = Vec::new();
-        for turn in -turns..=turns {
-            for dy in -reach..=reach {
-                for dx in -reach..=reach {
-                    let motion = Motion {
-                        dx: dx as f64,
-                        dy: dy as f64,
-                        angle: turn as f64 * step,
-                    };
-                    let rate = if turn == 0 {
-                        // Without a rotation the corners can speak as well.
-                        let difference = difference_shifted(&self.reference, &self.frame, dx, dy);
-                        let area = (bitmap.width() * bitmap.height()) as f64;
-                        if (difference.compared as f64) < 0.1 * area {
-                            1.0
-                        } else {
-                            difference.rate()
-                        }
-                    } else {
-                        self.rate(&motion)
-                    };
-                    found.push((rate, motion));
-                }
-            }
-        }
-        found.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| smaller(&a.1, &b.1)));
-        let mut kept: Vec<Motion> = Vec::new();
-        for (_, motion) in found {
-            let apart = |k: &Motion| {
-                (k.dx - motion.dx).abs().max((k.dy - motion.dy).abs()) > 1.5
-                    || (k.angle - motion.angle).abs() > 1.5 * step
-            };
-            if kept.iter().all(apart) {
-                kept.push(motion);
-            }
-            if kept.len() == BEAM {
-                break;
-            }
-        }
-        kept
+        let reach = self.reach(max_shift);
+        let rated = (-turns..=turns)
+            .flat_map(|turn| self.rate_shifts(turn as f64 * step, reach))
+            .collect();
+        best_distinct(rated, BEAM, |a, b| {
+            (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.5 || (a.angle - b.angle).abs() > 1.5 * step
+        })
     }
 
     /// Shift and rotation in turn, from `start`, until neither changes: the nine neighbours, then the angles that move the rim by
@@ -426,6 +457,12 @@ impl Pair {
     }
 }
 
+/// Where a smaller share of the pixels can be compared, the rate says nothing.
+const LEAST_COMPARED: f64 = 0.1;
+
+/// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
+const RIVALS_SIDE: usize = 128;
+
 /// Candidates followed from the coarsest level on.
 const BEAM: usize = 6;
 
@@ -439,6 +476,22 @@ const NEIGHBOURS: [(f64, f64); 8] = [
     (0.0, 1.0),
     (1.0, 1.0),
 ];
+
+/// The best `most` of the rated motions of which each is `distinct` from those before it.
+fn best_distinct(
+    mut rated: Vec<(f64, Motion)>,
+    most: usize,
+    distinct: impl Fn(&Motion, &Motion) -> bool,
+) -> Vec<Motion> {
+    rated.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| smaller(&a.1, &b.1)));
+    let mut kept: Vec<Motion> = Vec::with_capacity(most);
+    for (_, motion) in rated {
+        if kept.len() < most && kept.iter().all(|k| distinct(k, &motion)) {
+            kept.push(motion);
+        }
+    }
+    kept
+}
 
 /// Of equal rates the smaller motion comes first.
 fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
