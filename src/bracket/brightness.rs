@@ -150,18 +150,14 @@ pub fn estimate(frames: &[Brightness]) -> Option<Vec<f64>> {
 
 /// What to divide the steps by: see the head of this file.
 fn contrast(steps: &[f64]) -> f64 {
-    let mut real: Vec<f64> = steps.iter().copied().filter(|&s| s > STEP * CONTRAST).collect();
-    real.sort_by(f64::total_cmp);
-    let Some(&median) = real.get(real.len() / 2) else {
-        return CONTRAST;
-    };
-    let mut off: Vec<f64> = real.iter().map(|s| (s - median).abs()).collect();
-    off.sort_by(f64::total_cmp);
-    if real.len() < 2 || off[off.len() / 2] > 0.25 * median {
+    let real: Vec<f64> = steps.iter().copied().filter(|&s| s > STEP * CONTRAST).collect();
+    let middle = median(&real);
+    let off: Vec<f64> = real.iter().map(|s| (s - middle).abs()).collect();
+    if real.len() < 2 || median(&off) > 0.25 * middle {
         return CONTRAST;
     }
     (1..=4)
-        .map(|whole| median / f64::from(whole))
+        .map(|whole| middle / f64::from(whole))
         .filter(|c| CONTRASTS.contains(c))
         .min_by(|a, b| {
             libm::log2(a / CONTRAST)
@@ -169,6 +165,17 @@ fn contrast(steps: &[f64]) -> f64 {
                 .total_cmp(&libm::log2(b / CONTRAST).abs())
         })
         .unwrap_or(CONTRAST)
+}
+
+/// The middle value, or the mean of the two in the middle; 0 of none.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match (sorted.len(), sorted.len() / 2) {
+        (0, _) => 0.0,
+        (n, half) if n % 2 == 0 => (sorted[half - 1] + sorted[half]) / 2.0,
+        (_, half) => sorted[half],
+    }
 }
 
 /// The largest difference in `evs`.

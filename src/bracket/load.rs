@@ -6,12 +6,13 @@
 //! Exposures are the user's where given, else those of EXIF, else, where one is missing or they cannot be, estimated from the pixels.
 
 use super::brightness::{self, Brightness};
+use super::capture;
 use super::colour::{Found, Profile};
 use super::decode::{self, Decoded};
 use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
 use super::{Bracket, Capture, Frame, ReferenceChoice, Samples};
 use crate::error::{Error, Result, Warning};
-use exif::{Exif, In, Tag, Value};
+use exif::{Exif, In, Tag};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io;
@@ -189,7 +190,7 @@ impl Picture {
             mut notes,
         } = decode::decode(path, bytes, max_pixels)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
-        let capture = exif.as_ref().map(capture).unwrap_or_default();
+        let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes
             .into_iter()
@@ -217,7 +218,7 @@ fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -
         // DCF 2.0: "uncalibrated" with the interoperability index R03 is Adobe RGB.
         let exif = exif?;
         let uncalibrated = exif.get_field(Tag::ColorSpace, In::PRIMARY)?.value.get_uint(0) == Some(0xFFFF);
-        let r03 = ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");
+        let r03 = capture::ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");
         return if uncalibrated && r03 {
             Profile::adobe_rgb()
         } else {
@@ -243,42 +244,6 @@ fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -
             None
         }
     }
-}
-
-fn capture(exif: &Exif) -> Capture {
-    let focal_length = exif
-        .get_field(Tag::FocalLength, In::PRIMARY)
-        .and_then(|f| exposure::first_number(&f.value));
-    Capture {
-        make: ascii(exif, Tag::Make),
-        model: ascii(exif, Tag::Model),
-        date: ascii(exif, Tag::DateTimeOriginal)
-            .or_else(|| ascii(exif, Tag::DateTime))
-            .filter(|d| is_date(d)),
-        lens: ascii(exif, Tag::LensModel),
-        focal_length_mm: focal_length.filter(|&f| f > 0.0),
-    }
-}
-
-/// `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
-fn is_date(text: &str) -> bool {
-    let shape = b"0000:00:00 00:00:00";
-    text.len() == shape.len()
-        && text
-            .bytes()
-            .zip(shape)
-            .all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })
-        && !text.starts_with("0000")
-}
-
-fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
-    let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else {
-        return None;
-    };
-    let text = String::from_utf8_lossy(lines.first()?);
-    let text: String = text.chars().filter(|c| !c.is_control()).collect();
-    let text = text.trim();
-    (!text.is_empty()).then(|| text.to_string())
 }
 
 fn check_sizes(pictures: &[Picture]) -> Result<()> {

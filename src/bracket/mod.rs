@@ -4,6 +4,7 @@
 //! camera-encoded, orientation applied): three values a pixel, never floats. Cost: that of the decoders, one frame per thread.
 
 mod brightness;
+mod capture;
 pub mod colour;
 mod decode;
 pub mod exposure;

@@ -1,7 +1,9 @@
 //! Loading whole brackets, from files made here.
 
 use super::*;
+use crate::bracket::Capture;
 use crate::bracket::decode::tests::{jpeg, scene, with_exif};
+use exif::Value;
 use std::fs;
 use tempfile::TempDir;
 
