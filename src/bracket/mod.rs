@@ -135,7 +135,7 @@ impl Frame {
     pub fn grey(&self) -> Plane<u8> {
         let stride = 3 * self.width;
         Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code)),
+            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
             Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
         })
     }
@@ -214,5 +214,63 @@ impl Bracket {
     /// Height of every frame, in pixels.
     pub fn height(&self) -> usize {
         self.frames[0].height
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(name: &str, width: usize, ev: f64) -> Frame {
+        let exposure = Exposure::given(ev).unwrap();
+        Frame::new(name.into(), width, 2, Samples::Eight(vec![128; 6 * width]), exposure)
+    }
+
+    #[test]
+    fn grey_is_wards_at_either_depth() {
+        let of = |samples| {
+            Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap())
+                .grey()
+                .at(0, 0)
+        };
+        assert_eq!(
+            of(Samples::Eight(vec![10, 200, 30])),
+            ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8
+        );
+        assert_eq!(
+            of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])),
+            of(Samples::Eight(vec![10, 200, 30]))
+        );
+        assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
+    }
+
+    #[test]
+    fn frames_go_by_exposure_then_by_path_and_a_number_by_the_order_given() {
+        let frames = vec![frame("c", 3, 1.0), frame("b", 3, -1.0), frame("a", 3, 1.0)];
+        let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+        let names: Vec<_> = bracket.frames().iter().map(|f| f.path().to_str().unwrap()).collect();
+        assert_eq!(names, ["b", "a", "c"]);
+        assert_eq!(
+            (bracket.reference_index(), bracket.width(), bracket.height()),
+            (2, 3, 2)
+        );
+    }
+
+    #[test]
+    fn one_frame_or_two_sizes_are_no_bracket() {
+        let auto = ReferenceChoice::Auto;
+        assert!(matches!(
+            Bracket::new(vec![frame("a", 3, 0.0)], &auto),
+            Err(Error::TooFewFrames { given: 1 })
+        ));
+        let odd = Bracket::new(vec![frame("a", 3, 0.0), frame("b", 4, 1.0)], &auto);
+        assert!(matches!(
+            odd,
+            Err(Error::SizeMismatch {
+                size: (4, 2),
+                other_size: (3, 2),
+                ..
+            })
+        ));
     }
 }
