@@ -154,6 +154,12 @@ pub enum Warning {
         /// What was written and what was seen.
         detail: String,
     },
+    /// The files do not say how they were exposed; the steps were estimated from the pixels.
+    #[error("the exposures are estimated from the pixels ({detail}); give -e to set them")]
+    ExposureEstimated {
+        /// What is missing, and what was estimated.
+        detail: String,
+    },
     /// A part of the exposure is missing in this file and was assumed equal in all.
     #[error("{}: {detail}", path.display())]
     ExposureIncomplete {
@@ -206,6 +212,7 @@ impl Warning {
             Warning::FrameRejected { .. }
                 | Warning::LowConfidence { .. }
                 | Warning::ExposureContradicted { .. }
+                | Warning::ExposureEstimated { .. }
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
         )

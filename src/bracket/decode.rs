@@ -1,1 +1,142 @@
-//! Decoding.
+//! Decoding: the bytes of a file to code values, oriented, with the metadata that came along.
+//!
+//! In: a JPEG, PNG or TIFF, known by its content and never by its name. Out: interleaved RGB at the file's own depth, 8 or 16 bit;
+//! grey is repeated, alpha dropped (a bracket has no background to be laid over), CMYK taken to RGB without its profile.
+//! Cost: that of the decoders; 8-bit samples are written once, 16-bit ones once more, and once more again where the EXIF turns the picture.
+//!
+//! Damage is an error, never a grey filler: what could not be decoded was never photographed.
+
+mod jpeg;
+mod orient;
+mod png;
+mod sniff;
+mod tiff;
+
+use super::Samples;
+use crate::error::{Error, Result};
+use exif::{Exif, In, Tag};
+use sniff::Format;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+/// A decoded file: pixels as they are to be seen, and its metadata unread.
+pub(super) struct Decoded {
+    /// In pixels, orientation applied.
+    pub width: usize,
+    /// In pixels, orientation applied.
+    pub height: usize,
+    /// Interleaved RGB.
+    pub samples: Samples,
+    /// What EXIF there is.
+    pub exif: Option<Exif>,
+    /// An RGB or unknown ICC profile, as found.
+    pub icc: Option<Vec<u8>>,
+    /// What was ignored, in words.
+    pub notes: Vec<String>,
+}
+
+/// What a format's decoder gives: the picture as stored.
+struct Stored {
+    width: usize,
+    height: usize,
+    samples: Samples,
+    /// EXIF from its TIFF header on; a TIFF file is its own.
+    exif: Option<Vec<u8>>,
+    icc: Option<Vec<u8>>,
+}
+
+/// Why a file was refused, in words for [`Error::Decode`].
+type Reason = String;
+
+/// Decodes `bytes`, the content of the file `path`, if it is of at most `max_pixels` pixels.
+///
+/// # Errors
+/// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and excessive sizes.
+pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Decoded> {
+    let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat {
+        path: path.into(),
+        found,
+    })?;
+    // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
+    let stored = catch_unwind(AssertUnwindSafe(|| match format {
+        Format::Jpeg => jpeg::decode(bytes, max_pixels),
+        Format::Png => png::decode(&bytes, max_pixels),
+        Format::Tiff => tiff::decode(bytes, max_pixels),
+    }))
+    .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
+    .map_err(|reason| Error::Decode {
+        path: path.into(),
+        format: format.name(),
+        reason,
+    })?;
+
+    let mut notes = Vec::new();
+    let exif = stored.exif.and_then(|raw| {
+        // Many a writer leaves one bad entry; the others are still good.
+        let parsed = catch_unwind(|| {
+            exif::Reader::new()
+                .continue_on_error(true)
+                .read_raw(raw)
+                .or_else(|e| e.distill_partial_result(|_| ()))
+        });
+        match parsed {
+            Ok(Ok(exif)) => Some(exif),
+            _ => {
+                notes.push("its EXIF is damaged and was ignored".into());
+                None
+            }
+        }
+    });
+    let turn = exif
+        .as_ref()
+        .and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0))
+        .unwrap_or(1);
+    let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
+    Ok(Decoded {
+        width,
+        height,
+        samples,
+        exif,
+        icc: stored.icc,
+        notes,
+    })
+}
+
+/// Refuses sizes that are empty or beyond `max_pixels`, before anything is allocated for them.
+fn check_size(width: usize, height: usize, max_pixels: u64) -> std::result::Result<(), Reason> {
+    let pixels = width as u64 * height as u64;
+    if pixels == 0 {
+        return Err("it has no pixels".into());
+    }
+    if pixels > max_pixels {
+        return Err(format!(
+            "it says to be {width}x{height} pixels, more than the {} million allowed; the file is damaged, or scale it down first",
+            max_pixels / 1_000_000
+        ));
+    }
+    Ok(())
+}
+
+/// Interleaved RGB from interleaved pixels of `channels`: grey, grey + alpha, RGB or RGB + alpha.
+fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
+    match channels {
+        1 | 2 => values.chunks_exact(channels).flat_map(|p| [p[0]; 3]).collect(),
+        3 => values,
+        _ => values.chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2]]).collect(),
+    }
+}
+
+/// RGB from CMYK inks, of which `max` is full cover, with no profile: each ink takes away its complement.
+fn cmyk_to_rgb<T: Copy + Into<u32> + TryFrom<u32>>(inks: &[T], channels: usize, max: u32) -> Vec<T> {
+    let light = |ink: T, black: T| {
+        let product = (max - ink.into()) as u64 * (max - black.into()) as u64;
+        let value = ((product + u64::from(max) / 2) / u64::from(max)) as u32;
+        T::try_from(value).unwrap_or(ink)
+    };
+    inks.chunks_exact(channels)
+        .flat_map(|p| [light(p[0], p[3]), light(p[1], p[3]), light(p[2], p[3])])
+        .collect()
+}
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -3,13 +3,20 @@
 //! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the code values the camera wrote (8 or 16 bit,
 //! camera-encoded, orientation applied): three values a pixel, never floats. Cost: that of the decoders, one frame per thread.
 
+mod brightness;
+mod capture;
 pub mod colour;
-pub mod decode;
+mod decode;
 pub mod exposure;
+mod load;
+mod reference;
 
-use crate::error::{Error, Result, Warning};
+pub use load::{LoadOptions, load, load_with_progress};
+pub use reference::ReferenceChoice;
+
+use crate::error::{Error, Result};
 use crate::plane::Plane;
-use colour::Profile;
+use colour::{Primaries, Profile};
 use exposure::Exposure;
 use std::path::{Path, PathBuf};
 
@@ -54,6 +61,10 @@ pub struct Capture {
     pub model: Option<String>,
     /// EXIF DateTimeOriginal, as `YYYY:MM:DD HH:MM:SS`.
     pub date: Option<String>,
+    /// EXIF LensModel.
+    pub lens: Option<String>,
+    /// EXIF FocalLength, in millimetres.
+    pub focal_length_mm: Option<f64>,
 }
 
 /// One photograph, decoded.
@@ -112,11 +123,19 @@ impl Frame {
         &self.samples
     }
 
+    /// The chromaticities that the samples are of: the profile's, or sRGB's where there is no profile or it does not say.
+    pub fn primaries(&self) -> Primaries {
+        self.profile
+            .as_ref()
+            .and_then(Profile::primaries)
+            .unwrap_or(Primaries::SRGB)
+    }
+
     /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
     pub fn grey(&self) -> Plane<u8> {
         let stride = 3 * self.width;
         Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code)),
+            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
             Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
         })
     }
@@ -126,18 +145,6 @@ fn grey_row<T: Copy>(rgb: &[T], grey: &mut [u8], code8: impl Fn(T) -> u32) {
     for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
         *out = ((54 * code8(p[0]) + 183 * code8(p[1]) + 19 * code8(p[2])) >> 8) as u8;
     }
-}
-
-/// Which frame the others are aligned to.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub enum ReferenceChoice {
-    /// The frame that sees the most: see [`choose_reference`].
-    #[default]
-    Auto,
-    /// The N-th of the files as given, from 1.
-    Number(usize),
-    /// The frame read from this file.
-    File(PathBuf),
 }
 
 /// Frames of one size by rising relative exposure (then by path), and the one that the others are aligned to.
@@ -170,23 +177,7 @@ impl Bracket {
                 other_size: (first.width, first.height),
             });
         }
-        let chosen = match reference {
-            ReferenceChoice::Auto => None,
-            ReferenceChoice::Number(n) => Some(
-                n.checked_sub(1)
-                    .and_then(|i| frames.get(i))
-                    .ok_or_else(|| Error::Option {
-                        option: "--reference",
-                        reason: format!(
-                            "there is no photograph number {n}; give 1 to {}, or a file name",
-                            frames.len()
-                        ),
-                    })?
-                    .path
-                    .clone(),
-            ),
-            ReferenceChoice::File(path) => Some(find_path(&frames, path)?),
-        };
+        let chosen = reference::chosen(&frames, reference)?;
         frames.sort_by(|a, b| {
             a.exposure
                 .relative()
@@ -195,7 +186,7 @@ impl Bracket {
         });
         let reference = match chosen {
             Some(path) => frames.iter().position(|f| f.path == path).unwrap_or(0),
-            None => choose_reference(&frames),
+            None => reference::best(&frames),
         };
         Ok(Bracket { frames, reference })
     }
@@ -226,46 +217,60 @@ impl Bracket {
     }
 }
 
-/// The frame of `frames` that was read from `path`, compared as given, then by the file it leads to.
-fn find_path(frames: &[Frame], path: &Path) -> Result<PathBuf> {
-    let real = |p: &Path| std::fs::canonicalize(p).ok();
-    frames
-        .iter()
-        .find(|f| f.path == path)
-        .or_else(|| real(path).and_then(|wanted| frames.iter().find(|f| real(&f.path).as_deref() == Some(&wanted))))
-        .map(|f| f.path.clone())
-        .ok_or_else(|| Error::Option {
-            option: "--reference",
-            reason: format!(
-                "{} is not among the photographs; name one of them, or its number",
-                path.display()
-            ),
-        })
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The frame that sees the most: that with the most pixels of which no channel is near either end of its range.
-/// Of frames within a twentieth of the best, the one nearest the middle of the bracket. Frames are by rising exposure.
-fn choose_reference(frames: &[Frame]) -> usize {
-    let seen: Vec<u64> = frames.iter().map(well_exposed).collect();
-    let best = seen.iter().copied().max().unwrap_or(0);
-    let centre = frames.len() as i64 - 1;
-    (0..frames.len())
-        .filter(|&i| 20 * seen[i] >= 19 * best)
-        .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
-        .unwrap_or(frames.len() / 2)
-}
-
-/// Of every fourth pixel of every fourth row, how many have all channels within 1/16 .. 15/16 of the range.
-fn well_exposed(frame: &Frame) -> u64 {
-    fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
-        let inside = |p: &[T]| p.iter().all(|&c| c >= low && c <= high);
-        v.chunks_exact(3 * width)
-            .step_by(4)
-            .map(|row| row.chunks_exact(3).step_by(4).filter(|p| inside(p)).count() as u64)
-            .sum()
+    fn frame(name: &str, width: usize, ev: f64) -> Frame {
+        let exposure = Exposure::given(ev).unwrap();
+        Frame::new(name.into(), width, 2, Samples::Eight(vec![128; 6 * width]), exposure)
     }
-    match &frame.samples {
-        Samples::Eight(v) => count(v, frame.width, 16, 239),
-        Samples::Sixteen(v) => count(v, frame.width, 16 << 8, 239 << 8),
+
+    #[test]
+    fn grey_is_wards_at_either_depth() {
+        let of = |samples| {
+            Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap())
+                .grey()
+                .at(0, 0)
+        };
+        assert_eq!(
+            of(Samples::Eight(vec![10, 200, 30])),
+            ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8
+        );
+        assert_eq!(
+            of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])),
+            of(Samples::Eight(vec![10, 200, 30]))
+        );
+        assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
+    }
+
+    #[test]
+    fn frames_go_by_exposure_then_by_path_and_a_number_by_the_order_given() {
+        let frames = vec![frame("c", 3, 1.0), frame("b", 3, -1.0), frame("a", 3, 1.0)];
+        let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+        let names: Vec<_> = bracket.frames().iter().map(|f| f.path().to_str().unwrap()).collect();
+        assert_eq!(names, ["b", "a", "c"]);
+        assert_eq!(
+            (bracket.reference_index(), bracket.width(), bracket.height()),
+            (2, 3, 2)
+        );
+    }
+
+    #[test]
+    fn one_frame_or_two_sizes_are_no_bracket() {
+        let auto = ReferenceChoice::Auto;
+        assert!(matches!(
+            Bracket::new(vec![frame("a", 3, 0.0)], &auto),
+            Err(Error::TooFewFrames { given: 1 })
+        ));
+        let odd = Bracket::new(vec![frame("a", 3, 0.0), frame("b", 4, 1.0)], &auto);
+        assert!(matches!(
+            odd,
+            Err(Error::SizeMismatch {
+                size: (4, 2),
+                other_size: (3, 2),
+                ..
+            })
+        ));
     }
 }

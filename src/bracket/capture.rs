@@ -1,0 +1,64 @@
+//! What the camera noted beside the exposure.
+//!
+//! In: EXIF. Out: a [`Capture`], with blanks, padding and clocks that were never set left out. Cost: nothing to speak of.
+//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
+
+use super::{Capture, exposure};
+use exif::{Exif, In, Tag, Value};
+
+/// The notes that are carried over to the outputs.
+pub(super) fn read(exif: &Exif) -> Capture {
+    let focal_length = exif
+        .get_field(Tag::FocalLength, In::PRIMARY)
+        .and_then(|f| exposure::first_number(&f.value));
+    Capture {
+        make: ascii(exif, Tag::Make),
+        model: ascii(exif, Tag::Model),
+        date: ascii(exif, Tag::DateTimeOriginal)
+            .or_else(|| ascii(exif, Tag::DateTime))
+            .filter(|d| is_date(d)),
+        lens: ascii(exif, Tag::LensModel),
+        focal_length_mm: focal_length.filter(|&f| f > 0.0),
+    }
+}
+
+/// `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
+fn is_date(text: &str) -> bool {
+    let shape = b"0000:00:00 00:00:00";
+    text.len() == shape.len()
+        && text
+            .bytes()
+            .zip(shape)
+            .all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })
+        && !text.starts_with("0000")
+}
+
+/// The first line of a text field, without padding; `None` where nothing is left.
+pub(super) fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
+    let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else {
+        return None;
+    };
+    let text = String::from_utf8_lossy(lines.first()?);
+    let text: String = text.chars().filter(|c| !c.is_control()).collect();
+    let text = text.trim();
+    (!text.is_empty()).then(|| text.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_dates_are_dates() {
+        assert!(is_date("2026:11:20 08:00:00"));
+        for wrong in [
+            "0000:00:00 00:00:00",
+            "    :  :     :  :  ",
+            "2026-11-20 08:00:00",
+            "2026:11:20",
+            "",
+        ] {
+            assert!(!is_date(wrong), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! JPEG: baseline and progressive, grey, YCbCr, RGB, CMYK and Adobe's YCCK.
+//!
+//! In: the file. Out: 8-bit RGB, by zune-jpeg, straight into its buffer. Cost: zune-jpeg's, and one look for 0xFF through the file.
+//! Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
+//!
+//! Decoders fill what is missing with grey or with noise, each in its way, so the file is walked first: it must be whole up to the end of
+//! its first image. Further images behind it (MPF previews, gain maps) and trailing bytes are cut off. For a file that was cut and then
+//! closed with an end marker by a repair tool, sequential data is followed by ones, which are no Huffman code (T.81, annex C):
+//! a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
+
+use super::{Reason, Stored, check_size, cmyk_to_rgb};
+use crate::bracket::Samples;
+use std::ops::Range;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+const END: [u8; 2] = [0xFF, 0xD9];
+
+/// Decodes a JPEG file.
+pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> {
+    let mut layout = Layout::of(&bytes)?;
+    if !layout.junk.is_empty() {
+        // Padding between segments is harmless, but strict decoding refuses it.
+        for range in layout.junk.iter().rev() {
+            bytes.drain(range.clone());
+        }
+        layout = Layout::of(&bytes)?;
+    }
+    layout.check_complete()?;
+    bytes.truncate(layout.end - END.len());
+    if !layout.progressive {
+        bytes.extend([0xFF, 0x00].repeat(8));
+    }
+    bytes.extend(END);
+
+    // Without Adobe's marker the inks are as they are; with it they are inverted, as zune-jpeg takes all of them to be.
+    let plain_cmyk = layout.components == 4 && !layout.adobe;
+    let wanted = if plain_cmyk { ColorSpace::CMYK } else { ColorSpace::RGB };
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(usize::from(u16::MAX))
+        .set_max_height(usize::from(u16::MAX))
+        .jpeg_set_max_scans(1000)
+        .jpeg_set_out_colorspace(wanted);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&bytes), options);
+    let damaged = |e: zune_jpeg::errors::DecodeErrors| format!("{}; copy the file again", one_line(&e.to_string()));
+    decoder.decode_headers().map_err(damaged)?;
+    let (width, height) = decoder.dimensions().ok_or("it has no size")?;
+    check_size(width, height, max_pixels)?;
+    let size = decoder.output_buffer_size().ok_or("it has no size")?;
+    let channels = if plain_cmyk { 4 } else { 3 };
+    if size != channels * width * height {
+        return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into());
+    }
+    let mut pixels = vec![0; size];
+    decoder.decode_into(&mut pixels).map_err(damaged)?;
+    let icc = decoder.icc_profile();
+    let samples = if plain_cmyk {
+        cmyk_to_rgb(&pixels, 4, 255)
+    } else {
+        pixels
+    };
+    Ok(Stored {
+        width,
+        height,
+        samples: Samples::Eight(samples),
+        exif: layout.exif.map(|range| bytes[range].to_vec()),
+        icc,
+    })
+}
+
+fn one_line(message: &str) -> String {
+    message
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
+        .trim_end_matches('.')
+        .to_string()
+}
+
+/// What the walk through the markers of the first image finds.
+#[derive(Default)]
+struct Layout {
+    exif: Option<Range<usize>>,
+    adobe: bool,
+    components: usize,
+    progressive: bool,
+    /// Bytes between segments that belong to none.
+    junk: Vec<Range<usize>>,
+    /// By component identifier and coefficient: the bit down to which it was sent, plus one; 0 is "not at all".
+    sent: Vec<(u8, [u8; 64])>,
+    scans: usize,
+    /// Just past the end marker.
+    end: usize,
+}
+
+impl Layout {
+    fn of(bytes: &[u8]) -> Result<Self, Reason> {
+        let truncated = || {
+            let kb = bytes.len().div_ceil(1000);
+            format!("it ends in the middle of the picture, after {kb} kB (truncated); copy the file again")
+        };
+        let mut layout = Layout::default();
+        let mut at = 2;
+        loop {
+            let marker = next_marker(bytes, at).ok_or_else(truncated)?;
+            // next_marker gives the index of the marker's code, one past its last 0xFF.
+            let first_ff = bytes[at..marker]
+                .iter()
+                .rposition(|&b| b != 0xFF)
+                .map_or(at, |i| at + i + 1);
+            if first_ff > at {
+                layout.junk.push(at..first_ff);
+            }
+            at = marker + 1;
+            match bytes[marker] {
+                0xD9 => {
+                    layout.end = at;
+                    return if layout.scans == 0 {
+                        Err("it holds no picture data; copy the file again".into())
+                    } else {
+                        Ok(layout)
+                    };
+                }
+                0x01 | 0xD0..=0xD8 => continue,
+                code => {
+                    let length = bytes.get(at..at + 2).ok_or_else(truncated)?;
+                    let length = usize::from(u16::from_be_bytes([length[0], length[1]]));
+                    let body = at + 2..at + length;
+                    let content = bytes.get(body.clone()).ok_or_else(truncated)?;
+                    at += length;
+                    layout.segment(code, content, body)?;
+                    if code == 0xDA {
+                        at = scan_end(bytes, at).ok_or_else(truncated)?;
+                    }
+                }
+            }
+        }
+    }
+
+    fn segment(&mut self, code: u8, content: &[u8], at: Range<usize>) -> Result<(), Reason> {
+        match code {
+            0xE1 if self.exif.is_none() && content.starts_with(b"Exif\0") && content.len() > 6 => {
+                self.exif = Some(at.start + 6..at.end);
+            }
+            0xEE if content.starts_with(b"Adobe") => self.adobe = true,
+            0xC0..=0xC2 => {
+                let depth = content.first().copied().unwrap_or(0);
+                if depth != 8 {
+                    return Err(format!(
+                        "its samples are of {depth} bit, which is not supported; save it with 8 bit"
+                    ));
+                }
+                self.progressive = code == 0xC2;
+                self.components = content.get(5).copied().unwrap_or(0).into();
+                self.sent = content[6.min(content.len())..]
+                    .chunks_exact(3)
+                    .map(|c| (c[0], [0; 64]))
+                    .collect();
+            }
+            0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
+                return Err("it is lossless, hierarchical or arithmetic-coded JPEG, which is not supported; save it as plain JPEG".into());
+            }
+            0xDA => {
+                self.scans += 1;
+                let count = usize::from(content.first().copied().unwrap_or(0));
+                let (Some(of), Some(&[first, last, bits])) =
+                    (content.get(1..1 + 2 * count), content.get(1 + 2 * count..4 + 2 * count))
+                else {
+                    return Err("its scan header is damaged; copy the file again".into());
+                };
+                for id in of.iter().step_by(2) {
+                    for (_, coefficients) in self.sent.iter_mut().filter(|(own, _)| own == id) {
+                        let band = usize::from(first.min(63))..=usize::from(last.min(63));
+                        coefficients
+                            .get_mut(band)
+                            .into_iter()
+                            .flatten()
+                            .for_each(|c| *c = 1 + (bits & 15));
+                    }
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Whether every component was sent, and in a progressive file every coefficient to its last bit.
+    fn check_complete(&self) -> Result<(), Reason> {
+        let whole = |sent: &[u8; 64]| {
+            if self.progressive {
+                sent.iter().all(|&c| c == 1)
+            } else {
+                sent[0] > 0
+            }
+        };
+        if self.sent.is_empty() || !self.sent.iter().all(|(_, sent)| whole(sent)) {
+            return Err("scans are missing, it was cut off; copy the file again".into());
+        }
+        Ok(())
+    }
+}
+
+/// The index of the next marker's code, at or after `at`; `None` where the file ends before.
+fn next_marker(bytes: &[u8], mut at: usize) -> Option<usize> {
+    loop {
+        at += bytes.get(at..)?.iter().position(|&b| b == 0xFF)?;
+        let code = at + bytes[at..].iter().position(|&b| b != 0xFF)?;
+        if bytes[code] != 0 {
+            return Some(code);
+        }
+        at = code + 1;
+    }
+}
+
+/// The index of the 0xFF of the marker that ends the entropy-coded data at `at`; restart markers belong to the data.
+fn scan_end(bytes: &[u8], mut at: usize) -> Option<usize> {
+    loop {
+        let code = next_marker(bytes, at)?;
+        if !(0xD0..=0xD7).contains(&bytes[code]) {
+            return Some(code - 1);
+        }
+        at = code + 1;
+    }
+}

@@ -1,0 +1,133 @@
+//! What a file is, by its first bytes.
+//!
+//! In: content. Out: the [`Format`] to decode it by, or in words what it looks like, so that the user knows what to convert.
+//! Source: the formats' specifications; the list of camera raws follows libraw's identify step.
+
+/// A format that is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Format {
+    Jpeg,
+    Png,
+    Tiff,
+}
+
+impl Format {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Format::Jpeg => "JPEG",
+            Format::Png => "PNG",
+            Format::Tiff => "TIFF",
+        }
+    }
+}
+
+/// First bytes, and what they are the first bytes of.
+const OTHERS: [(&[u8], &str); 22] = [
+    (b"GIF8", "GIF"),
+    (b"BM", "BMP"),
+    (b"%PDF", "PDF"),
+    (b"%!PS", "PostScript"),
+    (b"8BPS", "Photoshop document"),
+    (b"v/1\x01", "OpenEXR, which is merged already"),
+    (b"#?RADIANCE", "Radiance HDR, which is merged already"),
+    (b"#?RGBE", "Radiance HDR, which is merged already"),
+    (b"PF\n", "PFM, which is linear already"),
+    (b"P5", "PGM"),
+    (b"P6", "PPM"),
+    (b"\xff\x0a", "JPEG XL"),
+    (b"\0\0\0\x0cJXL ", "JPEG XL"),
+    (b"\0\0\0\x0cjP  ", "JPEG 2000"),
+    (b"\xff\x4f\xff\x51", "JPEG 2000"),
+    (b"FUJIFILMCCD-RAW", "camera raw (Fujifilm RAF)"),
+    (b"IIRO", "camera raw (Olympus ORF)"),
+    (b"IIRS", "camera raw (Olympus ORF)"),
+    (b"MMOR", "camera raw (Olympus ORF)"),
+    (b"IIU\0", "camera raw (Panasonic RW2)"),
+    (b"PK\x03\x04", "ZIP archive"),
+    (b"\0\0\0\0", "nothing but zeros; copy it again"),
+];
+
+/// The format of `bytes`, or what else they look like.
+pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
+    if bytes.starts_with(b"\xff\xd8\xff") {
+        return Ok(Format::Jpeg);
+    }
+    if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
+        return Ok(Format::Png);
+    }
+    let tiff = [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"]
+        .iter()
+        .any(|magic| bytes.starts_with(*magic));
+    if tiff {
+        // Canon's CR2 marks itself in the header; the other raws are known only by their tags.
+        return if bytes.get(8..10) == Some(b"CR") {
+            Err("camera raw (Canon CR2)".into())
+        } else {
+            Ok(Format::Tiff)
+        };
+    }
+    Err(other(bytes).into())
+}
+
+fn other(bytes: &[u8]) -> &'static str {
+    if bytes.is_empty() {
+        return "empty file";
+    }
+    if let Some((_, name)) = OTHERS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        return name;
+    }
+    if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
+        return "WebP";
+    }
+    if bytes.get(4..8) == Some(b"ftyp") {
+        return match bytes.get(8..12) {
+            Some(b"heic" | b"heix" | b"hevc" | b"mif1" | b"msf1" | b"heim" | b"heis") => "HEIC",
+            Some(b"avif" | b"avis") => "AVIF",
+            Some(b"crx ") => "camera raw (Canon CR3)",
+            _ => "video",
+        };
+    }
+    let head = &bytes[..bytes.len().min(512)];
+    let printable = |b: u8| b >= 0x20 || matches!(b, b'\t' | b'\n' | b'\r' | 0x0c);
+    // A cut through a multi-byte character at the end of the head is still text.
+    let utf8 = match std::str::from_utf8(head) {
+        Ok(_) => true,
+        Err(e) => e.error_len().is_none(),
+    };
+    if utf8 && head.iter().copied().all(printable) {
+        "text"
+    } else {
+        "unknown data"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_read_is_known_by_content() {
+        assert_eq!(format(b"\xff\xd8\xff\xe1...."), Ok(Format::Jpeg));
+        assert_eq!(format(b"\x89PNG\r\n\x1a\n\0\0"), Ok(Format::Png));
+        assert_eq!(format(b"MM\0*\0\0\0\x08"), Ok(Format::Tiff));
+        assert_eq!(format(b"II+\0\x08\0\0\0"), Ok(Format::Tiff));
+    }
+
+    #[test]
+    fn what_is_not_is_named() {
+        for (bytes, name) in [
+            (&b""[..], "empty file"),
+            (b"Dear diary,\n", "text"),
+            ("Gr\u{fc}\u{df}e".as_bytes(), "text"),
+            (b"\0\0\0\x18ftypheic\0\0\0\0", "HEIC"),
+            (b"\0\0\0\x18ftypcrx \0\0\0\0", "camera raw (Canon CR3)"),
+            (b"II*\0\x10\0\0\0CR\x02\0", "camera raw (Canon CR2)"),
+            (b"v/1\x01\x02\0\0\0", "OpenEXR, which is merged already"),
+            (b"%PDF-1.7", "PDF"),
+            (b"RIFF\x10\0\0\0WEBPVP8 ", "WebP"),
+            (b"\x01\x02\x03\xfe", "unknown data"),
+        ] {
+            assert_eq!(format(bytes), Err(name.to_string()));
+        }
+    }
+}

@@ -1,0 +1,392 @@
+//! Every format, depth and kind of damage, on pictures made here.
+
+use super::*;
+use image::{ExtendedColorType, ImageEncoder, codecs, metadata::Orientation};
+use std::io::Cursor;
+
+const LIMIT: u64 = 1 << 28;
+
+pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
+    decode(Path::new("picture"), bytes.to_vec(), LIMIT)
+}
+
+/// A picture with detail, so that its JPEG has data everywhere.
+pub(in crate::bracket) fn scene(width: usize, height: usize) -> Vec<u8> {
+    let noise = |x: usize, y: usize, c: usize| (x * 37 + y * 91 + c * 53) * (x + 3 * y + 7) % 61;
+    (0..height)
+        .flat_map(|y| (0..width).flat_map(move |x| (0..3).map(move |c| (60 + x + y + noise(x, y, c)) as u8)))
+        .collect()
+}
+
+pub(in crate::bracket) fn jpeg(rgb: &[u8], width: usize) -> Vec<u8> {
+    let mut out = Vec::new();
+    let height = rgb.len() / 3 / width;
+    codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 92)
+        .write_image(rgb, width as u32, height as u32, ExtendedColorType::Rgb8)
+        .unwrap();
+    out
+}
+
+/// EXIF bytes, from the TIFF header on.
+pub(in crate::bracket) fn exif_bytes(fields: &[(Tag, exif::Value)]) -> Vec<u8> {
+    let fields: Vec<exif::Field> = fields
+        .iter()
+        .map(|(tag, value)| exif::Field {
+            tag: *tag,
+            ifd_num: In::PRIMARY,
+            value: value.clone(),
+        })
+        .collect();
+    let mut writer = exif::experimental::Writer::new();
+    fields.iter().for_each(|f| writer.push_field(f));
+    let mut bytes = Cursor::new(Vec::new());
+    writer.write(&mut bytes, false).unwrap();
+    bytes.into_inner()
+}
+
+/// `jpeg` with an APP segment after its start.
+pub(in crate::bracket) fn with_segment(jpeg: &[u8], marker: u8, content: &[u8]) -> Vec<u8> {
+    let length = (content.len() as u16 + 2).to_be_bytes();
+    [&jpeg[..2], &[0xFF, marker], &length, content, &jpeg[2..]].concat()
+}
+
+pub(in crate::bracket) fn with_exif(jpeg: &[u8], fields: &[(Tag, exif::Value)]) -> Vec<u8> {
+    with_segment(jpeg, 0xE1, &[&b"Exif\0\0"[..], &exif_bytes(fields)].concat())
+}
+
+fn png_of(values: &[u8], width: u32, height: u32, kind: ::png::ColorType, depth: ::png::BitDepth) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut encoder = ::png::Encoder::new(&mut out, width, height);
+    encoder.set_color(kind);
+    encoder.set_depth(depth);
+    if kind == ::png::ColorType::Indexed {
+        encoder.set_palette(vec![1, 2, 3, 40, 50, 60]);
+    }
+    encoder.write_header().unwrap().write_image_data(values).unwrap();
+    out
+}
+
+fn eight(decoded: Result<Decoded>) -> Vec<u8> {
+    match decoded.unwrap().samples {
+        Samples::Eight(v) => v,
+        Samples::Sixteen(_) => panic!("8 bit was expected"),
+    }
+}
+
+fn sixteen(decoded: Result<Decoded>) -> Vec<u16> {
+    match decoded.unwrap().samples {
+        Samples::Eight(_) => panic!("16 bit was expected"),
+        Samples::Sixteen(v) => v,
+    }
+}
+
+fn is_damage(decoded: Result<Decoded>) -> bool {
+    matches!(decoded, Err(Error::Decode { .. }))
+}
+
+#[test]
+fn png_of_every_kind() {
+    use ::png::{BitDepth::*, ColorType::*};
+    assert_eq!(
+        eight(read(&png_of(&[1, 2, 3, 4, 5, 6], 2, 1, Rgb, Eight))),
+        [1, 2, 3, 4, 5, 6]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1, Rgba, Eight))),
+        [1, 2, 3, 4, 5, 6]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[7, 9], 2, 1, Grayscale, Eight))),
+        [7, 7, 7, 9, 9, 9]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[7, 0, 9, 255], 2, 1, GrayscaleAlpha, Eight))),
+        [7, 7, 7, 9, 9, 9]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[0b0100_0000], 2, 1, Indexed, One))),
+        [1, 2, 3, 40, 50, 60]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[0b0100_0000], 2, 1, Grayscale, One))),
+        [0, 0, 0, 255, 255, 255]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[0b0110_0000], 2, 1, Grayscale, Two))),
+        [85, 85, 85, 170, 170, 170]
+    );
+    assert_eq!(
+        eight(read(&png_of(&[0x2F], 2, 1, Grayscale, Four))),
+        [34, 34, 34, 255, 255, 255]
+    );
+    assert_eq!(
+        sixteen(read(&png_of(&[1, 2, 3, 4, 5, 6], 1, 1, Rgb, Sixteen))),
+        [258, 772, 1286]
+    );
+    assert_eq!(
+        sixteen(read(&png_of(&[1, 2, 3, 4], 1, 1, GrayscaleAlpha, Sixteen))),
+        [258, 258, 258]
+    );
+}
+
+#[test]
+fn damaged_png_is_an_error() {
+    let whole = png_of(&scene(40, 30), 40, 30, ::png::ColorType::Rgb, ::png::BitDepth::Eight);
+    assert!(read(&whole).is_ok());
+    for cut in [30, whole.len() / 3, whole.len() * 95 / 100, whole.len() - 5] {
+        assert!(is_damage(read(&whole[..cut])), "cut at {cut} of {}", whole.len());
+    }
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 0x10;
+    assert!(is_damage(read(&flipped)));
+}
+
+fn tiff_of<C: ::tiff::encoder::colortype::ColorType>(values: &[C::Inner], width: u32, height: u32) -> Vec<u8>
+where
+    [C::Inner]: ::tiff::encoder::TiffValue,
+{
+    let mut out = Cursor::new(Vec::new());
+    let mut encoder = ::tiff::encoder::TiffEncoder::new(&mut out).unwrap();
+    encoder.write_image::<C>(width, height, values).unwrap();
+    out.into_inner()
+}
+
+#[test]
+fn tiff_of_every_kind() {
+    use ::tiff::encoder::colortype::*;
+    assert_eq!(
+        eight(read(&tiff_of::<RGB8>(&[1, 2, 3, 4, 5, 6], 2, 1))),
+        [1, 2, 3, 4, 5, 6]
+    );
+    assert_eq!(
+        eight(read(&tiff_of::<RGBA8>(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1))),
+        [1, 2, 3, 4, 5, 6]
+    );
+    assert_eq!(eight(read(&tiff_of::<Gray8>(&[7, 9], 2, 1))), [7, 7, 7, 9, 9, 9]);
+    assert_eq!(
+        eight(read(&tiff_of::<CMYK8>(&[255, 0, 0, 0, 0, 0, 0, 155], 2, 1))),
+        [0, 255, 255, 100, 100, 100]
+    );
+    assert_eq!(sixteen(read(&tiff_of::<RGB16>(&[1, 2, 60000], 1, 1))), [1, 2, 60000]);
+    assert_eq!(sixteen(read(&tiff_of::<Gray16>(&[300], 1, 1))), [300; 3]);
+    assert_eq!(
+        sixteen(read(&tiff_of::<CMYK16>(&[0, 65535, 0, 0], 1, 1))),
+        [65535, 0, 65535]
+    );
+    let Err(Error::Decode { reason, .. }) = read(&tiff_of::<RGB32Float>(&[0.5, 1.0, 2.0], 1, 1)) else {
+        panic!("float must be refused")
+    };
+    assert!(reason.contains("floating-point"), "{reason}");
+}
+
+#[test]
+fn damaged_tiff_is_an_error() {
+    let whole = tiff_of::<::tiff::encoder::colortype::RGB8>(&scene(40, 30), 40, 30);
+    for cut in [6, 40, whole.len() / 2, whole.len() - 20] {
+        assert!(is_damage(read(&whole[..cut])), "cut at {cut} of {}", whole.len());
+    }
+}
+
+#[test]
+fn jpeg_in_colour_and_grey() {
+    let rgb = scene(50, 34);
+    let decoded = read(&jpeg(&rgb, 50)).unwrap();
+    assert_eq!((decoded.width, decoded.height), (50, 34));
+    let mean = |v: &[u8]| v.iter().map(|&x| f64::from(x)).sum::<f64>() / v.len() as f64;
+    assert!((mean(&eight(Ok(decoded))) - mean(&rgb)).abs() < 1.0);
+
+    let mut grey = Vec::new();
+    codecs::jpeg::JpegEncoder::new(&mut grey)
+        .write_image(&[100; 256], 16, 16, ExtendedColorType::L8)
+        .unwrap();
+    assert!(eight(read(&grey)).iter().all(|&v| v.abs_diff(100) <= 1));
+}
+
+#[test]
+fn jpeg_of_inks() {
+    for (name, bytes) in [
+        (
+            "Adobe CMYK",
+            &include_bytes!("../../../tests/fixtures/cmyk-adobe.jpg")[..],
+        ),
+        ("plain CMYK", include_bytes!("../../../tests/fixtures/cmyk-plain.jpg")),
+        ("YCCK", include_bytes!("../../../tests/fixtures/ycck.jpg")),
+    ] {
+        let v = eight(read(bytes));
+        for (x, y, wanted) in [
+            (8, 8, [255u8, 0, 0]),
+            (24, 8, [0, 255, 0]),
+            (8, 24, [0, 0, 255]),
+            (24, 24, [64, 64, 64]),
+        ] {
+            let p = &v[3 * (32 * y + x)..][..3];
+            assert!(
+                p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 4),
+                "{name} at {x},{y}: {p:?}, not {wanted:?}"
+            );
+        }
+    }
+}
+
+const PROGRESSIVE: &[u8] = include_bytes!("../../../tests/fixtures/progressive.jpg");
+
+#[test]
+fn progressive_jpeg() {
+    let decoded = read(PROGRESSIVE).unwrap();
+    assert_eq!((decoded.width, decoded.height), (48, 32));
+    // The fixture is a ramp in x.
+    let v = eight(Ok(decoded));
+    let at = |x: usize| i32::from(v[3 * (48 * 16 + x) + 1]);
+    assert!(
+        (at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8,
+        "{} {}",
+        at(4),
+        at(40)
+    );
+}
+
+#[test]
+fn a_cut_jpeg_is_an_error_wherever_it_is_cut() {
+    for whole in [jpeg(&scene(160, 120), 160), PROGRESSIVE.to_vec()] {
+        assert!(read(&whole).is_ok());
+        let cuts = [0.02, 0.3, 0.5, 0.8, 0.95, 0.97, 0.99].map(|part| (whole.len() as f64 * part) as usize);
+        for cut in cuts.into_iter().chain([whole.len() - 1, whole.len() - 2]) {
+            assert!(is_damage(read(&whole[..cut])), "cut at {cut} of {}", whole.len());
+            let zeros = [&whole[..cut], &[0; 5000]].concat();
+            assert!(
+                is_damage(read(&zeros)),
+                "cut at {cut} of {} and filled with zeros",
+                whole.len()
+            );
+        }
+    }
+}
+
+#[test]
+fn a_cut_jpeg_that_was_closed_again_is_an_error() {
+    let whole = jpeg(&scene(160, 120), 160);
+    for part in [0.5, 0.8, 0.95, 0.99] {
+        let mut cut = (whole.len() as f64 * part) as usize;
+        // Not between 0xFF and its zero.
+        cut -= usize::from(whole[cut - 1] == 0xFF);
+        assert!(
+            is_damage(read(&[&whole[..cut], &[0xFF, 0xD9]].concat())),
+            "cut at {part}"
+        );
+    }
+    let cut = PROGRESSIVE.len() / 2;
+    assert!(is_damage(read(&[&PROGRESSIVE[..cut], &[0xFF, 0xD9]].concat())));
+}
+
+#[test]
+fn what_follows_or_pads_a_whole_jpeg_does_no_harm() {
+    let whole = jpeg(&scene(64, 48), 64);
+    let plain = eight(read(&whole));
+    let second = jpeg(&scene(16, 16), 16);
+    assert_eq!(
+        eight(read(&[&whole[..], &second].concat())),
+        plain,
+        "a second image, as in MPF"
+    );
+    assert_eq!(
+        eight(read(&[&whole[..], &second[..40]].concat())),
+        plain,
+        "half a second image"
+    );
+    assert_eq!(eight(read(&[&whole[..], &[0; 999]].concat())), plain, "zeros");
+    assert_eq!(
+        eight(read(&[&whole[..20], &[0; 9], &whole[20..]].concat())),
+        plain,
+        "bytes between segments"
+    );
+    assert_eq!(
+        eight(read(&[&whole[..2], &[0xFF; 9], &whole[2..]].concat())),
+        plain,
+        "fill bytes"
+    );
+    let thumbnail = with_segment(&whole, 0xE1, &second);
+    assert_eq!(eight(read(&thumbnail)), plain, "a picture within a segment");
+    assert!(is_damage(read(&thumbnail[..second.len() + 20])));
+}
+
+#[test]
+fn flat_pictures_of_few_bytes_are_whole() {
+    for size in [1usize, 7, 8, 16, 17, 64, 200] {
+        for level in [0u8, 128, 255] {
+            let v = eight(read(&jpeg(&vec![level; 3 * size * size], size)));
+            assert!(v.iter().all(|x| x.abs_diff(level) <= 1), "{size} px of {level}");
+        }
+    }
+}
+
+#[test]
+fn exif_turns_jpeg_png_and_tiff() {
+    let rgb = scene(32, 16);
+    let quarter = [(Tag::Orientation, exif::Value::Short(vec![6]))];
+    let turned = |decoded: Result<Decoded>| decoded.map(|d| (d.width, d.height)).unwrap();
+    assert_eq!(turned(read(&with_exif(&jpeg(&rgb, 32), &quarter))), (16, 32));
+
+    let mut png = Vec::new();
+    let mut info = ::png::Info::with_size(32, 16);
+    info.color_type = ::png::ColorType::Rgb;
+    info.bit_depth = ::png::BitDepth::Eight;
+    info.exif_metadata = Some(exif_bytes(&quarter).into());
+    let encoder = ::png::Encoder::with_info(&mut png, info).unwrap();
+    encoder.write_header().unwrap().write_image_data(&rgb).unwrap();
+    assert_eq!(turned(read(&png)), (16, 32));
+
+    let mut tiff = Cursor::new(Vec::new());
+    let mut encoder = ::tiff::encoder::TiffEncoder::new(&mut tiff).unwrap();
+    let mut picture = encoder.new_image::<::tiff::encoder::colortype::RGB8>(32, 16).unwrap();
+    picture
+        .encoder()
+        .write_tag(::tiff::tags::Tag::Orientation, 6u16)
+        .unwrap();
+    picture.write_data(&rgb).unwrap();
+    let decoded = read(&tiff.into_inner()).unwrap();
+    // Seen upright, the stored bottom left corner is at the top left.
+    assert_eq!((decoded.width, decoded.height), (16, 32));
+    assert_eq!(eight(Ok(decoded))[..3], rgb[3 * 32 * 15..][..3]);
+    // `image` names the same turn.
+    assert_eq!(Orientation::from_exif(6), Some(Orientation::Rotate90));
+}
+
+#[test]
+fn sizes_beyond_the_limit_are_refused_before_decoding() {
+    for bytes in [
+        jpeg(&scene(64, 48), 64),
+        png_of(&scene(64, 48), 64, 48, ::png::ColorType::Rgb, ::png::BitDepth::Eight),
+    ] {
+        assert!(decode(Path::new("a"), bytes.clone(), 64 * 48).is_ok());
+        assert!(is_damage(decode(Path::new("a"), bytes, 64 * 48 - 1)));
+    }
+}
+
+#[test]
+fn damaged_exif_is_noted_and_the_picture_kept() {
+    let bytes = with_segment(&jpeg(&scene(16, 16), 16), 0xE1, b"Exif\0\0II nonsense");
+    assert_eq!(read(&bytes).unwrap().notes.len(), 1);
+}
+
+#[test]
+fn flipped_bytes_never_panic() {
+    let files = [
+        jpeg(&scene(40, 24), 40),
+        PROGRESSIVE.to_vec(),
+        tiff_of::<::tiff::encoder::colortype::RGB8>(&scene(20, 10), 20, 10),
+    ];
+    let mut state = 1u32;
+    for file in files {
+        for _ in 0..400 {
+            let mut bytes = file.clone();
+            for _ in 0..3 {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let at = state as usize / 7 % bytes.len();
+                bytes[at] = (state >> 24) as u8;
+            }
+            if let Ok(decoded) = decode(Path::new("a"), bytes, 1 << 20) {
+                assert_eq!(decoded.samples.len(), 3 * decoded.width * decoded.height);
+            }
+        }
+    }
+}

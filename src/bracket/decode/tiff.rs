@@ -1,0 +1,143 @@
+//! TIFF: grey, palette, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
+//!
+//! In: the file. Out: RGB at the file's depth; grey of fewer than 8 bit becomes 8. Cost: that of the `tiff` crate.
+//! Source: TIFF 6.0; TIFF/EP and DNG for the tags that tell a camera raw file.
+
+use super::{Reason, Stored, check_size, cmyk_to_rgb, to_rgb};
+use crate::bracket::Samples;
+use std::io::Cursor;
+use tiff::ColorType;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+
+const DNG_VERSION: Tag = Tag::Unknown(50706);
+const ICC: Tag = Tag::Unknown(34675);
+
+/// Decodes the first picture of a TIFF file.
+pub(super) fn decode(bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> {
+    let damaged = |e: tiff::TiffError| format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF");
+    let mut decoder = Decoder::new(Cursor::new(&bytes)).map_err(damaged)?;
+    refuse_raw(&mut decoder)?;
+    let (width, height) = decoder.dimensions().map_err(damaged)?;
+    let (width, height) = (width as usize, height as usize);
+    check_size(width, height, max_pixels)?;
+    // The size is checked; what it needs may be had: at most four channels of 16 bit.
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = limits.decoding_buffer_size.max(10 * width * height);
+    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(10 * width * height);
+    limits.ifd_value_size = limits.ifd_value_size.max(64 << 20);
+    let mut decoder = decoder.with_limits(limits);
+    let kind = decoder.colortype().map_err(damaged)?;
+    let icc = decoder.find_tag(ICC).ok().flatten().and_then(|v| v.into_u8_vec().ok());
+
+    let mut buffer = DecodingResult::U8(Vec::new());
+    let layout = decoder.read_image_to_buffer(&mut buffer).map_err(damaged)?;
+    let samples = match buffer {
+        DecodingResult::U8(v) if kind.bit_depth() < 8 => {
+            Samples::Eight(rgb(unpack(&v, width, kind.bit_depth()), kind, layout.planes)?)
+        }
+        DecodingResult::U8(v) => Samples::Eight(rgb(v, kind, layout.planes)?),
+        DecodingResult::U16(v) if kind.bit_depth() == 16 => Samples::Sixteen(rgb(v, kind, layout.planes)?),
+        DecodingResult::F16(_) | DecodingResult::F32(_) | DecodingResult::F64(_) => {
+            return Err(
+                "it holds floating-point values, which no camera writes and which are linear already; \
+                        give the camera's own 8- or 16-bit pictures"
+                    .into(),
+            );
+        }
+        _ => {
+            return Err(format!(
+                "its samples are of {} bit, which is not supported; save it with 8 or 16 bit",
+                kind.bit_depth()
+            ));
+        }
+    };
+    if samples.len() != 3 * width * height {
+        return Err("its picture data is not of its size; copy the file again".into());
+    }
+    Ok(Stored {
+        width,
+        height,
+        samples,
+        // kamadak-exif reads no BigTIFF.
+        exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
+        icc,
+    })
+}
+
+/// Camera raws are TIFF files whose first picture is a thumbnail or a sensor's mosaic: they must not pass for photographs.
+fn refuse_raw<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> Result<(), Reason> {
+    let mut number = |tag| decoder.find_tag_unsigned::<u32>(tag).ok().flatten();
+    let thumbnail = number(Tag::NewSubfileType).is_some_and(|kind| kind & 1 != 0);
+    let mosaic = number(Tag::PhotometricInterpretation).is_some_and(|p| p == 32803 || p == 34892);
+    if thumbnail || mosaic || decoder.find_tag(DNG_VERSION).ok().flatten().is_some() {
+        return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, all frames alike".into());
+    }
+    Ok(())
+}
+
+/// Samples of fewer than 8 bit, rows filled up to whole bytes, as bytes of the full range.
+fn unpack(packed: &[u8], width: usize, depth: u8) -> Vec<u8> {
+    let depth = usize::from(depth.max(1));
+    let max = (1u16 << depth) - 1;
+    let row = (width * depth).div_ceil(8).max(1);
+    packed
+        .chunks_exact(row)
+        .flat_map(|bytes| {
+            (0..width).map(move |x| {
+                let bit = x * depth;
+                // Two bytes hold every sample, also one that straddles a boundary.
+                let next = bytes.get(bit / 8 + 1).copied().unwrap_or(0);
+                let word = u16::from_be_bytes([bytes[bit / 8], next]);
+                let value = (word >> (16 - depth - bit % 8)) & max;
+                (value * 255 / max) as u8
+            })
+        })
+        .collect()
+}
+
+/// Interleaved RGB of a TIFF's samples, in one plane or one for each channel.
+fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(
+    values: Vec<T>,
+    kind: ColorType,
+    planes: usize,
+) -> Result<Vec<T>, Reason> {
+    let values = if planes > 1 {
+        interleave(&values, planes)
+    } else {
+        values
+    };
+    Ok(match kind {
+        ColorType::Gray(_) => to_rgb(values, 1),
+        ColorType::GrayA(8 | 16) => to_rgb(values, 2),
+        ColorType::RGB(8 | 16) => to_rgb(values, 3),
+        ColorType::RGBA(8 | 16) => to_rgb(values, 4),
+        ColorType::CMYK(8 | 16) => cmyk_to_rgb(&values, 4, T::MAX),
+        ColorType::CMYKA(8 | 16) => cmyk_to_rgb(&values, 5, T::MAX),
+        other => {
+            return Err(format!(
+                "its samples are of a kind that is not supported ({other:?}); save it as RGB"
+            ));
+        }
+    })
+}
+
+fn interleave<T: Copy>(values: &[T], planes: usize) -> Vec<T> {
+    let size = values.len() / planes;
+    (0..size)
+        .flat_map(|i| (0..planes).map(move |p| values[p * size + i]))
+        .collect()
+}
+
+/// The largest code value of a sample type.
+trait Bounded {
+    const MAX: u32;
+}
+
+impl Bounded for u8 {
+    const MAX: u32 = 255;
+}
+
+impl Bounded for u16 {
+    const MAX: u32 = 65535;
+}

@@ -1,0 +1,394 @@
+//! Loading: files to a bracket.
+//!
+//! In: paths, and what the user says of them. Out: a [`Bracket`] and what there is to say about it; the same whatever the order of the
+//! paths, save for `-e` and a reference by number, which go by it. Cost: that of the decoders, one frame per thread.
+//!
+//! Exposures are the user's where given, else those of EXIF, else, where one is missing or they cannot be, estimated from the pixels.
+
+use super::brightness::{self, Brightness};
+use super::capture;
+use super::colour::{Found, Profile};
+use super::decode::{self, Decoded};
+use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
+use super::{Bracket, Capture, Frame, ReferenceChoice, Samples};
+use crate::error::{Error, Result, Warning};
+use exif::{Exif, In, Tag};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// What the user says of a bracket's files.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoadOptions {
+    /// Exposures in EV, one a file in the order given; they win over anything the files say. Default: none.
+    pub ev: Option<Vec<f64>>,
+    /// Which frame the others are aligned to. Default: automatic.
+    pub reference: ReferenceChoice,
+    /// The most pixels that a file may say to have before it is decoded. Default: 500 million.
+    pub max_pixels: u64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        LoadOptions {
+            ev: None,
+            reference: ReferenceChoice::Auto,
+            max_pixels: 500_000_000,
+        }
+    }
+}
+
+/// Reads the files `paths` as one bracket.
+///
+/// # Errors
+/// Of the command line: [`Error::TooFewFrames`], [`Error::SameFile`], [`Error::Option`]. Of the first file in the order given that fails:
+/// [`Error::Read`], [`Error::UnknownFormat`], [`Error::Decode`], [`Error::SizeMismatch`]. [`Error::NoExposure`] where the files do not
+/// say how they were exposed and the pixels do not either.
+pub fn load(paths: &[PathBuf], options: &LoadOptions) -> Result<(Bracket, Vec<Warning>)> {
+    load_with_progress(paths, options, &|_| ())
+}
+
+/// As [`load`], and calls `progress` with the number of files done after each, from any thread.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with_progress(
+    paths: &[PathBuf],
+    options: &LoadOptions,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Result<(Bracket, Vec<Warning>)> {
+    if paths.len() < 2 {
+        return Err(Error::TooFewFrames { given: paths.len() });
+    }
+    let given = options
+        .ev
+        .as_ref()
+        .map(|ev| given_exposures(ev, paths.len()))
+        .transpose()?;
+    refuse_same_files(paths)?;
+
+    let done = AtomicUsize::new(0);
+    let pictures: Vec<Result<Picture>> = paths
+        .par_iter()
+        .map(|path| {
+            let picture = Picture::read(path, options.max_pixels);
+            progress(1 + done.fetch_add(1, Ordering::Relaxed));
+            picture
+        })
+        .collect();
+    let mut pictures = pictures.into_iter().collect::<Result<Vec<_>>>()?;
+    check_sizes(&pictures)?;
+    widen_mixed_depths(&mut pictures);
+
+    let mut warnings = Vec::new();
+    let exposures = match given {
+        Some(given) => given,
+        None => settle_exposures(&mut pictures, &mut warnings)?,
+    };
+    let mut notes = HashMap::new();
+    let frames = pictures
+        .into_iter()
+        .zip(exposures)
+        .map(|(picture, exposure)| {
+            notes.insert(picture.path.clone(), picture.warnings);
+            let exposure = with_tags(exposure, &picture.tags);
+            let mut frame = Frame::new(picture.path, picture.width, picture.height, picture.samples, exposure);
+            frame.profile = picture.profile;
+            frame.capture = picture.capture;
+            frame
+        })
+        .collect();
+    let bracket = Bracket::new(frames, &options.reference)?;
+    for frame in bracket.frames() {
+        warnings.extend(notes.remove(frame.path()).unwrap_or_default());
+    }
+    warnings.extend(differing_profiles(&bracket));
+    Ok((bracket, warnings))
+}
+
+/// The `-e` list as exposures.
+fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
+    let wrong = |reason| Error::Option { option: "-e", reason };
+    if ev.len() != files {
+        return Err(wrong(format!(
+            "{} exposures for {files} photographs; give one for each, in their order",
+            ev.len()
+        )));
+    }
+    ev.iter()
+        .map(|&ev| {
+            Exposure::given(ev).ok_or_else(|| wrong(format!("{ev} is no exposure; give stops, as in `-e=-2,0,2`")))
+        })
+        .collect()
+}
+
+/// Finds a file that was given twice, by the same or another name. What does not exist is left to the reading.
+fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
+    let mut seen: HashMap<Identity, &PathBuf> = HashMap::new();
+    for path in paths {
+        let Some(identity) = identity(path) else { continue };
+        if let Some(other) = seen.insert(identity, path) {
+            return Err(Error::SameFile {
+                path: path.clone(),
+                other: other.clone(),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Device and inode: hard links are one file, too.
+#[cfg(unix)]
+type Identity = (u64, u64);
+
+#[cfg(unix)]
+fn identity(path: &Path) -> Option<Identity> {
+    use std::os::unix::fs::MetadataExt;
+    let metadata = std::fs::metadata(path).ok()?;
+    Some((metadata.dev(), metadata.ino()))
+}
+
+#[cfg(not(unix))]
+type Identity = PathBuf;
+
+#[cfg(not(unix))]
+fn identity(path: &Path) -> Option<Identity> {
+    std::fs::canonicalize(path).ok()
+}
+
+/// One file, read.
+struct Picture {
+    path: PathBuf,
+    width: usize,
+    height: usize,
+    samples: Samples,
+    tags: ExposureTags,
+    profile: Option<Profile>,
+    capture: Capture,
+    warnings: Vec<Warning>,
+}
+
+impl Picture {
+    fn read(path: &Path, max_pixels: u64) -> Result<Self> {
+        let unreadable = |source| Error::Read {
+            path: path.into(),
+            source,
+        };
+        if path.is_dir() {
+            let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
+            return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
+        }
+        let bytes = std::fs::read(path).map_err(unreadable)?;
+        let Decoded {
+            width,
+            height,
+            samples,
+            exif,
+            icc,
+            mut notes,
+        } = decode::decode(path, bytes, max_pixels)?;
+        let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
+        let capture = exif.as_ref().map(capture::read).unwrap_or_default();
+        let profile = profile(icc, exif.as_ref(), &mut notes);
+        let warnings = notes
+            .into_iter()
+            .map(|detail| Warning::Metadata {
+                path: path.into(),
+                detail,
+            })
+            .collect();
+        Ok(Picture {
+            path: path.into(),
+            width,
+            height,
+            samples,
+            tags,
+            profile,
+            capture,
+            warnings,
+        })
+    }
+}
+
+/// The profile that a file carries, or that its EXIF means.
+fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -> Option<Profile> {
+    let Some(icc) = icc else {
+        // DCF 2.0: "uncalibrated" with the interoperability index R03 is Adobe RGB.
+        let exif = exif?;
+        let uncalibrated = exif.get_field(Tag::ColorSpace, In::PRIMARY)?.value.get_uint(0) == Some(0xFFFF);
+        let r03 = capture::ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");
+        return if uncalibrated && r03 {
+            Profile::adobe_rgb()
+        } else {
+            None
+        };
+    };
+    match Profile::parse(icc) {
+        Found::Rgb(profile) => {
+            if profile.primaries().is_none() {
+                notes.push(format!(
+                    "the primaries of its colour profile ({}) are unknown; sRGB's are assumed",
+                    profile.description
+                ));
+            }
+            Some(profile)
+        }
+        Found::Other(kind) => {
+            notes.push(format!("its {kind} colour profile was ignored; sRGB is assumed"));
+            None
+        }
+        Found::Damaged => {
+            notes.push("its colour profile is damaged and was ignored; sRGB is assumed".into());
+            None
+        }
+    }
+}
+
+fn check_sizes(pictures: &[Picture]) -> Result<()> {
+    let size = |p: &Picture| (p.width, p.height);
+    let first = &pictures[0];
+    match pictures.iter().find(|p| size(p) != size(first)) {
+        None => Ok(()),
+        Some(odd) => Err(Error::SizeMismatch {
+            path: odd.path.clone(),
+            size: size(odd),
+            other: first.path.clone(),
+            other_size: size(first),
+        }),
+    }
+}
+
+/// Code values of one bracket are of one scale: 8-bit frames among 16-bit ones are spread to 0..=65535.
+fn widen_mixed_depths(pictures: &mut [Picture]) {
+    let deep = |p: &Picture| matches!(p.samples, Samples::Sixteen(_));
+    if !pictures.iter().any(deep) {
+        return;
+    }
+    for picture in pictures {
+        if let Samples::Eight(v) = &picture.samples {
+            let wide = v.iter().map(|&code| u16::from(code) * 257).collect();
+            picture.samples = Samples::Sixteen(wide);
+            let detail = "it is of 8 bit among frames of 16 bit, and was spread to 16".into();
+            picture.warnings.push(Warning::Metadata {
+                path: picture.path.clone(),
+                detail,
+            });
+        }
+    }
+}
+
+/// The exposures by EXIF where they are whole and possible, else by the pixels.
+fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Result<Vec<Exposure>> {
+    let tags: Vec<_> = pictures.iter().map(|p| p.tags).collect();
+    let (by_tags, assumed) = exposure::by_tags(&tags);
+    let missing: Vec<usize> = (0..by_tags.len()).filter(|&i| by_tags[i].is_none()).collect();
+
+    // By path, so that ties and chains are the same in any order of the command line.
+    let mut order: Vec<usize> = (0..pictures.len()).collect();
+    order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
+    let seen: Vec<Brightness> = order
+        .par_iter()
+        .map(|&i| Brightness::of(&pictures[i].samples, pictures[i].width))
+        .collect();
+
+    let warning: fn(String) -> Warning;
+    let what;
+    if let Some(&first) = missing.first() {
+        what = match missing.len() {
+            1 => format!("{} does not say how it was exposed", pictures[first].path.display()),
+            n => format!("{n} of {} files do not say how they were exposed", pictures.len()),
+        };
+        warning = |detail| Warning::ExposureEstimated { detail };
+    } else {
+        let written: Vec<f64> = order
+            .iter()
+            .filter_map(|&i| by_tags[i].as_ref().map(Exposure::ev))
+            .collect();
+        let Some(contradiction) = brightness::contradiction(&written, &seen) else {
+            for (i, detail) in assumed {
+                let path = pictures[i].path.clone();
+                pictures[i].warnings.push(Warning::ExposureIncomplete { path, detail });
+            }
+            return Ok(by_tags.into_iter().flatten().collect());
+        };
+        what = contradiction;
+        warning = |detail| Warning::ExposureContradicted { detail };
+    }
+
+    let unknown = |reason: &str| Error::NoExposure {
+        path: pictures[missing.first().copied().unwrap_or(0)].path.clone(),
+        reason: format!("it has no usable exposure in its EXIF, and {reason}"),
+    };
+    let steps = brightness::estimate(&seen)
+        .ok_or_else(|| unknown("the pictures are too dark or too bright to tell it from the pixels"))?;
+    if brightness::all_alike(&steps) {
+        return Err(unknown("the pictures are equally bright"));
+    }
+    // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them.
+    let mut offsets: Vec<f64> = order
+        .iter()
+        .zip(&steps)
+        .filter_map(|(&i, step)| Some(by_tags[i].as_ref()?.ev() - step))
+        .collect();
+    if offsets.is_empty() {
+        offsets = steps.iter().map(|step| -step).collect();
+    }
+    offsets.sort_by(f64::total_cmp);
+    let anchor = offsets[offsets.len() / 2];
+
+    let mut exposures = by_tags;
+    for (&i, step) in order.iter().zip(&steps) {
+        exposures[i] = Exposure::estimated(step + anchor);
+    }
+    let exposures: Vec<Exposure> = exposures.into_iter().flatten().collect();
+    let mut by_step = steps;
+    by_step.sort_by(f64::total_cmp);
+    let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
+    warnings.push(warning(format!(
+        "{what}; their steps are about {} EV",
+        listed.join(", ")
+    )));
+    if exposures.len() != pictures.len() {
+        return Err(unknown("the pixels give no usable number"));
+    }
+    Ok(exposures)
+}
+
+/// `exposure` with what the file says of its parts. A time that the pixels belie is not repeated.
+fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
+    if exposure.source != ExposureSource::Exif {
+        exposure.time_s = if exposure.source == ExposureSource::Given {
+            tags.time_s.map(|t| t.0)
+        } else {
+            None
+        };
+        exposure.f_number = tags.f_number.map(|n| n.0);
+        exposure.iso = tags.iso.map(|s| s.0);
+    }
+    exposure
+}
+
+fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
+    let name = |frame: &Frame| {
+        frame
+            .profile
+            .as_ref()
+            .map_or("none, so sRGB".into(), |p| p.description.clone())
+    };
+    let kept = bracket.reference();
+    bracket
+        .frames()
+        .iter()
+        .filter(|frame| !frame.primaries().is_close(&kept.primaries(), 0.005))
+        .map(|frame| Warning::ProfilesDiffer {
+            path: frame.path().into(),
+            found: name(frame),
+            kept: name(kept),
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests;

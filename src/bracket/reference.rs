@@ -1,0 +1,129 @@
+//! The reference: the frame that the others are aligned to.
+//!
+//! In: frames by rising exposure. Out: the index of one of them. Cost: one look at every sixteenth pixel.
+
+use super::{Frame, Samples};
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Which frame the others are aligned to.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum ReferenceChoice {
+    /// The frame that sees the most: that with the most pixels of which no channel is near either end of its range; of frames
+    /// within a twentieth of the best, the one nearest the middle of the bracket.
+    #[default]
+    Auto,
+    /// The N-th of the files as given, from 1.
+    Number(usize),
+    /// The frame read from this file.
+    File(PathBuf),
+}
+
+/// The path of the frame that the user chose among `frames`, which are as given; `None` for the automatic choice.
+pub(super) fn chosen(frames: &[Frame], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
+    match choice {
+        ReferenceChoice::Auto => Ok(None),
+        ReferenceChoice::Number(n) => n
+            .checked_sub(1)
+            .and_then(|i| frames.get(i))
+            .map(|frame| Some(frame.path.clone()))
+            .ok_or_else(|| Error::Option {
+                option: "--reference",
+                reason: format!(
+                    "there is no photograph number {n}; give 1 to {}, or a file name",
+                    frames.len()
+                ),
+            }),
+        ReferenceChoice::File(path) => find(frames, path).map(Some),
+    }
+}
+
+/// The frame of `frames` that was read from `path`, compared as given, then by the file it leads to.
+fn find(frames: &[Frame], path: &Path) -> Result<PathBuf> {
+    let real = |p: &Path| std::fs::canonicalize(p).ok();
+    frames
+        .iter()
+        .find(|f| f.path == path)
+        .or_else(|| real(path).and_then(|wanted| frames.iter().find(|f| real(&f.path).as_deref() == Some(&wanted))))
+        .map(|f| f.path.clone())
+        .ok_or_else(|| Error::Option {
+            option: "--reference",
+            reason: format!(
+                "{} is not among the photographs; name one of them, or its number",
+                path.display()
+            ),
+        })
+}
+
+/// The frame that sees the most: see [`ReferenceChoice::Auto`]. Frames are by rising exposure.
+pub(super) fn best(frames: &[Frame]) -> usize {
+    let seen: Vec<u64> = frames.iter().map(well_exposed).collect();
+    let most = seen.iter().copied().max().unwrap_or(0);
+    let centre = frames.len() as i64 - 1;
+    (0..frames.len())
+        .filter(|&i| 20 * seen[i] >= 19 * most)
+        .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
+        .unwrap_or(frames.len() / 2)
+}
+
+/// Of every fourth pixel of every fourth row, how many have all channels within 1/16 .. 15/16 of the range.
+fn well_exposed(frame: &Frame) -> u64 {
+    fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
+        let inside = |p: &[T]| p.iter().all(|&c| c >= low && c <= high);
+        v.chunks_exact(3 * width)
+            .step_by(4)
+            .map(|row| row.chunks_exact(3).step_by(4).filter(|p| inside(p)).count() as u64)
+            .sum()
+    }
+    match &frame.samples {
+        Samples::Eight(v) => count(v, frame.width, 16, 239),
+        Samples::Sixteen(v) => count(v, frame.width, 16 << 8, 239 << 8),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::exposure::Exposure;
+
+    fn frame(name: &str, exposed: usize) -> Frame {
+        let samples = (0..64 * 64)
+            .flat_map(|i| [if i / 64 < exposed { 128 } else { 255 }; 3])
+            .collect();
+        Frame::new(
+            name.into(),
+            64,
+            64,
+            Samples::Eight(samples),
+            Exposure::given(0.0).unwrap(),
+        )
+    }
+
+    #[test]
+    fn the_frame_that_sees_the_most_wins_and_the_middle_breaks_ties() {
+        assert_eq!(best(&[frame("a", 10), frame("b", 20), frame("c", 60)]), 2);
+        assert_eq!(best(&[frame("a", 64), frame("b", 62), frame("c", 64)]), 1);
+        assert_eq!(best(&[frame("a", 0), frame("b", 0), frame("c", 0)]), 1);
+    }
+
+    #[test]
+    fn the_users_choice_is_by_number_or_by_name() {
+        let frames = [frame("a.png", 1), frame("b.png", 1)];
+        let name = |choice| chosen(&frames, &choice).map(|p| p.unwrap());
+        assert_eq!(name(ReferenceChoice::Number(2)).unwrap(), Path::new("b.png"));
+        assert_eq!(name(ReferenceChoice::File("a.png".into())).unwrap(), Path::new("a.png"));
+        for wrong in [
+            ReferenceChoice::Number(0),
+            ReferenceChoice::Number(3),
+            ReferenceChoice::File("c.png".into()),
+        ] {
+            assert!(matches!(
+                name(wrong),
+                Err(Error::Option {
+                    option: "--reference",
+                    ..
+                })
+            ));
+        }
+    }
+}
