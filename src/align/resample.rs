@@ -173,7 +173,7 @@ mod tests {
             width,
             height,
             Samples::Sixteen(codes),
-            Exposure::from_ev(0.0),
+            Exposure::given(0.0).unwrap(),
         )
     }
 
@@ -251,7 +251,7 @@ mod tests {
     fn eight_and_sixteen_bit_frames_agree() {
         let eight: Vec<u8> = (0..3 * 16 * 16).map(|i| (i * 37 % 256) as u8).collect();
         let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
-        let make = |s| Frame::new("f".into(), 16, 16, s, Exposure::from_ev(0.0));
+        let make = |s| Frame::new("f".into(), 16, 16, s, Exposure::given(0.0).unwrap());
         let warp = Warp::Rigid {
             dx: 0.4,
             dy: 0.3,

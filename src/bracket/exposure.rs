@@ -356,16 +356,3 @@ mod tests {
         assert!(exposures[0].is_some() && exposures[2].is_none() && assumed.is_empty());
     }
 }
-impl Exposure {
-    /// An exposure that is known only in relation to the others, in EV.
-    pub fn from_ev(ev: f64) -> Self {
-        Exposure {
-            time_s: None,
-            f_number: None,
-            iso: None,
-            relative: libm::exp2(ev),
-            source: ExposureSource::Given,
-            tags: "-e".into(),
-        }
-    }
-}
