@@ -4,9 +4,12 @@
 //! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
 //! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
 
+mod bands;
 pub mod display;
 pub mod exr;
+mod half;
 pub mod hdr;
+mod ifd;
 mod rgbe;
 mod target;
 pub mod tiff;
@@ -15,12 +18,11 @@ use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::merge::RadianceMap;
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use crate::tonemap::DisplayImage;
-use rayon::prelude::*;
-use std::io;
 use std::path::Path;
 
+use bands::Bands;
 pub use target::{Pending, check_targets, commit};
 
 /// The formats written, told by the extension.
@@ -279,82 +281,6 @@ pub fn push_all<P>(mut writer: Box<dyn RowWriter<P> + '_>, plane: &Plane<P>) -> 
     writer.finish()
 }
 
-/// Bands encoded side by side before they are written: bounds the memory, and has no part in the bytes.
-const BANDS_AT_ONCE: usize = 16;
-
-/// Cuts rows that come in any portions into the fixed bands, encodes these in parallel and hands the results on in order.
-#[derive(Debug)]
-struct Bands<P> {
-    width: usize,
-    height: usize,
-    /// Rows handed on; always at the start of a band, or the end.
-    done: usize,
-    rest: Vec<P>,
-}
-
-impl<P: Copy + Sync> Bands<P> {
-    fn new((width, height): (usize, usize)) -> Self {
-        Bands {
-            width,
-            height,
-            done: 0,
-            rest: Vec::new(),
-        }
-    }
-
-    /// Takes `rows`; `encode(first row, pixels)` makes of each band what `sink` then gets.
-    fn push<R: Send>(
-        &mut self,
-        mut rows: &[P],
-        encode: impl Fn(usize, &[P]) -> R + Sync,
-        mut sink: impl FnMut(R) -> Result<()>,
-    ) -> Result<()> {
-        let band = BAND_ROWS * self.width;
-        let missing = (self.height - self.done) * self.width - self.rest.len();
-        assert!(
-            rows.len() % self.width == 0 && rows.len() <= missing,
-            "rows come whole, and not more than there are"
-        );
-        let last = rows.len() == missing;
-        if !self.rest.is_empty() {
-            let (fill, further) = rows.split_at(rows.len().min(band - self.rest.len()));
-            self.rest.extend_from_slice(fill);
-            rows = further;
-            if self.rest.len() < band && !last {
-                return Ok(());
-            }
-            let full = std::mem::take(&mut self.rest);
-            sink(encode(self.done, &full))?;
-            self.done += full.len() / self.width;
-        }
-        let whole = if last { rows.len() } else { rows.len() / band * band };
-        for group in rows[..whole].chunks(BANDS_AT_ONCE * band) {
-            let first = self.done;
-            let encoded: Vec<R> = group
-                .par_chunks(band)
-                .enumerate()
-                .map(|(i, pixels)| encode(first + i * BAND_ROWS, pixels))
-                .collect();
-            encoded.into_iter().try_for_each(&mut sink)?;
-            self.done += group.len() / self.width;
-        }
-        self.rest.extend_from_slice(&rows[whole..]);
-        Ok(())
-    }
-
-    /// That every row has come.
-    fn complete(&self) -> io::Result<()> {
-        if self.done == self.height {
-            return Ok(());
-        }
-        Err(io::Error::other(format!(
-            "only {} of {} rows were given",
-            self.done + self.rest.len() / self.width.max(1),
-            self.height
-        )))
-    }
-}
-
 /// The warning that `count` values of `file` were beyond what `format` holds, if any were.
 fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
     let warning = Warning::OutOfRange {
@@ -400,43 +326,5 @@ mod tests {
         assert_eq!(camera("FUJI\nEXPOSURE=9", "X\u{e9}").unwrap(), "FUJI EXPOSURE=9 X?");
         assert_eq!(camera("Leica", "").unwrap(), "Leica");
         assert_eq!(camera("", " "), None);
-    }
-
-    /// Every portioning must give the same bands: (first row, rows, first value) tells one from another.
-    #[test]
-    fn bands_do_not_depend_on_the_portions() {
-        let (width, height) = (3, 64 * 18 + 5);
-        let pixels: Vec<u32> = (0..(width * height) as u32).collect();
-        let cut = |portion: usize| {
-            let mut bands = Bands::new((width, height));
-            let mut seen = Vec::new();
-            for rows in pixels.chunks(portion * width) {
-                let encode = |first: usize, p: &[u32]| (first, p.len() / width, p[0]);
-                bands
-                    .push(rows, encode, |band| {
-                        seen.push(band);
-                        Ok(())
-                    })
-                    .unwrap();
-            }
-            bands.complete().unwrap();
-            seen
-        };
-        let expected: Vec<_> = (0..19)
-            .map(|b| (64 * b, if b == 18 { 5 } else { 64 }, (64 * b * width) as u32))
-            .collect();
-        for portion in [1, 7, 63, 64, 65, 130, height] {
-            assert_eq!(cut(portion), expected, "{portion} rows at a time");
-        }
-    }
-
-    #[test]
-    fn missing_rows_are_an_error() {
-        let mut bands = Bands::new((2, 100));
-        bands.push(&[0u8; 140], |_, _| (), |()| Ok(())).unwrap();
-        assert_eq!(
-            bands.complete().unwrap_err().to_string(),
-            "only 70 of 100 rows were given"
-        );
     }
 }

@@ -7,12 +7,12 @@
 //! The `tiff` crate's encoder writes the byte order of the machine and compresses only whole pictures, so the little that is needed of
 //! the structure is here; its decoder is the judge in the tests.
 
-use super::{Bands, Metadata, Pending, RowWriter, Written, one_line};
+use super::ifd::{Directory, tag};
+use super::{Bands, Metadata, Pending, RowWriter, Written};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
-use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// How hard to deflate: twice as fast as the usual 6, and within a tenth of its size on photographs.
@@ -115,7 +115,7 @@ impl<T: Sample> Writer<T> {
         directory.text(tag::MODEL, metadata.capture.model.as_deref());
         directory.text(tag::SOFTWARE, Some(&metadata.software));
         if let Some(profile) = metadata.profile.as_ref().filter(|_| T::FORMAT == 1) {
-            directory.put(tag::ICC, UNDEFINED, profile.icc.len() as u64, profile.icc.clone());
+            directory.opaque(tag::ICC, &profile.icc);
         }
         let start = directory.file_header(0);
         file.put(&start)?;
@@ -184,114 +184,6 @@ fn deflate<T: Sample>(pixels: &[[T; 3]], width: usize) -> io::Result<Vec<u8>> {
     let mut encoder = ZlibEncoder::new(Vec::with_capacity(raw.len() / 2), Compression::new(LEVEL));
     encoder.write_all(&raw)?;
     encoder.finish()
-}
-
-/// The tags that are written.
-mod tag {
-    pub const WIDTH: u16 = 256;
-    pub const HEIGHT: u16 = 257;
-    pub const BITS: u16 = 258;
-    pub const COMPRESSION: u16 = 259;
-    pub const PHOTOMETRIC: u16 = 262;
-    pub const DESCRIPTION: u16 = 270;
-    pub const MAKE: u16 = 271;
-    pub const MODEL: u16 = 272;
-    pub const STRIP_OFFSETS: u16 = 273;
-    pub const SAMPLES: u16 = 277;
-    pub const ROWS_PER_STRIP: u16 = 278;
-    pub const STRIP_COUNTS: u16 = 279;
-    pub const PLANAR: u16 = 284;
-    pub const SOFTWARE: u16 = 305;
-    pub const PREDICTOR: u16 = 317;
-    pub const SAMPLE_FORMAT: u16 = 339;
-    pub const ICC: u16 = 34675;
-}
-
-const ASCII: u16 = 2;
-const SHORT: u16 = 3;
-const LONG: u16 = 4;
-const UNDEFINED: u16 = 7;
-const LONG8: u16 = 16;
-
-/// An image file directory: tags in rising order, each with its type, count and bytes.
-#[derive(Debug)]
-struct Directory {
-    big: bool,
-    entries: BTreeMap<u16, (u16, u64, Vec<u8>)>,
-}
-
-impl Directory {
-    fn new(big: bool) -> Self {
-        let entries = BTreeMap::new();
-        Directory { big, entries }
-    }
-
-    fn put(&mut self, tag: u16, kind: u16, count: u64, bytes: Vec<u8>) {
-        self.entries.insert(tag, (kind, count, bytes));
-    }
-
-    fn short(&mut self, tag: u16, values: &[u16]) {
-        let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.put(tag, SHORT, values.len() as u64, bytes);
-    }
-
-    fn long(&mut self, tag: u16, values: &[u64]) {
-        let bytes = values.iter().flat_map(|&v| self.word(v)).collect();
-        self.put(tag, if self.big { LONG8 } else { LONG }, values.len() as u64, bytes);
-    }
-
-    fn text(&mut self, tag: u16, text: Option<&str>) {
-        let text = one_line(text.unwrap_or_default());
-        if !text.is_empty() {
-            self.put(tag, ASCII, text.len() as u64 + 1, [text.as_bytes(), &[0]].concat());
-        }
-    }
-
-    /// An offset or count: 4 bytes, or 8 in BigTIFF.
-    fn word(&self, value: u64) -> Vec<u8> {
-        if self.big {
-            value.to_le_bytes().to_vec()
-        } else {
-            // Sizes were weighed when the kind was chosen.
-            (value as u32).to_le_bytes().to_vec()
-        }
-    }
-
-    /// The first bytes of the file, which say where the directory is.
-    fn file_header(&self, place: u64) -> Vec<u8> {
-        let magic: &[u8] = if self.big { b"II\x2b\0\x08\0\0\0" } else { b"II\x2a\0" };
-        [magic, &self.word(place)].concat()
-    }
-
-    /// The directory as it stands at `place`, and behind it the values that are too long for their entries.
-    fn bytes(&self, place: u64) -> Vec<u8> {
-        let word = if self.big { 8 } else { 4 };
-        let count = self.entries.len() as u64;
-        let count_bytes = if self.big {
-            count.to_le_bytes().to_vec()
-        } else {
-            (count as u16).to_le_bytes().to_vec()
-        };
-        let length = count_bytes.len() + self.entries.len() * (4 + 2 * word) + word;
-        let (mut out, mut behind) = (count_bytes, Vec::new());
-        for (tag, (kind, count, bytes)) in &self.entries {
-            out.extend_from_slice(&tag.to_le_bytes());
-            out.extend_from_slice(&kind.to_le_bytes());
-            out.extend(self.word(*count));
-            if bytes.len() <= word {
-                out.extend_from_slice(bytes);
-                out.resize(out.len() + word - bytes.len(), 0);
-            } else {
-                out.extend(self.word(place + (length + behind.len()) as u64));
-                behind.extend_from_slice(bytes);
-                behind.resize(behind.len().next_multiple_of(8), 0);
-            }
-        }
-        // No further directory.
-        out.extend(self.word(0));
-        out.extend(behind);
-        out
-    }
 }
 
 #[cfg(test)]
