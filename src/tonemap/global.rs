@@ -94,7 +94,7 @@ impl Curve {
             bright: 0.0,
         };
         let scene = statistics(radiance, &to_srgb).unwrap_or(none);
-        let key = options.key.unwrap_or_else(|| key(&scene));
+        let key = options.key.unwrap_or_else(|| key(&scene).clamp(KEYS.0, KEYS.1));
         let white = options.white.unwrap_or_else(|| white(&scene, key));
         let inverse_white2 = 1.0 / (white * white);
         let saturation = (0..CELLS_PER_OCTAVE * OCTAVES)
@@ -140,6 +140,9 @@ fn shoulder(l: f32, inverse_white2: f32) -> f32 {
     l * (1.0 + l * inverse_white2) / (1.0 + l)
 }
 
+/// Estimates are kept in between: a few lamps in a plain room would otherwise have it darker than anyone remembers it, and fog brighter.
+const KEYS: (f64, f64) = (0.15, 0.45);
+
 /// Reinhard 2003, equation 4: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log L_min)).
 fn key(scene: &Statistics) -> f64 {
     let range = scene.bright - scene.dark;
@@ -147,12 +150,12 @@ fn key(scene: &Statistics) -> f64 {
     0.18 * libm::exp2(2.0 * skew)
 }
 
-/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). A narrow range would put white below what is there,
-/// so it is at least the bright end itself as the key places it, and at least 1.
+/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is kept between the bright end as the key places
+/// it, which must not burn out, and twice that, as nothing would be white otherwise; and is at least 1.
 fn white(scene: &Statistics, key: f64) -> f64 {
     let estimate = 1.5 * libm::exp2(scene.bright - scene.dark - 5.0);
     let brightest = key * libm::exp2(scene.bright - scene.average);
-    estimate.min(4.0 * brightest).max(brightest).max(1.0)
+    estimate.min(2.0 * brightest).max(brightest).max(1.0)
 }
 
 /// Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c is the slope of the

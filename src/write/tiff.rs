@@ -15,8 +15,8 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// How hard to deflate: twice as fast as the usual 6, and within a tenth of its size on photographs.
-const LEVEL: u32 = 2;
+/// How hard to deflate: the least, for noise does not shrink further whatever is spent on it.
+const LEVEL: u32 = 1;
 
 /// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
 pub trait Sample: Copy + Send + Sync + 'static {
