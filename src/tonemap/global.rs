@@ -120,8 +120,7 @@ impl Curve {
     fn pixel(&self, rgb: [f32; 3]) -> [f32; 3] {
         let rgb = self.to_srgb.apply(rgb).map(|c| c * self.scale);
         let l = luminance(rgb);
-        // Also for NaN.
-        if !(l > 0.0) {
+        if l.is_nan() || l <= 0.0 {
             return [0.0; 3];
         }
         // Beyond any display; finite, so that what follows is.

@@ -41,7 +41,7 @@ impl<P: Copy + Sync> Bands<P> {
         let band = BAND_ROWS * self.width;
         let missing = (self.height - self.done) * self.width - self.rest.len();
         assert!(
-            rows.len() % self.width == 0 && rows.len() <= missing,
+            rows.len().is_multiple_of(self.width) && rows.len() <= missing,
             "rows come whole, and not more than there are"
         );
         let last = rows.len() == missing;

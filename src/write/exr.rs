@@ -263,7 +263,11 @@ fn encode_band(first: usize, pixels: &[[f32; 3]], width: usize, sample: Sample, 
 }
 
 fn halves(block: &[[f32; 3]], width: usize) -> (Vec<u8>, u64) {
-    let over = block.as_flattened().iter().filter(|&&v| !(v.abs() <= HALF_MAX)).count() as u64;
+    let over = block
+        .as_flattened()
+        .iter()
+        .filter(|&&v| v.is_nan() || v.abs() > HALF_MAX)
+        .count() as u64;
     (planar(block, width, |v| half_bits(v).to_ne_bytes()), over)
 }
 

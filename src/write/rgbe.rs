@@ -12,9 +12,9 @@ const MAX: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
 /// The pixel as Ward's `setcolr` makes it, by truncation, and how many of its components were beyond what it holds.
 /// Negative components and NaN become 0, as do all of a pixel whose largest is not above 1e-32.
 pub(super) fn encode([r, g, b]: [f32; 3]) -> (Rgbe, u64) {
-    let over = [r, g, b].iter().filter(|c| !(**c <= MAX)).count() as u64;
-    // `max` and `min` give the other operand where one is NaN.
-    let [r, g, b] = [r, g, b].map(|c| c.max(0.0).min(MAX));
+    let over = [r, g, b].iter().filter(|c| c.is_nan() || **c > MAX).count() as u64;
+    // Of NaN no comparison holds.
+    let [r, g, b] = [r, g, b].map(|c| if c > 0.0 { c.min(MAX) } else { 0.0 });
     let d = r.max(g).max(b);
     if f64::from(d) <= 1e-32 {
         return ([0; 4], over);
