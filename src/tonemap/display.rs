@@ -112,8 +112,13 @@ pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     let [r, g, b] = rgb;
     let above = r.max(g).max(b) - y;
     let below = y - r.min(g).min(b);
+    let room = 1.0 - y;
+    // Most pixels: nothing to divide.
+    if above <= KNEE * room && below <= y {
+        return rgb;
+    }
     // The parts of the way to the bright and the dark edge.
-    let (room, bright, dark) = (1.0 - y, above / (1.0 - y), below / y.max(f32::MIN_POSITIVE));
+    let (bright, dark) = (above / room, below / y.max(f32::MIN_POSITIVE));
     let mut keep = 1.0f32;
     if bright > KNEE {
         let u = (bright - KNEE) / (1.0 - KNEE);
@@ -288,10 +293,7 @@ mod tests {
             let (f, g) = ((rgb[0] - y) * (out[2] - y), (rgb[2] - y) * (out[0] - y));
             assert!((f - g).abs() < 1e-4 * (1.0 + rgb[2].abs()), "{rgb:?} to {out:?}");
         }
-        assert_eq!(
-            into_gamut([0.2, 0.3, 0.1], 0.26),
-            [0.2, 0.3, 0.1].map(|c: f32| 0.26 + (c - 0.26))
-        );
+        assert_eq!(into_gamut([0.2, 0.3, 0.1], 0.26), [0.2, 0.3, 0.1]);
         assert_eq!(into_gamut([9.0, 0.0, 0.0], 1.5), [1.0; 3]);
         assert_eq!(into_gamut([0.0; 3], 0.0), [0.0; 3]);
     }

@@ -1,7 +1,7 @@
 //! Radiance `.hdr`: RGBE pixels under a text header.
 //!
 //! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units: pixels are W/sr/m2 times
-//! EXPOSURE, so that luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE. [`read`] is the way back. Cost: about 20 ns a pixel
+//! EXPOSURE, so that luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE. [`read`] is the way back. Cost: 25 ns a pixel and core
 //! and 3 to 4 bytes. Source: "Radiance File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`.
 
 use super::rgbe::{self, Rgbe};
