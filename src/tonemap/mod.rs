@@ -1,10 +1,37 @@
 //! Tone mapping: from radiance to a picture.
+//!
+//! In: a [`RadianceMap`], in any unit and primaries. Out: a [`DisplayImage`], 8-bit sRGB. Each [`Operator`] is one paper in one file
+//! and decides luminance; colour, gamut and encoding are the same for all and in [`display`]. Cost: see each operator.
 
+pub mod display;
+pub mod global;
+
+use crate::merge::RadianceMap;
 use crate::plane::Plane;
 
-/// A display-encoded picture: 8-bit sRGB transfer, primaries as recorded.
+/// A display-encoded picture: 8-bit, sRGB transfer and primaries.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DisplayImage {
     /// RGB by rows.
     pub pixels: Plane<[u8; 3]>,
+}
+
+/// How luminance is brought into the range of a display.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Operator {
+    /// Reinhard et al. 2002, the global curve.
+    Reinhard02(global::Options),
+}
+
+impl Default for Operator {
+    fn default() -> Self {
+        Operator::Reinhard02(global::Options::default())
+    }
+}
+
+/// The picture of `radiance` by `operator`. Same radiance but for a factor, same picture, unless options fix the scale.
+pub fn tonemap(radiance: &RadianceMap, operator: &Operator) -> DisplayImage {
+    match operator {
+        Operator::Reinhard02(options) => global::reinhard(radiance, options),
+    }
 }

@@ -1,1 +1,330 @@
-//! Writing.
+//! Writing: every output goes to a temporary file beside its name and is renamed into place when all of a run are whole.
+//!
+//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] that headers are made of. Out: files. A name that
+//! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
+//! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
+
+mod bands;
+pub mod display;
+pub mod exr;
+mod half;
+pub mod hdr;
+mod ifd;
+mod rgbe;
+mod target;
+pub mod tiff;
+
+use crate::bracket::colour::{Primaries, Profile};
+use crate::bracket::{Capture, Frame};
+use crate::error::{Error, Result, Warning};
+use crate::merge::RadianceMap;
+use crate::plane::Plane;
+use crate::tonemap::DisplayImage;
+use std::path::Path;
+
+use bands::Bands;
+pub use target::{Pending, check_targets, commit};
+
+/// The formats written, told by the extension.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// OpenEXR, `.exr`: radiance.
+    Exr,
+    /// Radiance RGBE, `.hdr` or `.pic`: radiance.
+    Hdr,
+    /// TIFF with 32-bit floats, `.tif` or `.tiff`: radiance.
+    Tiff,
+    /// PNG, `.png`: the display picture.
+    Png,
+}
+
+impl Format {
+    /// The extensions that are known, for messages.
+    pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png";
+
+    /// The format that `path` asks for by its extension, in any case.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`].
+    pub fn of(path: &Path) -> Result<Format> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        match extension.as_str() {
+            "exr" => Ok(Format::Exr),
+            "hdr" | "pic" => Ok(Format::Hdr),
+            "tif" | "tiff" => Ok(Format::Tiff),
+            "png" => Ok(Format::Png),
+            _ => Err(Error::UnknownExtension {
+                path: path.to_owned(),
+                known: Format::KNOWN,
+            }),
+        }
+    }
+
+    /// Whether it holds linear radiance; if not, the display picture.
+    pub fn holds_radiance(self) -> bool {
+        match self {
+            Format::Exr | Format::Hdr | Format::Tiff => true,
+            Format::Png => false,
+        }
+    }
+}
+
+/// What headers are made of. Nothing in it depends on the clock.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Metadata {
+    /// The program and its version: `hdralign 0.1.0`.
+    pub software: String,
+    /// Camera make and model, and the capture date of the reference.
+    pub capture: Capture,
+    /// Shutter time of the reference in seconds.
+    pub time_s: Option<f64>,
+    /// The f-number of the reference.
+    pub f_number: Option<f64>,
+    /// The sensitivity of the reference.
+    pub iso: Option<f64>,
+    /// What red, green, blue and white of the pixels are.
+    pub primaries: Primaries,
+    /// The factor by which the pixels given were multiplied: a pixel divided by it is radiance. 1 where they are radiance as merged.
+    pub exposure_scale: f64,
+    /// The luminance of radiance (1, 1, 1), before [`exposure_scale`](Self::exposure_scale), in cd/m2, where it is calibrated.
+    pub cd_m2_per_unit: Option<f64>,
+    /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); none is taken for sRGB. Radiance formats record primaries.
+    pub profile: Option<Profile>,
+    /// Further lines for people.
+    pub comments: Vec<String>,
+}
+
+impl Default for Metadata {
+    fn default() -> Self {
+        Metadata {
+            software: concat!("hdralign ", env!("CARGO_PKG_VERSION")).into(),
+            capture: Capture::default(),
+            time_s: None,
+            f_number: None,
+            iso: None,
+            primaries: Primaries::SRGB,
+            exposure_scale: 1.0,
+            cd_m2_per_unit: None,
+            profile: None,
+            comments: Vec::new(),
+        }
+    }
+}
+
+impl Metadata {
+    /// What the reference frame tells of itself; everything else as by default.
+    pub fn of(reference: &Frame) -> Self {
+        Metadata {
+            capture: reference.capture.clone(),
+            time_s: reference.exposure.time_s,
+            f_number: reference.exposure.f_number,
+            iso: reference.exposure.iso,
+            profile: reference.profile.clone(),
+            ..Metadata::default()
+        }
+    }
+
+    /// Make and model as one text, the make not said twice; `None` when the camera is unknown.
+    fn camera(&self) -> Option<String> {
+        let text = |t: &Option<String>| t.as_deref().map(one_line).filter(|t| !t.is_empty());
+        match (text(&self.capture.make), text(&self.capture.model)) {
+            (Some(make), Some(model)) if !model.to_lowercase().starts_with(&first_word(&make)) => {
+                Some(format!("{make} {model}"))
+            }
+            (_, Some(model)) => Some(model),
+            (make, None) => make,
+        }
+    }
+
+    /// The luminance of a stored (1, 1, 1) in cd/m2, where it is known.
+    fn white_luminance(&self) -> Option<f64> {
+        self.cd_m2_per_unit.map(|l| l / self.exposure_scale)
+    }
+}
+
+fn first_word(text: &str) -> String {
+    text.split(' ').next().unwrap_or_default().to_lowercase()
+}
+
+/// `text` as printable ASCII on one line: a camera's name must not be able to add a line to a header, and readers expect ASCII.
+fn one_line(text: &str) -> String {
+    let ascii: String = text
+        .trim_matches(['\0', ' '])
+        .chars()
+        .map(|c| match c {
+            ' '..='~' => c,
+            _ if c.is_whitespace() || c.is_control() => ' ',
+            _ => '?',
+        })
+        .collect();
+    ascii.trim().into()
+}
+
+/// What every output format implements: rows in, in order, then the end. `P` is the pixel.
+///
+/// Bands may arrive as they are merged while several writers run; a writer encodes what it is given in parallel before it returns.
+/// A writer that is dropped unfinished leaves nothing behind.
+pub trait RowWriter<P>: Send {
+    /// Takes the next rows, whole and without gaps: any number of them, `rows.len()` a multiple of the width.
+    ///
+    /// # Errors
+    /// [`Error::Write`] when the encoder or the disk fails.
+    ///
+    /// # Panics
+    /// When a row is not whole or there are more than the picture has: a fault of the caller, never of a file.
+    fn push(&mut self, rows: &[P]) -> Result<()>;
+
+    /// Ends the file after its last row.
+    ///
+    /// # Errors
+    /// [`Error::Write`] when the disk fails or rows are missing.
+    fn finish(self: Box<Self>) -> Result<Written>;
+}
+
+/// A file that is whole but does not have its name yet: give it to [`commit`].
+#[derive(Debug)]
+pub struct Written {
+    /// The file.
+    pub file: Pending,
+    /// What should be known about its values.
+    pub warnings: Vec<Warning>,
+}
+
+/// How results are written.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// Whether files that exist are replaced. No by default.
+    pub overwrite: bool,
+    /// How OpenEXR is encoded.
+    pub exr: exr::Options,
+}
+
+/// A writer of `width` x `height` linear RGB to `path`.
+///
+/// # Errors
+/// [`Error::UnknownExtension`]; [`Error::Option`] for a format of display pictures; [`Error::Write`].
+pub fn radiance_writer(
+    path: &Path,
+    (width, height): (usize, usize),
+    metadata: &Metadata,
+    options: &Options,
+) -> Result<Box<dyn RowWriter<[f32; 3]>>> {
+    let size = (width, height);
+    Ok(match Format::of(path)? {
+        Format::Exr => Box::new(exr::Writer::new(Pending::create(path)?, size, metadata, &options.exr)?),
+        Format::Hdr => Box::new(hdr::Writer::new(Pending::create(path)?, size, metadata)?),
+        Format::Tiff => Box::new(tiff::Writer::new(Pending::create(path)?, size, metadata)?),
+        Format::Png => {
+            return Err(Error::Option {
+                option: "-o",
+                reason: format!(
+                    "{} is for the display picture; name an .exr, .hdr or .tif for radiance",
+                    path.display()
+                ),
+            });
+        }
+    })
+}
+
+/// Writes all of `paths`, the radiance or the picture by extension, and names them only when all are whole.
+///
+/// # Errors
+/// [`Error::UnknownExtension`], [`Error::OutputExists`], [`Error::Write`]; [`Error::Option`] where a picture is asked for and
+/// `display` is none. Nothing is left behind then.
+pub fn write(
+    paths: &[&Path],
+    radiance: &RadianceMap,
+    display: Option<&DisplayImage>,
+    metadata: &Metadata,
+    options: &Options,
+) -> Result<Vec<Warning>> {
+    let mut files = Vec::new();
+    let mut warnings = Vec::new();
+    for &path in paths {
+        let written = if Format::of(path)?.holds_radiance() {
+            let metadata = Metadata {
+                primaries: radiance.primaries,
+                ..metadata.clone()
+            };
+            let size = (radiance.pixels.width(), radiance.pixels.height());
+            push_all(radiance_writer(path, size, &metadata, options)?, &radiance.pixels)?
+        } else {
+            let display = display.ok_or_else(|| Error::Option {
+                option: "-o",
+                reason: format!(
+                    "{} needs a tone-mapped picture; name an .exr or .hdr instead",
+                    path.display()
+                ),
+            })?;
+            // A tone-mapped picture is sRGB whatever the frames were.
+            let metadata = Metadata {
+                profile: None,
+                ..metadata.clone()
+            };
+            let size = (display.pixels.width(), display.pixels.height());
+            let writer = display::Writer::new(Pending::create(path)?, size, &metadata)?;
+            push_all(Box::new(writer), &display.pixels)?
+        };
+        files.push(written.file);
+        warnings.extend(written.warnings);
+    }
+    commit(files, options.overwrite)?;
+    Ok(warnings)
+}
+
+/// All of `plane` through `writer`.
+///
+/// # Errors
+/// Those of the writer.
+pub fn push_all<P>(mut writer: Box<dyn RowWriter<P> + '_>, plane: &Plane<P>) -> Result<Written> {
+    writer.push(plane.as_slice())?;
+    writer.finish()
+}
+
+/// The warning that `count` values of `file` were beyond what `format` holds, if any were.
+fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
+    let warning = Warning::OutOfRange {
+        path: file.target().to_owned(),
+        detail: format!("{count} values {what}"),
+    };
+    if count > 0 { vec![warning] } else { Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_extension_decides_in_any_case() {
+        let of = |name: &str| Format::of(Path::new(name));
+        assert_eq!(of("a/b.EXR").unwrap(), Format::Exr);
+        assert_eq!(of("b.x.Pic").unwrap(), Format::Hdr);
+        assert_eq!(of("b.TIFF").unwrap(), Format::Tiff);
+        assert_eq!(of("b.png").unwrap(), Format::Png);
+        for unknown in ["b.jpg", "b", ".png", "png", "b."] {
+            let error = of(unknown).unwrap_err();
+            assert!(error.is_usage() && error.to_string().contains(".tiff, .png"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_camera_is_one_line_and_the_make_is_said_once() {
+        let camera = |make: &str, model: &str| {
+            let text = |t: &str| (!t.is_empty()).then(|| t.to_owned());
+            Metadata {
+                capture: Capture {
+                    make: text(make),
+                    model: text(model),
+                    date: None,
+                },
+                ..Metadata::default()
+            }
+            .camera()
+        };
+        assert_eq!(camera("Canon", "Canon EOS 5D").unwrap(), "Canon EOS 5D");
+        assert_eq!(camera("NIKON CORPORATION", "NIKON D40\0").unwrap(), "NIKON D40");
+        assert_eq!(camera("FUJI\nEXPOSURE=9", "X\u{e9}").unwrap(), "FUJI EXPOSURE=9 X?");
+        assert_eq!(camera("Leica", "").unwrap(), "Leica");
+        assert_eq!(camera("", " "), None);
+    }
+}

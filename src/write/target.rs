@@ -1,0 +1,285 @@
+//! Targets: from the name of an output to a whole file of that name, or none at all.
+//!
+//! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
+//! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file.
+
+use super::Format;
+use crate::error::{Error, Result};
+use std::fs;
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+/// Whether all `outputs` can be written, before any work is done: known extensions, folders that exist, no name twice, none of the
+/// `inputs`, and nothing there already unless `overwrite`.
+///
+/// # Errors
+/// [`Error::UnknownExtension`], [`Error::Option`] for a name given twice or an input, [`Error::Write`] for a folder that is missing or
+/// a target that is one, [`Error::OutputExists`].
+pub fn check_targets(outputs: &[PathBuf], inputs: &[PathBuf], overwrite: bool) -> Result<()> {
+    let sources: Vec<PathBuf> = inputs.iter().filter_map(|p| fs::canonicalize(p).ok()).collect();
+    let mut places: Vec<PathBuf> = Vec::new();
+    for output in outputs {
+        Format::of(output)?;
+        let place = place_of(output)?;
+        let real = fs::canonicalize(output).unwrap_or_else(|_| place.clone());
+        if sources.contains(&real) {
+            return Err(usage(output, "is one of the photographs; give the result another name"));
+        }
+        if places.contains(&place) {
+            return Err(usage(output, "is named twice; give every output a name of its own"));
+        }
+        match fs::symlink_metadata(&place) {
+            Ok(there) if there.is_dir() => return Err(refused(output, "it is a folder; name a file in it".into())),
+            Ok(_) if !overwrite => return Err(Error::OutputExists { path: output.clone() }),
+            _ => places.push(place),
+        }
+    }
+    Ok(())
+}
+
+/// The target with its folder resolved, so that two ways to say one name are seen to be one.
+fn place_of(output: &Path) -> Result<PathBuf> {
+    let folder = folder_of(output);
+    let remedy = match fs::metadata(folder) {
+        Ok(there) if there.is_dir() => None,
+        Ok(_) => Some(format!("{} is not a folder; name one that is", folder.display())),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Some(format!(
+            "the folder {} does not exist; make it first, as in `mkdir -p {}`",
+            folder.display(),
+            folder.display()
+        )),
+        Err(e) => Some(format!("the folder {} cannot be entered: {e}", folder.display())),
+    };
+    if let Some(remedy) = remedy {
+        return Err(refused(output, remedy));
+    }
+    let folder = fs::canonicalize(folder).map_err(|source| write_error(output, source))?;
+    Ok(folder.join(output.file_name().unwrap_or_default()))
+}
+
+/// The folder that `path` is in: `.` for a bare name.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+fn usage(path: &Path, reason: &str) -> Error {
+    Error::Option {
+        option: "-o",
+        reason: format!("{} {reason}", path.display()),
+    }
+}
+
+fn refused(path: &Path, reason: String) -> Error {
+    write_error(path, io::Error::other(reason))
+}
+
+fn write_error(path: &Path, source: io::Error) -> Error {
+    Error::Write {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// A file that is being written under a temporary name in the target's own folder; dropped, it is gone.
+#[derive(Debug)]
+pub struct Pending {
+    target: PathBuf,
+    file: BufWriter<NamedTempFile>,
+}
+
+impl Pending {
+    /// Opens the temporary file, hidden and named `.hdralign-*.part`, with the permissions that a new file would have.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn create(target: &Path) -> Result<Self> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".hdralign-").suffix(".part");
+        // Temporary files are private by default; asked for rw-rw-rw-, the system takes off the umask as for any new file.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let file = builder
+            .tempfile_in(folder_of(target))
+            .map_err(|source| write_error(target, source))?;
+        Ok(Pending {
+            target: target.to_owned(),
+            file: BufWriter::with_capacity(1 << 18, file),
+        })
+    }
+
+    /// The name it will have.
+    pub fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// What the system said, as this file's error.
+    pub(super) fn error(&self, source: io::Error) -> Error {
+        write_error(&self.target, source)
+    }
+
+    /// Writes all of `bytes`.
+    pub(super) fn put(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file
+            .write_all(bytes)
+            .map_err(|source| write_error(&self.target, source))
+    }
+}
+
+impl Write for Pending {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for Pending {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+/// Gives all `files` their names: first every one is brought to the disk, then all are renamed. When a renaming fails, the files
+/// placed before it are removed again, but for those that replaced an older file, which cannot be had back.
+///
+/// # Errors
+/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
+pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
+    let mut ready = Vec::new();
+    for Pending { target, file } in files {
+        let synced = file
+            .into_inner()
+            .map_err(|e| e.into_error())
+            .and_then(|file| file.as_file().sync_all().map(|()| file));
+        ready.push((synced.map_err(|source| write_error(&target, source))?, target));
+    }
+    let mut placed: Vec<PathBuf> = Vec::new();
+    for (file, target) in ready {
+        let is_new = fs::symlink_metadata(&target).is_err();
+        let outcome = if overwrite {
+            file.persist(&target)
+        } else {
+            file.persist_noclobber(&target)
+        };
+        match outcome {
+            Ok(_) if is_new => placed.push(target),
+            Ok(_) => {}
+            Err(e) => {
+                for path in &placed {
+                    // The first failure is the one to tell; a second while clearing up would only hide it.
+                    let _ = fs::remove_file(path);
+                }
+                return Err(match e.error.kind() {
+                    io::ErrorKind::AlreadyExists => Error::OutputExists { path: target },
+                    _ => write_error(&target, e.error),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn pending(target: &Path, text: &str) -> Pending {
+        let mut file = Pending::create(target).unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+        file
+    }
+
+    #[test]
+    fn names_appear_together_and_drops_leave_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b) = (dir.path().join("a.exr"), dir.path().join("b.png"));
+        let files = vec![pending(&a, "A"), pending(&b, "B")];
+        assert!(names(dir.path()).iter().all(|n| n.starts_with(".hdralign-")));
+        drop(pending(&a, "never"));
+        commit(files, false).unwrap();
+        assert_eq!(names(dir.path()), ["a.exr", "b.png"]);
+        assert_eq!(fs::read_to_string(&b).unwrap(), "B");
+    }
+
+    #[test]
+    fn a_target_that_appears_meanwhile_is_kept_and_the_rest_withdrawn() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b) = (dir.path().join("a.exr"), dir.path().join("b.exr"));
+        let files = vec![pending(&a, "new"), pending(&b, "new")];
+        fs::write(&b, "old").unwrap();
+        let error = commit(files, false).unwrap_err();
+        assert!(matches!(error, Error::OutputExists { path } if path == b));
+        assert_eq!(names(dir.path()), ["b.exr"]);
+        assert_eq!(fs::read_to_string(&b).unwrap(), "old");
+    }
+
+    #[test]
+    fn force_replaces_but_never_withdraws_what_was_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b, c) = (
+            dir.path().join("a.exr"),
+            dir.path().join("b.exr"),
+            dir.path().join("c.exr"),
+        );
+        fs::write(&a, "old").unwrap();
+        // A folder at the third name makes its renaming fail after two have succeeded.
+        fs::create_dir(&c).unwrap();
+        let files = vec![pending(&a, "new"), pending(&b, "new"), pending(&c, "new")];
+        assert!(matches!(commit(files, true).unwrap_err(), Error::Write { path, .. } if path == c));
+        assert_eq!(names(dir.path()), ["a.exr", "c.exr"]);
+        assert_eq!(fs::read_to_string(&a).unwrap(), "new");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn permissions_are_those_of_any_new_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let (ours, plain) = (dir.path().join("a.exr"), dir.path().join("plain"));
+        commit(vec![pending(&ours, "A")], false).unwrap();
+        fs::write(&plain, "B").unwrap();
+        let mode = |p: &Path| fs::metadata(p).unwrap().permissions().mode();
+        assert_eq!(mode(&ours), mode(&plain));
+    }
+
+    #[test]
+    fn targets_are_checked_before_any_work() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("in.png"), "x").unwrap();
+        fs::create_dir(at("sub.exr")).unwrap();
+        let check = |outputs: &[&str], overwrite| {
+            let outputs: Vec<PathBuf> = outputs.iter().map(|o| at(o)).collect();
+            check_targets(&outputs, &[at("in.png"), at("gone.jpg")], overwrite).map_err(|e| e.to_string())
+        };
+        assert_eq!(check(&["a.exr", "b.png", "sub.exr/a.exr"], false), Ok(()));
+        let fails = |outputs: &[&str], overwrite, said: &str| {
+            let message = check(outputs, overwrite).unwrap_err();
+            assert!(message.contains(said), "{message}");
+        };
+        fails(&["a.jpg"], true, "must be one of .exr");
+        fails(&["a.exr", "sub.exr/../a.exr"], true, "named twice");
+        fails(&["sub.exr/../in.png"], true, "one of the photographs");
+        fails(&["none/a.exr"], true, "make it first");
+        fails(&["in.png/a.exr"], true, "not a folder");
+        fails(&["sub.exr"], true, "it is a folder");
+        fs::write(at("old.exr"), "x").unwrap();
+        fails(&["old.exr"], false, "--force");
+        assert_eq!(check(&["old.exr"], true), Ok(()));
+    }
+}
