@@ -33,6 +33,18 @@ pub struct Exposure {
     pub tags: String,
 }
 impl Exposure {
+    /// An exposure of which only its relative value is known, as the user's `-e` list gives it; positive and finite.
+    pub fn given(relative: f64) -> Self {
+        Exposure {
+            time_s: None,
+            f_number: None,
+            iso: None,
+            relative,
+            source: ExposureSource::Given,
+            tags: "-e".to_owned(),
+        }
+    }
+
     /// The relative exposure t * ISO / N^2 (s), or 2^EV where EV was given; positive and finite.
     pub fn relative(&self) -> f64 {
         self.relative
