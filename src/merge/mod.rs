@@ -300,7 +300,7 @@ fn layers<'a>(bracket: &'a Bracket, alignment: &Alignment, curve: &ResponseCurve
                 warp: verdict.warp?,
                 tables: std::array::from_fn(|c| Table {
                     radiance: curve.exposures(c).map(|x| (f64::from(x) / time) as f32),
-                    weight: weight.table(),
+                    weight: weight.table(curve.black(c)),
                 }),
             })
         })

@@ -58,7 +58,7 @@ impl Default for Options {
     fn default() -> Self {
         Options {
             samples: 2000,
-            smoothness: 1.0,
+            smoothness: 5.0,
             rounds: 3,
         }
     }

@@ -3,7 +3,7 @@
 //! In and out: a [`ResponseCurve`] and JSON of the schema `hdralign-response/1`; every number comes back as it was. Cost: none.
 //!
 //! ```json
-//! { "schema": "hdralign-response/1", "camera_make": "Canon", "camera_model": "EOS 5D",
+//! { "schema": "hdralign-response/1", "camera_make": "Canon", "camera_model": "EOS 5D", "black_code": [0.0, 0.0, 0.0],
 //!   "ln_exposure": { "red": [-9.1, ...], "green": [...], "blue": [...] } }
 //! ```
 //!
@@ -36,6 +36,8 @@ struct Document {
     camera_make: Option<String>,
     #[serde(default)]
     camera_model: Option<String>,
+    #[serde(default)]
+    black_code: [f64; 3],
     ln_exposure: Channels,
 }
 
@@ -60,6 +62,7 @@ impl SavedResponse {
             schema: SCHEMA.to_owned(),
             camera_make: self.make.clone(),
             camera_model: self.model.clone(),
+            black_code: std::array::from_fn(|c| self.curve.black(c)),
             ln_exposure: Channels { red, green, blue },
         };
         // Strings and finite numbers alone: nothing in it can fail to be written.
@@ -89,10 +92,12 @@ impl SavedResponse {
             <[f64; CODES]>::try_from(values).map_err(wanted)
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
+        let curve = ResponseCurve::new(g).ok_or_else(|| wrong("its values do not rise from code to code".to_owned()))?;
+        let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,
             model: document.camera_model,
-            curve: ResponseCurve::new(g).ok_or_else(|| wrong("its values do not rise from code to code".to_owned()))?,
+            curve: curve.with_black(document.black_code).ok_or(()).map_err(black)?,
         })
     }
 }
@@ -108,7 +113,7 @@ mod tests {
         SavedResponse {
             make: Some("A \"Camera\"".to_owned()),
             model: None,
-            curve: ResponseCurve::new(g).unwrap(),
+            curve: ResponseCurve::new(g).unwrap().with_black([0.1, 0.0, 7.3]).unwrap(),
         }
     }
 

@@ -28,6 +28,9 @@ pub const MID: usize = 128;
 /// Of the exposure at code 1, what code 0 is taken to mean by the stated curves: rounding leaves it anywhere below a half.
 const BLACK: f64 = 1.0 / 16.0;
 
+/// The codes below and above which the channels' curves run in parallel.
+const ENDS: (usize, usize) = (12, 243);
+
 /// Debevec & Malik's hat w (1997, equation 4) scaled to 0..=1: 0 at codes 0 and 255, 1 halfway between.
 pub fn hat(code: f64) -> f64 {
     (code.min(255.0 - code) / 127.5).max(0.0)
@@ -41,6 +44,7 @@ pub fn hat(code: f64) -> f64 {
 pub struct ResponseCurve {
     ln_exposure: [[f64; CODES]; 3],
     exposure: [[f32; CODES]; 3],
+    black: [f64; 3],
 }
 
 impl ResponseCurve {
@@ -50,7 +54,19 @@ impl ResponseCurve {
         ln_exposure.iter().all(sound).then(|| ResponseCurve {
             exposure: ln_exposure.map(|g| g.map(|v| libm::exp(v) as f32)),
             ln_exposure,
+            black: [0.0; 3],
         })
+    }
+
+    /// The same curve, of a camera that is black up to these codes of R, G and B; none where one is not in 0..128.
+    pub fn with_black(self, black: [f64; 3]) -> Option<Self> {
+        let sound = black.iter().all(|code| (0.0..128.0).contains(code));
+        sound.then_some(ResponseCurve { black, ..self })
+    }
+
+    /// The code of channel 0, 1 or 2 up to which a frame is black, film base and noise included: it says no more than that.
+    pub fn black(&self, channel: usize) -> f64 {
+        self.black[channel]
     }
 
     /// Exposure proportional to the code.
@@ -77,6 +93,7 @@ impl ResponseCurve {
         ResponseCurve {
             ln_exposure: [g; 3],
             exposure: [g.map(|v| libm::exp(v) as f32); 3],
+            black: [0.0; 3],
         }
     }
 
@@ -177,8 +194,12 @@ pub fn recover(
         ResponseModel::Debevec(options) => options,
     };
     options.validate()?;
-    let fitted = debevec::recover(&samples::draw(bracket, alignment, options.samples), options);
-    let curve = fitted.as_ref().ok().and_then(|(g, _)| ResponseCurve::new(ResponseCurve::neutralised(*g)));
+    let drawn = samples::draw(bracket, alignment, options.samples);
+    let fitted = debevec::recover(&drawn.channels, options);
+    let curve = fitted.as_ref().ok().and_then(|(g, _)| {
+        let g = ResponseCurve::neutralised(with_common_ends(*g));
+        ResponseCurve::new(g)?.with_black(drawn.black)
+    });
     Ok(match (fitted, curve) {
         (Ok((_, fits)), Some(curve)) => {
             let report = ResponseReport {
@@ -198,6 +219,25 @@ pub fn recover(
             let used = "the sRGB curve".to_owned();
             (ResponseCurve::srgb(), report, vec![Warning::ResponseFallback { reason, used }])
         }
+    })
+}
+
+/// The curves with the same steps in all channels at both ends, the median ones: few samples are there, and where channels part, what is
+/// black or white in the scene takes a colour.
+fn with_common_ends(g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {
+    let step = |z: usize| {
+        let mut steps = g.map(|channel| channel[z + 1] - channel[z]);
+        steps.sort_by(f64::total_cmp);
+        steps[1]
+    };
+    g.map(|mut channel| {
+        for z in (0..ENDS.0).rev() {
+            channel[z] = channel[z + 1] - step(z);
+        }
+        for z in ENDS.1..CODES - 1 {
+            channel[z + 1] = channel[z] + step(z);
+        }
+        channel
     })
 }
 

@@ -11,6 +11,8 @@ use crate::align::{Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame, Samples as Codes};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
+use std::f64::consts::LN_2;
+use std::ops::Range;
 
 /// Side of a patch in pixels.
 const PATCH: usize = 5;
@@ -24,6 +26,11 @@ const SEEN: (f64, f64) = (2.0, 253.0);
 const ROUGH: f64 = 12.0;
 /// Codes by which a longer exposure may be darker than a shorter one, beside what the patches' noise explains.
 const DARKER: f64 = 2.0;
+/// Codes by which a stop more of exposure must brighten a patch, at least, as a share of its code and absolutely: where it does not,
+/// the shorter exposure is at the black of the film or the sensor, and says nothing. A camera's curve rises by a fifth to a third.
+const RISE: (f64, f64) = (0.05, 0.5);
+/// Black is believed where this many patches show it, and lies above this share of them.
+const BLACK: (usize, f64) = (20, 0.95);
 /// Steps of brightness among which samples are spread.
 const BINS: usize = 32;
 
@@ -65,8 +72,17 @@ struct Candidate {
     roughness: f64,
 }
 
-/// At most `count` samples for each of R, G and B.
-pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> [Vec<Sample>; 3] {
+/// What the scene shows of each channel.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Drawn {
+    /// Samples for R, G and B.
+    pub channels: [Vec<Sample>; 3],
+    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    pub black: [f64; 3],
+}
+
+/// At most `count` samples for each of R, G and B, and where their black is.
+pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
     let frames = placed(bracket, alignment);
     if frames.len() < 2 {
         return Default::default();
@@ -85,7 +101,37 @@ pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> [Vec<Samp
             tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
         })
         .collect();
-    std::array::from_fn(|channel| spread(&places, &frames, channel, count))
+    Drawn {
+        channels: std::array::from_fn(|channel| spread(&places, &frames, channel, count)),
+        black: std::array::from_fn(|channel| black(&places, &frames, channel)),
+    }
+}
+
+/// The range of frames that say something of a place: not those so short that a longer one is no brighter.
+fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize> {
+    let views = place.patches.iter().zip(frames).enumerate();
+    let views: Vec<_> = views.filter_map(|(i, (p, frame))| Some((i, p.as_ref()?[channel].mean, frame.ln_time / LN_2))).collect();
+    let first = views.windows(2).find(|pair| {
+        let (step, rise) = (pair[1].2 - pair[0].2, pair[1].1 - pair[0].1);
+        rise > step * (RISE.0 * pair[0].1).max(RISE.1)
+    });
+    // Where nothing rises, it is black or white throughout.
+    first.map_or(0, |pair| pair[0].0)..frames.len()
+}
+
+/// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise.
+fn black(places: &[Candidate], frames: &[Placed], channel: usize) -> f64 {
+    let mut codes: Vec<f64> = Vec::new();
+    for place in places {
+        let silent = &place.patches[..telling(place, frames, channel).start];
+        codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
+    }
+    codes.retain(|&code| code < 64.0);
+    codes.sort_by(f64::total_cmp);
+    match codes.len() {
+        few if few < BLACK.0 => 0.0,
+        many => codes[((many as f64 * BLACK.1) as usize).min(many - 1)],
+    }
 }
 
 /// The frames that take part.
@@ -192,7 +238,7 @@ fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize)
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
     for (index, place) in places.iter().enumerate() {
         let codes: Vec<Patch> = place.patches.iter().flatten().map(|patch| patch[channel]).collect();
-        if codes.iter().filter(|p| p.seen).count() >= 2 {
+        if sample(place, frames, channel).views.len() >= 2 {
             let mean = codes.iter().map(|p| p.mean).sum::<f64>() / codes.len() as f64;
             bins[((mean * BINS as f64 / 256.0) as usize).min(BINS - 1)].push((place.roughness, index));
         }
@@ -209,7 +255,8 @@ fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize)
 
 /// The views of a place in a channel that are not clipped.
 fn sample(place: &Candidate, frames: &[Placed], channel: usize) -> Sample {
-    let views = place.patches.iter().zip(frames).filter_map(|(patch, frame)| {
+    let range = telling(place, frames, channel);
+    let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, frame)| {
         let patch = patch.as_ref()?[channel];
         patch.seen.then_some(View {
             code: patch.mean,
