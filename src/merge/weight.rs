@@ -1,0 +1,45 @@
+//! Weights: how far a code is trusted.
+//!
+//! In: a code. Out: its weight, from tables. Cost: none.
+//! Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman & Stevenson 2003, section III, shifted and
+//! scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2 z / 255 - 1)^12.
+
+use crate::response::{CODES, hat};
+
+/// How far a code on the scale 0..=255 is trusted: 0 at both ends, where it may be clipped, but for [`Weight::Uniform`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Weight {
+    /// Rises linearly from both ends to the middle.
+    Hat,
+    /// A bell about the middle, with a standard deviation of 45 codes: the best on truth brackets, by half a decibel over the hat.
+    #[default]
+    Gaussian,
+    /// Nearly 1 but for the last tenth at either end.
+    Plateau,
+    /// 1 for all codes, clipped or not.
+    Uniform,
+}
+
+impl Weight {
+    /// The weight of a code on the scale 0..=255, in 0..=1.
+    pub fn at(self, code: f64) -> f64 {
+        let off = code / 127.5 - 1.0;
+        match self {
+            Weight::Hat => hat(code),
+            Weight::Gaussian => {
+                let bell = |off: f64| libm::exp(-4.0 * off * off);
+                ((bell(off) - bell(1.0)) / (1.0 - bell(1.0))).max(0.0)
+            }
+            Weight::Plateau => (1.0 - libm::pow(off, 12.0)).max(0.0),
+            Weight::Uniform => 1.0,
+        }
+    }
+
+    /// The weights of codes 0..=255 of a channel that is black up to the code `black`: 0 up to there, the rest of the curve above.
+    pub fn table(self, black: f64) -> [f32; CODES] {
+        std::array::from_fn(|code| {
+            let above = (code as f64 - black).max(0.0) * 255.0 / (255.0 - black);
+            self.at(above) as f32
+        })
+    }
+}

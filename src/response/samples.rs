@@ -1,0 +1,269 @@
+//! Samples: places of the scene, and the codes by which the frames saw them.
+//!
+//! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over picture and
+//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 20 ms, whatever the size.
+//! Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well distributed in the picture and over the codes, from places
+//! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
+//! means over patches, by the thousand.
+
+use crate::align::warp::{Warp, map};
+use crate::align::{Alignment, Rect, Status};
+use crate::bracket::{Bracket, Frame, Samples as Codes};
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+use std::f64::consts::LN_2;
+use std::ops::Range;
+
+/// Side of a patch in pixels.
+const PATCH: usize = 5;
+/// Candidates on a side of a cell, of which the flattest is taken.
+const TRIES: usize = 2;
+/// Patches that are read in all, at most, whatever the size and the number of frames.
+const READ: usize = 120_000;
+/// A frame saw a patch if all its codes are in this range: those beyond may be clipped, or nearly so.
+const SEEN: (f64, f64) = (2.0, 253.0);
+/// Standard deviation within a patch, in codes, above which it is no flat place.
+const ROUGH: f64 = 12.0;
+/// Codes by which a longer exposure may be darker than a shorter one, beside what the patches' noise explains.
+const DARKER: f64 = 2.0;
+/// Codes by which a stop more of exposure must brighten a patch, at least, as a share of its code and absolutely: where it does not,
+/// the shorter exposure is at the black of the film or the sensor, and says nothing. A camera's curve rises by a fifth to a third.
+const RISE: (f64, f64) = (0.05, 0.5);
+/// Black is believed where this many patches show it, and lies above this share of them.
+const BLACK: (usize, f64) = (20, 0.95);
+/// Steps of brightness among which samples are spread.
+const BINS: usize = 32;
+
+/// One frame's view of a place, in one channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Z, the mean code of the patch, on the scale 0..=255 whatever the depth.
+    pub code: f64,
+    /// ln dt of the frame: its relative exposure over that of the reference.
+    pub ln_time: f64,
+}
+
+/// The views that frames of different exposure have of one place, in one channel; at least two, by rising exposure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// None is clipped.
+    pub views: Vec<View>,
+}
+
+/// A frame that was placed.
+struct Placed<'a> {
+    frame: &'a Frame,
+    /// Reference pixel -> frame pixel; none where it is the same.
+    matrix: Option<Matrix3<f64>>,
+    ln_time: f64,
+}
+
+/// One channel of a patch.
+#[derive(Debug, Clone, Copy)]
+struct Patch {
+    mean: f64,
+    deviation: f64,
+    seen: bool,
+}
+
+/// A place as all frames saw it; none for a frame that does not cover it.
+struct Candidate {
+    patches: Vec<Option<[Patch; 3]>>,
+    roughness: f64,
+}
+
+/// What the scene shows of each channel.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Drawn {
+    /// Samples for R, G and B.
+    pub channels: [Vec<Sample>; 3],
+    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    pub black: [f64; 3],
+}
+
+/// At most `count` samples for each of R, G and B, and where their black is.
+pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
+    let frames = placed(bracket, alignment);
+    if frames.len() < 2 {
+        return Default::default();
+    }
+    let Rect { x0, y0, .. } = alignment.overlap;
+    let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
+    let cells = (READ / (TRIES * TRIES * frames.len())).max(1);
+    let side = ((width * height) as f64 / cells as f64).sqrt().max((TRIES * PATCH) as f64);
+    let (columns, rows) = ((width as f64 / side) as usize, (height as f64 / side) as usize);
+    let places: Vec<Candidate> = (0..rows)
+        .into_par_iter()
+        .flat_map_iter(|row| (0..columns).map(move |column| (column, row)))
+        .filter_map(|(column, row)| {
+            let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
+            let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
+            tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
+        })
+        .collect();
+    Drawn {
+        channels: std::array::from_fn(|channel| spread(&places, &frames, channel, count)),
+        black: std::array::from_fn(|channel| black(&places, &frames, channel)),
+    }
+}
+
+/// The range of frames that say something of a place: not those so short that a longer one is no brighter.
+fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize> {
+    let views = place.patches.iter().zip(frames).enumerate();
+    let views: Vec<_> = views.filter_map(|(i, (p, frame))| Some((i, p.as_ref()?[channel].mean, frame.ln_time / LN_2))).collect();
+    let first = views.windows(2).find(|pair| {
+        let (step, rise) = (pair[1].2 - pair[0].2, pair[1].1 - pair[0].1);
+        rise > step * (RISE.0 * pair[0].1).max(RISE.1)
+    });
+    // Where nothing rises, it is black or white throughout.
+    first.map_or(0, |pair| pair[0].0)..frames.len()
+}
+
+/// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise.
+fn black(places: &[Candidate], frames: &[Placed], channel: usize) -> f64 {
+    let mut codes: Vec<f64> = Vec::new();
+    for place in places {
+        let silent = &place.patches[..telling(place, frames, channel).start];
+        codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
+    }
+    codes.retain(|&code| code < 64.0);
+    codes.sort_by(f64::total_cmp);
+    match codes.len() {
+        few if few < BLACK.0 => 0.0,
+        many => codes[((many as f64 * BLACK.1) as usize).min(many - 1)],
+    }
+}
+
+/// The frames that take part.
+fn placed<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Vec<Placed<'a>> {
+    let reference = bracket.reference().exposure.relative();
+    let frames = bracket.frames().iter().zip(&alignment.verdicts);
+    frames
+        .filter(|(_, verdict)| verdict.status != Status::Rejected)
+        .filter_map(|(frame, verdict)| {
+            Some(Placed {
+                frame,
+                matrix: match verdict.warp? {
+                    Warp::Identity => None,
+                    warp => Some(warp.matrix(frame.width(), frame.height())),
+                },
+                ln_time: libm::log(frame.exposure.relative() / reference),
+            })
+        })
+        .collect()
+}
+
+/// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
+fn look(frames: &[Placed], x: usize, y: usize) -> Option<Candidate> {
+    let mut patches: Vec<Option<[Patch; 3]>> = Vec::with_capacity(frames.len());
+    let mut roughness: f64 = 0.0;
+    for placed in frames {
+        let patch = read(placed, x, y);
+        for p in patch.iter().flatten().filter(|p| p.seen) {
+            roughness = roughness.max(p.deviation);
+        }
+        if roughness > ROUGH {
+            return None;
+        }
+        patches.push(patch);
+    }
+    (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { patches, roughness })
+}
+
+/// Whether no longer exposure is darker than a shorter one: what moves, is not.
+fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
+    let mut brightest = f64::MIN;
+    patches.iter().flatten().map(|patch| patch[channel]).all(|p| {
+        // The mean of n pixels is uncertain by deviation / sqrt(n); three of those are chance.
+        let tolerance = DARKER + 3.0 * p.deviation / PATCH as f64;
+        let rises = p.mean >= brightest - tolerance;
+        brightest = brightest.max(p.mean);
+        rises
+    })
+}
+
+/// The patch of a frame that lies on (x, y) of the reference. A flat patch bears being moved by part of a pixel, so that the
+/// nearest whole pixel does.
+fn read(placed: &Placed, x: usize, y: usize) -> Option<[Patch; 3]> {
+    let (width, height) = (placed.frame.width(), placed.frame.height());
+    let (x, y) = match &placed.matrix {
+        None => (x, y),
+        Some(h) => {
+            let half = (PATCH / 2) as f64;
+            let (u, v) = map(h, x as f64 + half, y as f64 + half);
+            let (u, v) = ((u + 0.5).floor() - half, (v + 0.5).floor() - half);
+            if !(u >= 0.0 && v >= 0.0) {
+                return None;
+            }
+            (u as usize, v as usize)
+        }
+    };
+    if x.saturating_add(PATCH) > width || y.saturating_add(PATCH) > height {
+        return None;
+    }
+    let start = 3 * (y * width + x);
+    Some(match placed.frame.samples() {
+        Codes::Eight(codes) => measure(&codes[start..], 3 * width, 1.0),
+        Codes::Sixteen(codes) => measure(&codes[start..], 3 * width, 257.0),
+    })
+}
+
+/// Mean and spread of the patch that `codes` begins with; `scale` codes are one on the scale 0..=255.
+fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patch; 3] {
+    let (mut sum, mut squares, mut least, mut most) = ([0u64; 3], [0u64; 3], [u64::MAX; 3], [0u64; 3]);
+    for row in codes.chunks(stride).take(PATCH) {
+        for pixel in row[..3 * PATCH].chunks_exact(3) {
+            for c in 0..3 {
+                let code: u64 = pixel[c].into();
+                sum[c] += code;
+                squares[c] += code * code;
+                least[c] = least[c].min(code);
+                most[c] = most[c].max(code);
+            }
+        }
+    }
+    let n = (PATCH * PATCH) as f64;
+    std::array::from_fn(|c| {
+        let mean = sum[c] as f64 / n;
+        Patch {
+            mean: mean / scale,
+            deviation: (squares[c] as f64 / n - mean * mean).max(0.0).sqrt() / scale,
+            seen: least[c] as f64 >= SEEN.0 * scale && most[c] as f64 <= SEEN.1 * scale,
+        }
+    })
+}
+
+/// At most `count` samples of a channel, as equal in number over the steps of brightness as there are places; the flattest of each.
+fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize) -> Vec<Sample> {
+    let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
+    for (index, place) in places.iter().enumerate() {
+        let codes: Vec<Patch> = place.patches.iter().flatten().map(|patch| patch[channel]).collect();
+        if sample(place, frames, channel).views.len() >= 2 {
+            let mean = codes.iter().map(|p| p.mean).sum::<f64>() / codes.len() as f64;
+            bins[((mean * BINS as f64 / 256.0) as usize).min(BINS - 1)].push((place.roughness, index));
+        }
+    }
+    let total = |cap: usize| bins.iter().map(|bin| bin.len().min(cap)).sum::<usize>();
+    let cap = (1..=count).take_while(|&cap| total(cap) <= count).last().unwrap_or(0);
+    for bin in &mut bins {
+        bin.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        bin.truncate(cap);
+    }
+    let chosen = bins.iter().flatten().map(|&(_, index)| &places[index]);
+    chosen.map(|place| sample(place, frames, channel)).collect()
+}
+
+/// The views of a place in a channel that are not clipped.
+fn sample(place: &Candidate, frames: &[Placed], channel: usize) -> Sample {
+    let range = telling(place, frames, channel);
+    let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, frame)| {
+        let patch = patch.as_ref()?[channel];
+        patch.seen.then_some(View {
+            code: patch.mean,
+            ln_time: frame.ln_time,
+        })
+    });
+    Sample {
+        views: views.collect(),
+    }
+}
