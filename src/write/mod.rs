@@ -327,4 +327,36 @@ mod tests {
         assert_eq!(camera("Leica", "").unwrap(), "Leica");
         assert_eq!(camera("", " "), None);
     }
+
+    #[test]
+    fn all_formats_are_written_or_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let paths: Vec<_> = ["a.exr", "a.hdr", "a.tif", "a.png"]
+            .iter()
+            .map(|n| dir.path().join(n))
+            .collect();
+        let paths: Vec<&Path> = paths.iter().map(|p| p.as_path()).collect();
+        let radiance = RadianceMap {
+            pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]),
+            primaries: Primaries::SRGB,
+        };
+        let picture = DisplayImage {
+            pixels: Plane::filled(9, 3, [10, 20, 30]),
+        };
+        let (metadata, options) = (Metadata::default(), Options::default());
+        let there = || std::fs::read_dir(dir.path()).unwrap().count();
+        // The last one fails when three are written: nothing may stay, not even under a temporary name.
+        assert!(write(&paths, &radiance, None, &metadata, &options).is_err());
+        assert_eq!(there(), 0);
+        assert_eq!(
+            write(&paths, &radiance, Some(&picture), &metadata, &options).unwrap(),
+            []
+        );
+        assert_eq!(there(), 4);
+        assert_eq!(exr::read(paths[0]).unwrap().0.pixels, radiance.pixels);
+        assert_eq!(image::open(paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
+        let again = write(&paths, &radiance, Some(&picture), &metadata, &options);
+        assert!(matches!(again, Err(Error::OutputExists { .. })));
+        assert_eq!(there(), 4);
+    }
 }
