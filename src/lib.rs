@@ -1,10 +1,57 @@
-//! hdralign
+//! Aligns a bracket of differently exposed photographs, recovers the camera's response, merges to linear radiance, and tone-maps.
+//!
+//! ```
+//! use hdralign::pipeline::{self, Options};
+//! use std::path::PathBuf;
+//!
+//! # fn main() -> hdralign::error::Result<()> {
+//! let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
+//! let images: Vec<PathBuf> = (1..=5).map(|i| PathBuf::from(format!("{folder}/window_{i}.jpg"))).collect();
+//! let result = pipeline::run(&images, &Options::default(), &|_progress| ())?;
+//!
+//! println!("{} x {} pixels", result.radiance.pixels.width(), result.radiance.pixels.height());
+//! for frame in &result.report.frames {
+//!     println!("{}: {:?}, confidence {:.2}", frame.path, frame.alignment.status, frame.alignment.confidence);
+//! }
+//! # assert!(result.report.frames.iter().all(|f| f.alignment.confidence > 0.5));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # The line
+//!
+//! [`pipeline::run`] is the whole of it: [load](bracket::load) → [align](align::align) → [response](response::recover) →
+//! [merge](merge::merge) → [tonemap](tonemap::tonemap) → [write](write::write) → [report](report::Report). Each stage borrows what it needs
+//! and gives back a whole new value; each can be called by itself.
+//!
+//! # Words
+//!
+//! - **Frame**: one photograph of a **bracket**, as the code values that the camera wrote; the **reference** is the frame that the others
+//!   are aligned to.
+//! - **Code value** Z: what is in the file, 0..=255 or 0..=65535, encoded by the camera.
+//! - **Exposure** X = E Δt: the light that fell on a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**: log2 of it.
+//! - **Response** g(Z) = ln X: what a code value means. **Radiance** E: what is left when the exposure is divided out.
+//! - **Warp**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
+//! - **MTB**: median threshold bitmap (Ward 2003): which pixels are brighter than the median; with it the exclusion bitmap of those too near.
+//!
+//! # The layers
+//!
+//! A module uses only those before it: [`error`], [`plane`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! [`write`], [`report`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//!
+//! # The same bytes
+//!
+//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map over fixed bands
+//! folded in order, and exp, ln, pow and their like come from one portable implementation.
+
 pub mod align;
 pub mod bracket;
 pub mod error;
 pub mod merge;
+pub mod pipeline;
 pub mod plane;
 pub mod pyramid;
+pub mod report;
 pub mod response;
 pub mod tonemap;
 pub mod write;

@@ -24,7 +24,8 @@
 pub mod statistics;
 pub mod weight;
 
-use crate::align::warp::{OUTSIDE, Warp, resample_rows};
+use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect, Status};
 use crate::bracket::colour::Primaries;
 use crate::bracket::{Bracket, Frame, Samples};

@@ -69,6 +69,15 @@ impl SavedResponse {
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
+    /// The curve in the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Self::from_json(&text, path)
+    }
+
     /// The curve in `text`, the content of the file `path`.
     ///
     /// # Errors

@@ -5,6 +5,7 @@
 //! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
 
 mod bands;
+pub mod aligned;
 pub mod display;
 pub mod exr;
 mod half;
@@ -20,7 +21,7 @@ use crate::error::{Error, Result, Warning};
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::tonemap::DisplayImage;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bands::Bands;
 pub use target::{Pending, check_targets, commit};
@@ -226,50 +227,41 @@ pub fn radiance_writer(
     })
 }
 
-/// Writes all of `paths`, the radiance or the picture by extension, and names them only when all are whole.
+/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for [`commit`].
 ///
 /// # Errors
-/// [`Error::UnknownExtension`], [`Error::OutputExists`], [`Error::Write`]; [`Error::Option`] where a picture is asked for and
-/// `display` is none. Nothing is left behind then.
+/// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
 pub fn write(
-    paths: &[&Path],
+    paths: &[PathBuf],
     radiance: &RadianceMap,
-    display: Option<&DisplayImage>,
+    display: &DisplayImage,
     metadata: &Metadata,
     options: &Options,
-) -> Result<Vec<Warning>> {
+) -> Result<Vec<Written>> {
     let mut files = Vec::new();
-    let mut warnings = Vec::new();
-    for &path in paths {
-        let written = if Format::of(path)?.holds_radiance() {
-            let metadata = Metadata {
-                primaries: radiance.primaries,
-                ..metadata.clone()
-            };
+    for path in paths {
+        files.push(if Format::of(path)?.holds_radiance() {
+            let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
             let size = (radiance.pixels.width(), radiance.pixels.height());
             push_all(radiance_writer(path, size, &metadata, options)?, &radiance.pixels)?
         } else {
-            let display = display.ok_or_else(|| Error::Option {
-                option: "-o",
-                reason: format!(
-                    "{} needs a tone-mapped picture; name an .exr or .hdr instead",
-                    path.display()
-                ),
-            })?;
-            // A tone-mapped picture is sRGB whatever the frames were.
-            let metadata = Metadata {
-                profile: None,
-                ..metadata.clone()
-            };
+            let metadata = Metadata { profile: None, ..metadata.clone() };
             let size = (display.pixels.width(), display.pixels.height());
             let writer = display::Writer::new(Pending::create(path)?, size, &metadata)?;
             push_all(Box::new(writer), &display.pixels)?
-        };
-        files.push(written.file);
-        warnings.extend(written.warnings);
+        });
     }
-    commit(files, options.overwrite)?;
-    Ok(warnings)
+    Ok(files)
+}
+
+/// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn text(path: &Path, text: &str) -> Result<Written> {
+    let mut file = Pending::create(path)?;
+    file.put(text.as_bytes())?;
+    Ok(Written { file, warnings: Vec::new() })
 }
 
 /// All of `plane` through `writer`.
@@ -331,31 +323,24 @@ mod tests {
     #[test]
     fn all_formats_are_written_or_none() {
         let dir = tempfile::tempdir().unwrap();
-        let paths: Vec<_> = ["a.exr", "a.hdr", "a.tif", "a.png"]
-            .iter()
-            .map(|n| dir.path().join(n))
-            .collect();
-        let paths: Vec<&Path> = paths.iter().map(|p| p.as_path()).collect();
-        let radiance = RadianceMap {
-            pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]),
-            primaries: Primaries::SRGB,
-        };
-        let picture = DisplayImage {
-            pixels: Plane::filled(9, 3, [10, 20, 30]),
-        };
+        let paths: Vec<PathBuf> = ["a.exr", "a.hdr", "a.tif", "a.png"].iter().map(|n| dir.path().join(n)).collect();
+        let radiance = RadianceMap { pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]), primaries: Primaries::SRGB };
+        let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
         let (metadata, options) = (Metadata::default(), Options::default());
         let there = || std::fs::read_dir(dir.path()).unwrap().count();
-        // The last one fails when three are written: nothing may stay, not even under a temporary name.
-        assert!(write(&paths, &radiance, None, &metadata, &options).is_err());
+        // The last one fails when four are written: nothing may stay, not even under a temporary name.
+        let mut and_a_wrong_one = paths.clone();
+        and_a_wrong_one.push("nowhere/a.exr".into());
+        assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
         assert_eq!(there(), 0);
-        assert_eq!(
-            write(&paths, &radiance, Some(&picture), &metadata, &options).unwrap(),
-            []
-        );
+        let pending = |written: Vec<Written>| written.into_iter().map(|w| w.file).collect::<Vec<_>>();
+        let written = write(&paths, &radiance, &picture, &metadata, &options).unwrap();
+        assert!(written.iter().all(|w| w.warnings.is_empty()));
+        commit(pending(written), false).unwrap();
         assert_eq!(there(), 4);
-        assert_eq!(exr::read(paths[0]).unwrap().0.pixels, radiance.pixels);
-        assert_eq!(image::open(paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
-        let again = write(&paths, &radiance, Some(&picture), &metadata, &options);
+        assert_eq!(exr::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
+        assert_eq!(image::open(&paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
+        let again = commit(pending(write(&paths, &radiance, &picture, &metadata, &options).unwrap()), false);
         assert!(matches!(again, Err(Error::OutputExists { .. })));
         assert_eq!(there(), 4);
     }

@@ -3,24 +3,22 @@
 //! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
 //! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file.
 
-use super::Format;
 use crate::error::{Error, Result};
 use std::fs;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// Whether all `outputs` can be written, before any work is done: known extensions, folders that exist, no name twice, none of the
+/// Whether all `outputs` can be written, before any work is done: folders that exist, no name twice, none of the
 /// `inputs`, and nothing there already unless `overwrite`.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`], [`Error::Option`] for a name given twice or an input, [`Error::Write`] for a folder that is missing or
+/// [`Error::Option`] for a name given twice or an input, [`Error::Write`] for a folder that is missing or
 /// a target that is one, [`Error::OutputExists`].
 pub fn check_targets(outputs: &[PathBuf], inputs: &[PathBuf], overwrite: bool) -> Result<()> {
     let sources: Vec<PathBuf> = inputs.iter().filter_map(|p| fs::canonicalize(p).ok()).collect();
     let mut places: Vec<PathBuf> = Vec::new();
     for output in outputs {
-        Format::of(output)?;
         let place = place_of(output)?;
         let real = fs::canonicalize(output).unwrap_or_else(|_| place.clone());
         if sources.contains(&real) {

@@ -1,0 +1,33 @@
+//! `hdralign align`.
+
+use super::input::Common;
+use super::progress::Bar;
+use hdralign::error::Error;
+use hdralign::pipeline::{self, Options};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Examples:
+  hdralign align *.jpg --report transforms.json
+  hdralign align *.jpg --save-aligned aligned/        aligned/IMG_0001.tif, ...
+  hdralign align --align mtb --max-rotation 10 *.jpg --json";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    #[command(flatten)]
+    common: Common,
+
+    /// Write the aligned frames, as TIFF: PREFIX and the photograph's name
+    #[arg(long, value_name = "PREFIX")]
+    save_aligned: Option<PathBuf>,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let bar = Bar::new(args.common.images.len(), args.common.quiet);
+    let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
+    let report = pipeline::align_only(&args.common.images, &options, &|p| bar.show(p));
+    bar.clear();
+    super::finish(&report?, &args.common)
+}

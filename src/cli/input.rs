@@ -1,0 +1,129 @@
+//! Arguments that the commands share.
+
+use clap::{Args, ValueEnum};
+use hdralign::align::mtb::MtbOptions;
+use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::bracket::{LoadOptions, ReferenceChoice};
+use hdralign::pipeline::{Crop, Options};
+use hdralign::write;
+use std::path::PathBuf;
+
+/// What the photographs are, how they are aligned, and how it is told.
+#[derive(Debug, Args)]
+pub struct Common {
+    /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
+    #[arg(required = true, value_name = "IMAGES")]
+    pub images: Vec<PathBuf>,
+
+    /// Exposures in EV, one for each photograph in the order given; they win over EXIF
+    #[arg(short, long, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
+    ev: Option<Vec<f64>>,
+
+    /// The photograph that the others are aligned to: its number in the order given, from 1, or its file name
+    #[arg(long, value_name = "N|FILE")]
+    reference: Option<String>,
+
+    /// How the frames are aligned
+    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
+    align: AlignArg,
+
+    /// Largest rotation that the bitmaps are searched for, in degrees to either side
+    #[arg(long, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
+    max_rotation: f64,
+
+    /// Which part of the reference the results show
+    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
+    crop: CropArg,
+
+    /// Threads that compute [default: one for each core]; the results are the same
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+
+    /// Write a report of everything that was done, as JSON
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+
+    /// Print the report to standard output instead of the paths written
+    #[arg(long)]
+    pub json: bool,
+
+    /// Exit with 3 when a frame was left out or doubtful, or an exposure or the response guessed
+    #[arg(long)]
+    pub strict: bool,
+
+    /// Replace files that exist
+    #[arg(short, long)]
+    force: bool,
+
+    /// Say nothing but errors
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub quiet: bool,
+
+    /// Say more: a line for each frame, the time of each stage
+    #[arg(short, long)]
+    pub verbose: bool,
+}
+
+/// See [`AlignMode`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum AlignArg {
+    /// Bitmaps, features and pixels, as far as needed, every result judged
+    #[default]
+    Auto,
+    /// Median threshold bitmaps alone: shift and rotation
+    Mtb,
+    /// SIFT features alone: a homography
+    Sift,
+    /// The frames as they lie
+    None,
+}
+
+/// See [`Crop`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum CropArg {
+    /// What all merged frames show
+    #[default]
+    Common,
+    /// The whole of the reference
+    None,
+}
+
+impl Common {
+    /// The library's options that these arguments stand for; all others as by default.
+    pub fn options(&self) -> Options {
+        Options {
+            load: LoadOptions { ev: self.ev.clone(), reference: self.reference(), ..LoadOptions::default() },
+            align: AlignOptions {
+                mode: match self.align {
+                    AlignArg::Auto => AlignMode::Auto,
+                    AlignArg::Mtb => AlignMode::Mtb,
+                    AlignArg::Sift => AlignMode::Sift,
+                    AlignArg::None => AlignMode::None,
+                },
+                mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
+                ..AlignOptions::default()
+            },
+            crop: match self.crop {
+                CropArg::Common => Crop::Common,
+                CropArg::None => Crop::None,
+            },
+            write: write::Options { overwrite: self.force, ..write::Options::default() },
+            report: self.report.clone(),
+            threads: self.threads,
+            ..Options::default()
+        }
+    }
+
+    /// A number, unless a file of that name was given.
+    fn reference(&self) -> ReferenceChoice {
+        match &self.reference {
+            None => ReferenceChoice::Auto,
+            Some(text) => match text.parse() {
+                Ok(number) if !self.images.iter().any(|i| i.as_os_str() == text.as_str()) => {
+                    ReferenceChoice::Number(number)
+                }
+                _ => ReferenceChoice::File(text.into()),
+            },
+        }
+    }
+}

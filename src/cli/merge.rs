@@ -1,0 +1,127 @@
+//! `hdralign merge`.
+
+use super::input::Common;
+use super::progress::Bar;
+use clap::ValueEnum;
+use hdralign::error::Error;
+use hdralign::merge::weight::Weight;
+use hdralign::pipeline::{self, Options};
+use hdralign::response::ResponseModel;
+use hdralign::tonemap::Operator;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Examples:
+  hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
+  hdralign merge *.jpg -o room.exr -o room.hdr -o room.png
+  hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
+  hdralign merge --align none --crop none *.tif -o studio.exr";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    #[command(flatten)]
+    common: Common,
+
+    /// A result; the extension picks the format: .exr .hdr .tif (radiance), .png (picture). May be repeated
+    /// [default: FIRST-LAST.exr and .png beside the photographs]
+    #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
+    output: Vec<PathBuf>,
+
+    /// How the camera's response is had
+    #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
+    response_model: ResponseArg,
+
+    /// Use a response saved before, instead of recovering it
+    #[arg(long, value_name = "FILE", conflicts_with = "response_model")]
+    response: Option<PathBuf>,
+
+    /// Save the response, as JSON
+    #[arg(long, value_name = "FILE")]
+    save_response: Option<PathBuf>,
+
+    /// How far a code value is trusted
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    weight: WeightArg,
+
+    /// How luminance is brought into the range of a display
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    tmo: OperatorArg,
+
+    /// Write the aligned frames too, as TIFF: PREFIX and the photograph's name
+    #[arg(long, value_name = "PREFIX")]
+    save_aligned: Option<PathBuf>,
+}
+
+/// See [`ResponseModel`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum ResponseArg {
+    /// From the bracket, after Debevec & Malik
+    #[default]
+    Debevec,
+    /// Code values are proportional to light
+    Linear,
+    /// The sRGB curve
+    Srgb,
+}
+
+/// See [`Weight`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum WeightArg {
+    /// Rises linearly from both ends to the middle
+    #[default]
+    Hat,
+    /// A bell about the middle
+    Gaussian,
+    /// Nearly 1 but for the ends
+    Plateau,
+    /// 1 for all
+    Uniform,
+}
+
+/// See [`Operator`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum OperatorArg {
+    /// Reinhard et al. 2002, the global curve
+    #[default]
+    Reinhard02,
+}
+
+impl Args {
+    fn options(&self) -> Options {
+        let outputs = if self.output.is_empty() {
+            pipeline::default_outputs(&self.common.images)
+        } else {
+            self.output.clone()
+        };
+        Options {
+            outputs,
+            response: match self.response_model {
+                ResponseArg::Debevec => ResponseModel::default(),
+                ResponseArg::Linear => ResponseModel::Linear,
+                ResponseArg::Srgb => ResponseModel::Srgb,
+            },
+            response_file: self.response.clone(),
+            save_response: self.save_response.clone(),
+            weight: match self.weight {
+                WeightArg::Hat => Weight::Hat,
+                WeightArg::Gaussian => Weight::Gaussian,
+                WeightArg::Plateau => Weight::Plateau,
+                WeightArg::Uniform => Weight::Uniform,
+            },
+            operator: match self.tmo {
+                OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
+            },
+            save_aligned: self.save_aligned.clone(),
+            ..self.common.options()
+        }
+    }
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let bar = Bar::new(args.common.images.len(), args.common.quiet);
+    let outcome = pipeline::run(&args.common.images, &args.options(), &|p| bar.show(p));
+    bar.clear();
+    super::finish(&outcome?.report, &args.common)
+}

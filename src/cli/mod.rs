@@ -1,0 +1,83 @@
+//! The command line: arguments to library options, progress, printing, exit codes.
+//!
+//! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
+
+mod align;
+mod input;
+mod merge;
+mod progress;
+mod summary;
+
+use clap::{Parser, Subcommand};
+use hdralign::error::Error;
+use hdralign::report::Report;
+use input::Common;
+use std::io::Write;
+use std::process::ExitCode;
+
+/// Aligns a bracket of exposures, recovers the camera's response, merges to linear radiance, and tone-maps.
+#[derive(Debug, Parser)]
+#[command(version, about, max_term_width = 100, after_help = AFTER_HELP)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Align, calibrate, merge, tone-map and write
+    Merge(merge::Args),
+    /// Align only: transforms as JSON, aligned frames as TIFF
+    Align(align::Args),
+}
+
+const AFTER_HELP: &str = "\
+Exit codes:
+  0  done
+  1  failed, nothing written
+  2  wrong usage
+  3  with --strict: written, but a frame was left out or doubtful, or an exposure or the response guessed
+
+Examples:
+  hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
+  hdralign merge *.jpg -o room.exr -o room.png
+  hdralign align *.jpg --save-aligned aligned_";
+
+/// Runs the command line of this process.
+pub fn run() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Merge(args) => merge::run(&args),
+        Command::Align(args) => align::run(&args),
+    };
+    match outcome {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("hdralign: {error}");
+            ExitCode::from(if error.is_usage() { 2 } else { 1 })
+        }
+    }
+}
+
+/// Tells what was done, and gives the exit code.
+fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
+    if !common.quiet {
+        summary::print(report, common.verbose);
+    }
+    let mut results = String::new();
+    if common.json {
+        results = report.to_json();
+    } else {
+        for path in &report.outputs {
+            results += path;
+            results.push('\n');
+        }
+    }
+    // A reader that has heard enough is no failure: the files are written.
+    let told = std::io::stdout().lock().write_all(results.as_bytes());
+    if let Err(source) = told
+        && source.kind() != std::io::ErrorKind::BrokenPipe
+    {
+        return Err(Error::Write { path: "standard output".into(), source });
+    }
+    Ok(if common.strict && report.is_degraded() { ExitCode::from(3) } else { ExitCode::SUCCESS })
+}

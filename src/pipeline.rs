@@ -1,0 +1,383 @@
+//! The line: load, align, response, merge, tonemap, write, report.
+//!
+//! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
+//! report has each one's time.
+
+use crate::align::{self, AlignOptions, Alignment, Rect};
+use crate::bracket::{self, Bracket, LoadOptions};
+use crate::error::{Error, Result, Warning};
+use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
+use crate::report::{Report, Times, WarningReport};
+use crate::response::file::SavedResponse;
+use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
+use crate::tonemap::{self, DisplayImage, Operator};
+use crate::write::{self, Metadata, Written, aligned};
+use std::cmp::Ordering;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Which part of the reference the results show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Crop {
+    /// The largest rectangle found that all placed frames cover.
+    #[default]
+    Common,
+    /// All of it; where fewer frames reach, fewer are merged.
+    None,
+}
+
+impl Crop {
+    fn rect(self, bracket: &Bracket, alignment: &Alignment) -> Rect {
+        match self {
+            Crop::Common => alignment.overlap,
+            Crop::None => Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
+        }
+    }
+}
+
+/// What is done to a bracket, and where the results go.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// What the user says of the files.
+    pub load: LoadOptions,
+    /// How frames are aligned.
+    pub align: AlignOptions,
+    /// How the response is had.
+    pub response: ResponseModel,
+    /// A response saved before; it takes the place of [`response`](Self::response).
+    pub response_file: Option<PathBuf>,
+    /// How far a code is trusted.
+    pub weight: Weight,
+    /// Which part of the reference the results show.
+    pub crop: Crop,
+    /// How luminance is brought into the range of a display.
+    pub operator: Operator,
+    /// How files are encoded, and whether those that exist are replaced.
+    pub write: write::Options,
+    /// Radiance maps and pictures, by extension.
+    pub outputs: Vec<PathBuf>,
+    /// The response is saved here, as JSON.
+    pub save_response: Option<PathBuf>,
+    /// Aligned frames are saved under this prefix, as TIFF.
+    pub save_aligned: Option<PathBuf>,
+    /// The report is written here, as JSON.
+    pub report: Option<PathBuf>,
+    /// Threads that compute; none for as many as there are cores. The results are the same.
+    pub threads: Option<usize>,
+}
+
+/// What a run makes, beside its files.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// Linear radiance.
+    pub radiance: RadianceMap,
+    /// The picture.
+    pub display: DisplayImage,
+    /// What was done.
+    pub report: Report,
+}
+
+/// A step of the line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Reading and decoding.
+    Load,
+    /// Alignment.
+    Align,
+    /// The response.
+    Response,
+    /// Merging.
+    Merge,
+    /// Tone mapping.
+    Tonemap,
+    /// Writing.
+    Write,
+}
+
+/// What is going on, for whoever watches; called from any thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Progress {
+    /// A stage begins.
+    Begins(Stage),
+    /// So many of the frames are decoded.
+    Decoded(usize),
+}
+
+/// Aligns, calibrates, merges, tone-maps and writes the bracket `images`; gives the results back as well.
+///
+/// Nothing is named before all is whole: on an error no output exists that did not before. The result does not depend on the order
+/// of `images` (but for exposures and a reference given by it), on the number of threads, or on the machine.
+///
+/// # Errors
+/// See [`Error`]; the text names the file and the remedy.
+pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
+    in_pool(options.threads, || {
+        check_names(images, options)?;
+        let mut line = Line::new(watch);
+        let bracket = line.load(images, options)?;
+        let alignment = line.align(&bracket, options)?;
+        let (curve, recovered) = line.response(&bracket, &alignment, options)?;
+        let region = options.crop.rect(&bracket, &alignment);
+        let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let display = line.tonemap(&radiance, options);
+        let mut report = Report::new(&bracket, &alignment, region);
+        report.response = Some(recovered);
+        report.radiance = Some(merged);
+        let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
+        line.report(&mut report, files, options)?;
+        Ok(Outcome { radiance, display, report })
+    })
+}
+
+/// Aligns the bracket `images`, writes aligned frames and the report where asked for, and gives the report.
+///
+/// # Errors
+/// See [`Error`].
+pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
+    in_pool(options.threads, || {
+        check_names(images, options)?;
+        let mut line = Line::new(watch);
+        let bracket = line.load(images, options)?;
+        let alignment = line.align(&bracket, options)?;
+        let region = options.crop.rect(&bracket, &alignment);
+        let mut report = Report::new(&bracket, &alignment, region);
+        let files = line.write(&bracket, &alignment, region, None, options)?;
+        line.report(&mut report, files, options)?;
+        Ok(report)
+    })
+}
+
+/// Where results go when no output is named: beside the first of the inputs by name, named after the first and the last, as
+/// `IMG_0001-IMG_0003.exr` and `.png`.
+pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
+    let mut sorted: Vec<&PathBuf> = images.iter().collect();
+    sorted.sort_by(|a, b| natural(a, b));
+    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else { return Vec::new() };
+    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_os_string();
+    ["exr", "png"]
+        .iter()
+        .map(|extension| {
+            let mut name = stem(first);
+            name.push("-");
+            name.push(stem(last));
+            name.push(".");
+            name.push(extension);
+            first.with_file_name(name)
+        })
+        .collect()
+}
+
+/// Names in the order that people give them: numbers in them count as numbers, 9 before 10.
+fn natural(a: &Path, b: &Path) -> Ordering {
+    let text = |p: &Path| p.to_string_lossy().into_owned();
+    let (left, right) = (text(a), text(b));
+    let (mut l, mut r) = (left.as_str(), right.as_str());
+    loop {
+        let digits = |s: &str| s.len() - s.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        let (dl, dr) = (digits(l), digits(r));
+        if dl > 0 && dr > 0 {
+            let number = |s: &str| s.trim_start_matches('0').to_owned();
+            let (nl, nr) = (number(&l[..dl]), number(&r[..dr]));
+            let order = nl.len().cmp(&nr.len()).then(nl.cmp(&nr));
+            if order != Ordering::Equal {
+                return order;
+            }
+            (l, r) = (&l[dl..], &r[dr..]);
+            continue;
+        }
+        let (mut cl, mut cr) = (l.chars(), r.chars());
+        match (cl.next(), cr.next()) {
+            (Some(x), Some(y)) if x == y => (l, r) = (cl.as_str(), cr.as_str()),
+            (x, y) => return x.cmp(&y).then_with(|| a.cmp(b)),
+        }
+    }
+}
+
+/// Runs `work` on a pool of `threads` threads, or on the common one.
+fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+    let Some(threads) = threads else { return work() };
+    let refused = |reason: String| Error::Option { option: "--threads", reason };
+    if threads == 0 {
+        return Err(refused("0 threads cannot work; give 1 or more".into()));
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)
+}
+
+/// Whether everything asked for can be written, before any work is done.
+fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
+    for path in &options.outputs {
+        write::Format::of(path)?;
+    }
+    let mut files = options.outputs.clone();
+    files.extend(options.save_response.clone());
+    files.extend(options.report.clone());
+    if let Some(prefix) = &options.save_aligned {
+        files.extend(aligned::names(prefix, images)?);
+    }
+    write::check_targets(&files, images, options.write.overwrite)
+}
+
+/// The stages with a clock, and what they have warned of so far.
+struct Line<'a> {
+    watch: &'a (dyn Fn(Progress) + Sync),
+    began: Instant,
+    times: Times,
+    warnings: Vec<Warning>,
+}
+
+impl<'a> Line<'a> {
+    fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
+        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new() }
+    }
+
+    /// `work`, announced, and its time.
+    fn timed<R>(&self, stage: Stage, work: impl FnOnce() -> R) -> (R, Option<f64>) {
+        (self.watch)(Progress::Begins(stage));
+        let began = Instant::now();
+        let result = work();
+        (result, Some(began.elapsed().as_secs_f64()))
+    }
+
+    fn load(&mut self, images: &[PathBuf], options: &Options) -> Result<Bracket> {
+        let watch = self.watch;
+        let decoded = |done| watch(Progress::Decoded(done));
+        let (loaded, time) =
+            self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
+        let (bracket, warnings) = loaded?;
+        self.times.load = time;
+        self.warnings.extend(warnings);
+        Ok(bracket)
+    }
+
+    fn align(&mut self, bracket: &Bracket, options: &Options) -> Result<Alignment> {
+        let (aligned, time) = self.timed(Stage::Align, || align::align(bracket, &options.align));
+        let (alignment, warnings) = aligned?;
+        self.times.align = time;
+        self.warnings.extend(warnings);
+        Ok(alignment)
+    }
+
+    fn response(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        options: &Options,
+    ) -> Result<(ResponseCurve, ResponseReport)> {
+        let (recovered, time) = self.timed(Stage::Response, || match &options.response_file {
+            Some(path) => {
+                let saved = SavedResponse::read(path)?;
+                let report = ResponseReport { model: "file", ..ResponseReport::default() };
+                Ok((saved.curve, report, Vec::new()))
+            }
+            None => response::recover(bracket, alignment, &options.response),
+        });
+        let (curve, report, warnings) = recovered?;
+        self.times.response = time;
+        self.warnings.extend(warnings);
+        Ok((curve, report))
+    }
+
+    fn merge(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        curve: &ResponseCurve,
+        region: Rect,
+        options: &Options,
+    ) -> Result<(RadianceMap, merge::MergeReport)> {
+        let merging = MergeOptions { weight: options.weight, region };
+        let (merged, time) = self.timed(Stage::Merge, || merge::merge(bracket, alignment, curve, &merging));
+        self.times.merge = time;
+        merged
+    }
+
+    fn tonemap(&mut self, radiance: &RadianceMap, options: &Options) -> DisplayImage {
+        let (display, time) = self.timed(Stage::Tonemap, || tonemap::tonemap(radiance, &options.operator));
+        self.times.tonemap = time;
+        display
+    }
+
+    /// All files but the report, whole but not yet named.
+    fn write(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        region: Rect,
+        merged: Option<(&ResponseCurve, &RadianceMap, &DisplayImage)>,
+        options: &Options,
+    ) -> Result<Vec<Written>> {
+        let reference = bracket.reference();
+        let metadata = Metadata::of(reference);
+        let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
+            let mut files = Vec::new();
+            if let Some((curve, radiance, display)) = merged {
+                files.extend(write::write(&options.outputs, radiance, display, &metadata, &options.write)?);
+                if let Some(path) = &options.save_response {
+                    let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
+                    let saved = SavedResponse { make, model, curve: curve.clone() };
+                    files.push(write::text(path, &saved.to_json())?);
+                }
+            }
+            if let Some(prefix) = &options.save_aligned {
+                files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);
+            }
+            Ok(files)
+        });
+        self.times.write = time;
+        written
+    }
+
+    /// Completes the report, adds its file to `files`, and gives all of them their names.
+    fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<()> {
+        let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
+        let mut pending = Vec::new();
+        for written in files {
+            self.warnings.extend(written.warnings);
+            pending.push(written.file);
+        }
+        report.add_outputs(&names);
+        report.warnings = self.warnings.iter().map(WarningReport::from).collect();
+        self.times.total = self.began.elapsed().as_secs_f64();
+        report.time_s = self.times;
+        if let Some(path) = &options.report {
+            pending.push(write::text(path, &report.to_json())?.file);
+        }
+        write::commit(pending, options.write.overwrite)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_are_named_after_the_first_and_the_last_by_number() {
+        let paths = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
+        assert_eq!(default_outputs(&paths(&["d/10.jpg", "d/9.jpg", "d/11.jpg"])), paths(&["d/9-11.exr", "d/9-11.png"]));
+        let expected = paths(&["IMG_0001-IMG_0003.exr", "IMG_0001-IMG_0003.png"]);
+        assert_eq!(default_outputs(&paths(&["IMG_0003.JPG", "IMG_0001.JPG", "IMG_0002.JPG"])), expected);
+        assert!(default_outputs(&[]).is_empty());
+    }
+
+    #[test]
+    fn natural_order_is_an_order() {
+        let sorted = ["a", "a1", "a01", "a2", "a10", "a10b", "b"];
+        for (i, a) in sorted.iter().enumerate() {
+            for (j, b) in sorted.iter().enumerate() {
+                let order = natural(Path::new(a), Path::new(b));
+                if [*a, *b] == ["a1", "a01"] || [*a, *b] == ["a01", "a1"] {
+                    assert_ne!(order, Ordering::Equal);
+                } else {
+                    assert_eq!(order, i.cmp(&j), "{a} {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_threads_are_refused() {
+        let error = in_pool(Some(0), || Ok(())).unwrap_err();
+        assert!(error.is_usage());
+    }
+}

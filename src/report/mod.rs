@@ -1,0 +1,255 @@
+//! The report: what was done to every frame and what came of it, for programs.
+//!
+//! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
+
+use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
+use crate::bracket::exposure::ExposureSource;
+use crate::bracket::{Bracket, Frame};
+use crate::error::Warning;
+use crate::merge::MergeReport;
+use crate::response::ResponseReport;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// The version of the format: keys are only ever added to it.
+pub const SCHEMA: &str = "hdralign-report/1";
+
+/// What a run did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// [`SCHEMA`].
+    pub schema: &'static str,
+    /// The program and its version.
+    pub software: &'static str,
+    /// Width of every frame, orientation applied.
+    pub width_px: usize,
+    /// Height of every frame, orientation applied.
+    pub height_px: usize,
+    /// The frame that the others are aligned to.
+    pub reference: String,
+    /// The frames by rising exposure.
+    pub frames: Vec<FrameReport>,
+    /// The part of the reference that the results show.
+    pub crop: Crop,
+    /// The response that was used; none where frames were only aligned.
+    pub response: Option<ResponseReport>,
+    /// What came of merging; none where frames were only aligned.
+    pub radiance: Option<MergeReport>,
+    /// The files written.
+    pub outputs: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<WarningReport>,
+    /// Wall time of the stages, in seconds.
+    pub time_s: Times,
+}
+
+/// A rectangle of the reference, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Crop {
+    /// Column of its left edge.
+    pub x_px: usize,
+    /// Row of its upper edge.
+    pub y_px: usize,
+    /// Its width.
+    pub width_px: usize,
+    /// Its height.
+    pub height_px: usize,
+}
+
+impl From<Rect> for Crop {
+    fn from(rect: Rect) -> Self {
+        Crop { x_px: rect.x0, y_px: rect.y0, width_px: rect.width(), height_px: rect.height() }
+    }
+}
+
+/// One frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrameReport {
+    /// The file, as it was named.
+    pub path: String,
+    /// Shutter time in seconds.
+    pub time_s: Option<f64>,
+    /// The f-number.
+    pub f_number: Option<f64>,
+    /// Sensitivity.
+    pub iso: Option<f64>,
+    /// t * ISO / N^2 in seconds, or 2^EV.
+    pub relative_exposure: f64,
+    /// Where that is from.
+    pub exposure_source: ExposureSource,
+    /// The tags that won.
+    pub exposure_tags: String,
+    /// Where the frame lies.
+    pub alignment: AlignmentReport,
+}
+
+/// The place of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AlignmentReport {
+    /// What became of it.
+    pub status: Status,
+    /// The smallest model that explains its motion.
+    pub model: Option<Model>,
+    /// Nine numbers by rows, reference pixel -> frame pixel; null when rejected.
+    pub homography: Option<[f64; 9]>,
+    /// How far the picture's centre moves, right and down.
+    pub shift_px: Option<[f64; 2]>,
+    /// How far the picture turns, from right towards down.
+    pub rotation_deg: Option<f64>,
+    /// Matches that agree on the motion; null where features were not needed.
+    pub inliers: Option<usize>,
+    /// Keypoints found; null where features were not needed.
+    pub keypoints: Option<KeypointCounts>,
+    /// Our own estimate of the root mean square error over the picture.
+    pub error_px: Option<f64>,
+    /// 0..1; under 0.5 is doubtful.
+    pub confidence: f64,
+    /// Why it was rejected.
+    pub reason: Option<String>,
+}
+
+/// A warning.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WarningReport {
+    /// In words.
+    pub message: String,
+    /// Whether the result is less than what was asked for.
+    pub degrades: bool,
+}
+
+impl From<&Warning> for WarningReport {
+    fn from(warning: &Warning) -> Self {
+        WarningReport { message: warning.to_string(), degrades: warning.degrades() }
+    }
+}
+
+/// Wall time in seconds; none for a stage that did not run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Times {
+    /// Reading and decoding.
+    pub load: Option<f64>,
+    /// Alignment.
+    pub align: Option<f64>,
+    /// The response.
+    pub response: Option<f64>,
+    /// Merging.
+    pub merge: Option<f64>,
+    /// Tone mapping.
+    pub tonemap: Option<f64>,
+    /// Writing.
+    pub write: Option<f64>,
+    /// All of it.
+    pub total: f64,
+}
+
+impl Report {
+    /// The report of a bracket and its alignment; the rest is for the caller to add.
+    pub fn new(bracket: &Bracket, alignment: &Alignment, crop: Rect) -> Self {
+        let size = (bracket.width(), bracket.height());
+        let frames = bracket.frames().iter().zip(&alignment.verdicts).map(|(f, v)| frame_report(f, v, size)).collect();
+        Report {
+            schema: SCHEMA,
+            software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
+            width_px: size.0,
+            height_px: size.1,
+            reference: text(bracket.reference().path()),
+            frames,
+            crop: crop.into(),
+            response: None,
+            radiance: None,
+            outputs: Vec::new(),
+            warnings: Vec::new(),
+            time_s: Times::default(),
+        }
+    }
+
+    /// Records the files written.
+    pub fn add_outputs(&mut self, paths: &[PathBuf]) {
+        self.outputs.extend(paths.iter().map(|p| text(p)));
+    }
+
+    /// The report as JSON, ended by a line feed.
+    pub fn to_json(&self) -> String {
+        // Strings, numbers and lists of them: nothing in it can fail. A number that is not finite would become null.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
+    /// Whether the result is less than what was asked for: with `--strict` the exit code is 3.
+    pub fn is_degraded(&self) -> bool {
+        self.warnings.iter().any(|w| w.degrades)
+    }
+}
+
+fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize)) -> FrameReport {
+    let exposure = &frame.exposure;
+    FrameReport {
+        path: text(frame.path()),
+        time_s: exposure.time_s,
+        f_number: exposure.f_number,
+        iso: exposure.iso,
+        relative_exposure: exposure.relative(),
+        exposure_source: exposure.source,
+        exposure_tags: exposure.tags.clone(),
+        alignment: AlignmentReport {
+            status: verdict.status,
+            model: verdict.model,
+            homography: verdict.warp.map(|w| {
+                let h = w.matrix(width, height);
+                std::array::from_fn(|i| h[(i / 3, i % 3)])
+            }),
+            shift_px: verdict.warp.map(|w| w.shift_px(width, height).into()),
+            rotation_deg: verdict.warp.map(|w| w.rotation_deg(width, height)),
+            inliers: verdict.inliers,
+            keypoints: verdict.keypoints,
+            error_px: verdict.error_px,
+            confidence: verdict.confidence,
+            reason: verdict.reason.clone(),
+        },
+    }
+}
+
+/// A path as text; what is no UTF-8 in it becomes a replacement character.
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::warp::Warp;
+    use crate::bracket::exposure::Exposure;
+    use crate::bracket::{ReferenceChoice, Samples};
+
+    #[test]
+    fn units_are_in_the_keys_and_a_rejected_frame_has_no_homography() {
+        let frame = |name: &str, ev| {
+            Frame::new(name.into(), 4, 2, Samples::Eight(vec![0; 24]), Exposure::given(ev).expect("a number"))
+        };
+        let bracket = Bracket::new(vec![frame("b", 1.0), frame("a", 0.0)], &ReferenceChoice::Number(1)).unwrap();
+        let verdict = |status, warp| Verdict {
+            status,
+            model: None,
+            warp,
+            inliers: None,
+            keypoints: Some(KeypointCounts { plain: 1, mtb: 2, merged: 3 }),
+            error_px: None,
+            confidence: 0.25,
+            reason: None,
+        };
+        let whole = Rect { x0: 0, y0: 0, x1: 4, y1: 2 };
+        let alignment = Alignment {
+            verdicts: vec![verdict(Status::Rejected, None), verdict(Status::Reference, Some(Warp::Identity))],
+            overlap: whole,
+        };
+        let json: serde_json::Value = serde_json::from_str(&Report::new(&bracket, &alignment, whole).to_json()).unwrap();
+        assert_eq!(json["schema"], SCHEMA);
+        assert_eq!(json["reference"], "b");
+        assert_eq!(json["frames"][0]["path"], "a");
+        assert_eq!(json["frames"][0]["alignment"]["status"], "rejected");
+        assert!(json["frames"][0]["alignment"]["homography"].is_null());
+        assert_eq!(json["frames"][0]["alignment"]["keypoints"]["merged"], 3);
+        assert_eq!(json["frames"][1]["alignment"]["homography"][8], 1.0);
+        assert_eq!(json["frames"][1]["relative_exposure"], 2.0);
+        assert_eq!(json["crop"]["width_px"], 4);
+    }
+}
