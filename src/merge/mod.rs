@@ -1,7 +1,7 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`MergeReport`]. Cost: about 8 ns for each pixel of each frame that did not move; resampling for those that did.
+//! [`MergeReport`]. Cost: about 20 ns of one core for each pixel of each frame that did not move; resampling for those that did.
 //! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,

@@ -1,6 +1,6 @@
 //! Statistics of a radiance map.
 //!
-//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass, 2 ns a pixel.
+//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass.
 //! The percentiles are from a histogram whose bins are the floats that share exponent and first seven bits: 128 to the octave, without
 //! a logarithm, and the same on any machine.
 

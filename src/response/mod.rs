@@ -1,7 +1,7 @@
 //! Response: from code values to the exposure that caused them.
 //!
 //! In: a bracket, its alignment and a [`ResponseModel`]. Out: a [`ResponseCurve`], g(Z) = ln(E dt) for each channel and code, and a
-//! [`ResponseReport`] of how well it is known. Cost: about 50 ms, whatever the size of the pictures.
+//! [`ResponseReport`] of how well it is known. Cost: about 0.1 s, bounded whatever the size of the pictures.
 //! Source: the letters g, Z, E, dt and w are those of Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from
 //! Photographs", section 2.1.
 //!

@@ -1,7 +1,7 @@
 //! Samples: places of the scene, and the codes by which the frames saw them.
 //!
 //! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over picture and
-//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 20 ms, whatever the size.
+//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 60 ms at most, whatever the size.
 //! Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well distributed in the picture and over the codes, from places
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
