@@ -10,8 +10,8 @@
 //! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),  w_j = w(Z_j) v(max of R, G, B in j) + e_j
 //! ```
 //!
-//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: noise is symmetric in the former, and on truth
-//!   brackets the mean of logarithms is about 1 dB (PU21-PSNR) worse.
+//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: on ten truth brackets, with the hat and the true
+//!   curve, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, though an RMS error in stops that is no larger.
 //! - v judges the three channels together: where one is about to clip, the camera's colour processing has spoilt the others, and
 //!   a frame that holds all three has the say. Else a clipped channel would leave a cast.
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight

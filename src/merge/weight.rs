@@ -11,7 +11,8 @@ use crate::response::{CODES, hat};
 pub enum Weight {
     /// Rises linearly from both ends to the middle.
     Hat,
-    /// A bell about the middle, with a standard deviation of 45 codes: the best on truth brackets, by half a decibel over the hat.
+    /// A bell about the middle, with a standard deviation of 45 codes. On truth brackets it ties with the hat in PU21-PSNR and has
+    /// slightly smaller errors in stops.
     #[default]
     Gaussian,
     /// Nearly 1 but for the last tenth at either end.
