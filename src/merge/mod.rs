@@ -1,7 +1,7 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`MergeReport`]. Cost: about 8 ns for each pixel of each frame that did not move; resampling for those that did.
+//! [`MergeReport`]. Cost: about 20 ns of one core for each pixel of each frame that did not move; resampling for those that did.
 //! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,
@@ -10,8 +10,8 @@
 //! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),  w_j = w(Z_j) v(max of R, G, B in j) + e_j
 //! ```
 //!
-//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: noise is symmetric in the former, and on truth
-//!   brackets the mean of logarithms is about 1 dB (PU21-PSNR) worse.
+//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: on ten truth brackets, with the hat and the true
+//!   curve, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, though an RMS error in stops that is no larger.
 //! - v judges the three channels together: where one is about to clip, the camera's colour processing has spoilt the others, and
 //!   a frame that holds all three has the say. Else a clipped channel would leave a cast.
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
@@ -306,4 +306,119 @@ fn layers<'a>(bracket: &'a Bracket, alignment: &Alignment, curve: &ResponseCurve
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::response::tests::still;
+
+    fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, MergeReport) {
+        let options = MergeOptions {
+            weight,
+            region: alignment.overlap,
+        };
+        merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap()
+    }
+
+    /// Twelve stops from left to right.
+    fn ramp(x: usize, _: usize) -> [f64; 3] {
+        [libm::exp2(x as f64 / 20.0 - 9.0); 3]
+    }
+
+    #[test]
+    fn the_radiance_is_that_of_the_scene_and_seams_are_nowhere() {
+        let (bracket, alignment) = still((240, 70), &[0.125, 1.0, 8.0], ramp);
+        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau] {
+            let (map, report) = run(&bracket, &alignment, weight);
+            let scale = f64::from(ResponseCurve::srgb().exposure(0, 255.0));
+            for x in 0..240 {
+                let (found, truth) = (f64::from(map.pixels.at(x, 69)[1]) / scale, ramp(x, 0)[1]);
+                // Above 8 the shortest exposure clips, below 0.001 the longest has fewer than 20 codes: half of one is 5 %.
+                if (0.001..7.5).contains(&truth) {
+                    assert!(
+                        (found / truth - 1.0).abs() < 0.05,
+                        "{weight:?} {x}: {found} for {truth}"
+                    );
+                }
+            }
+            // It rises over decided and weighted regions alike: to within the rounding of codes.
+            assert!(
+                (1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]),
+                "{weight:?}"
+            );
+            assert_eq!((report.all_clipped, report.all_black), (0, 0));
+        }
+    }
+
+    #[test]
+    fn what_all_frames_clip_is_bright_and_grey_and_what_none_sees_is_dark() {
+        let (bracket, alignment) = still(
+            (8, 3),
+            &[1.0, 4.0],
+            |x, _| if x < 4 { [90.0, 80.0, 70.0] } else { [0.0; 3] },
+        );
+        let (map, report) = run(&bracket, &alignment, Weight::Hat);
+        assert_eq!((report.all_clipped, report.all_black), (12, 12));
+        let (bright, dark) = (map.pixels.at(0, 0), map.pixels.at(7, 0));
+        let curve = ResponseCurve::srgb();
+        // The reference is the longer: the shorter frame's 255 means four times as much. LEAST lets the other in by 1e-4.
+        assert!((bright[0] / (4.0 * curve.exposure(0, 255.0)) - 1.0).abs() < 1e-3);
+        assert!(bright[0] == bright[1] && bright[1] == bright[2] && dark[0] > 0.0);
+        assert!((dark[0] / curve.exposure(0, 0.0) - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn moved_frames_and_rejected_ones() {
+        let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
+        let (exact, _) = run(&bracket, &alignment, Weight::Hat);
+        // Moved by nothing: the interpolated tables must give what the exact ones do.
+        alignment.verdicts[0].warp = Some(Warp::Rigid {
+            dx: 0.0,
+            dy: 0.0,
+            angle: 0.0,
+        });
+        let (moved, _) = run(&bracket, &alignment, Weight::Hat);
+        for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
+            assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
+        }
+        // Moved out of the picture, it is as if it were rejected.
+        alignment.verdicts[0].warp = Some(Warp::Rigid {
+            dx: 1000.0,
+            dy: 0.0,
+            angle: 0.0,
+        });
+        let (outside, _) = run(&bracket, &alignment, Weight::Hat);
+        alignment.verdicts[0].status = Status::Rejected;
+        let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
+        assert_eq!((outside.pixels, report.frames), (rejected.pixels, 2));
+    }
+
+    #[test]
+    fn the_same_bytes_on_any_number_of_threads_and_a_region_is_a_part() {
+        let (bracket, alignment) = still((50, 200), &[0.5, 2.0], |x, y| [0.01 * x as f64, 0.004 * y as f64, 0.1]);
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run(&bracket, &alignment, Weight::Gaussian))
+        };
+        let whole = on(1);
+        assert_eq!(whole, on(3));
+        let region = Rect {
+            x0: 7,
+            y0: 70,
+            x1: 31,
+            y1: 190,
+        };
+        let options = MergeOptions {
+            weight: Weight::Gaussian,
+            region,
+        };
+        let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap();
+        assert!((0..120).all(|y| part.pixels.row(y) == &whole.0.pixels.row(y + 70)[7..31]));
+        let options = MergeOptions {
+            region: Rect { x1: 51, ..region },
+            ..options
+        };
+        assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).is_err());
+    }
 }

@@ -1,6 +1,6 @@
 //! Statistics of a radiance map.
 //!
-//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass, 2 ns a pixel.
+//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass.
 //! The percentiles are from a histogram whose bins are the floats that share exponent and first seven bits: 128 to the octave, without
 //! a logarithm, and the same on any machine.
 
@@ -105,7 +105,11 @@ mod tests {
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
         // Half a bin is 2^-8 of the value.
         for (found, rank) in [(s.p1, 100), (s.p50, 5_000), (s.p99, 9_900)] {
-            assert!((found / sorted[rank] - 1.0).abs() < 1.0 / 255.0, "{found} for {}", sorted[rank]);
+            assert!(
+                (found / sorted[rank] - 1.0).abs() < 1.0 / 255.0,
+                "{found} for {}",
+                sorted[rank]
+            );
         }
         // 2 * log2(1 + 2^-8) = 0.012.
         let stops = f64::from(sorted[9_990] / sorted[10]);

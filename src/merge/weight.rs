@@ -11,7 +11,8 @@ use crate::response::{CODES, hat};
 pub enum Weight {
     /// Rises linearly from both ends to the middle.
     Hat,
-    /// A bell about the middle, with a standard deviation of 45 codes: the best on truth brackets, by half a decibel over the hat.
+    /// A bell about the middle, with a standard deviation of 45 codes. On truth brackets it ties with the hat in PU21-PSNR and has
+    /// slightly smaller errors in stops.
     #[default]
     Gaussian,
     /// Nearly 1 but for the last tenth at either end.
@@ -41,5 +42,31 @@ impl Weight {
             let above = (code as f64 - black).max(0.0) * 255.0 / (255.0 - black);
             self.at(above) as f32
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_nothing_at_the_ends_and_symmetric() {
+        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau] {
+            assert_eq!((weight.at(0.0), weight.at(255.0)), (0.0, 0.0), "{weight:?}");
+            assert_eq!(weight.at(127.5), 1.0);
+            assert!((1..128).all(|z| (weight.at(z as f64) - weight.at(255.0 - z as f64)).abs() < 1e-12));
+            assert!((1..128).all(|z| weight.at(z as f64) >= weight.at(z as f64 - 1.0)));
+        }
+        assert_eq!(Weight::Uniform.table(0.0), [1.0; CODES]);
+        // By hand: the hat at a quarter of the range.
+        assert_eq!(Weight::Hat.at(63.75), 0.5);
+    }
+
+    #[test]
+    fn black_has_no_weight() {
+        let table = Weight::Hat.table(15.0);
+        assert_eq!((table[0], table[15], table[255]), (0.0, 0.0, 0.0));
+        // By hand: 135 is the middle of 15..=255.
+        assert!((table[135] - 1.0).abs() < 1e-6 && table[16] > 0.0);
     }
 }

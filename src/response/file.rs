@@ -88,10 +88,16 @@ impl SavedResponse {
             path: path.to_owned(),
             reason,
         };
-        let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e}); make one by `hdralign response`")))?;
+        let header: Header = serde_json::from_str(text).map_err(|e| {
+            wrong(format!(
+                "it is no JSON with a \"schema\" ({e}); make one by `hdralign response`"
+            ))
+        })?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
+            return Err(wrong(format!(
+                "its schema is {:?}, and {SCHEMA:?} is read",
+                header.schema
+            )));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let Channels { red, green, blue } = document.ln_exposure;
@@ -101,7 +107,8 @@ impl SavedResponse {
             <[f64; CODES]>::try_from(values).map_err(wanted)
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
-        let curve = ResponseCurve::new(g).ok_or_else(|| wrong("its values do not rise from code to code".to_owned()))?;
+        let curve =
+            ResponseCurve::new(g).ok_or_else(|| wrong("its values do not rise from code to code".to_owned()))?;
         let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,
@@ -127,7 +134,9 @@ mod tests {
     }
 
     fn reason(text: &str) -> String {
-        SavedResponse::from_json(text, Path::new("c.json")).unwrap_err().to_string()
+        SavedResponse::from_json(text, Path::new("c.json"))
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
