@@ -20,7 +20,12 @@ pub fn develop(scene: &Scene, pixels: &[Pixel], width: usize) -> Vec<V3> {
         _ => false,
     };
     let mirror = smooth(pixels, mirror, width, 3, soft);
-    pixels.iter().zip(rest).zip(mirror).map(|((p, r), m)| p.direct + m.0 + p.albedo * (p.sun + r.0)).collect()
+    pixels
+        .iter()
+        .zip(rest)
+        .zip(mirror)
+        .map(|((p, r), m)| p.direct + m.0 + p.albedo * (p.sun + r.0))
+        .collect()
 }
 
 /// `levels` passes of a 5 x 5 filter with holes, over pixels that `may` take part.
@@ -32,6 +37,7 @@ fn smooth(
     may: impl Fn(&Pixel) -> bool + Sync,
 ) -> Vec<(V3, f32)> {
     let height = pixels.len() / width;
+    layer = despeckled(pixels, &layer, width, &may);
     const TAPS: [f32; 5] = [1.0 / 16.0, 1.0 / 4.0, 3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
     for level in 0..levels {
         let step = 1isize << level;
@@ -43,7 +49,7 @@ fn smooth(
             if p.material == u16::MAX || !may(p) {
                 return (value, variance);
             }
-            let range = 3.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4;
+            let range = 4.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4;
             let (mut sum, mut sum_variance, mut total) = (V3::ZERO, 0.0, 0.0);
             for j in -2..=2 {
                 for i in -2..=2 {
@@ -57,7 +63,9 @@ fn smooth(
                         continue;
                     }
                     let turn = p.normal.dot(o.normal).max(0.0).powi(48);
-                    let away = ((p.depth - o.depth).abs() / (0.012 * p.depth * (1 + i.abs().max(j.abs()) * step) as f32).max(1e-4)).min(20.0);
+                    let away = ((p.depth - o.depth).abs()
+                        / (0.012 * p.depth * (1 + i.abs().max(j.abs()) * step) as f32).max(1e-4))
+                    .min(20.0);
                     let apart = ((value.luminance() - old[q].0.luminance()).abs() / range).min(20.0);
                     let w = TAPS[(i + 2) as usize] * TAPS[(j + 2) as usize] * turn * (-away - apart).exp();
                     sum += old[q].0 * w;
@@ -65,14 +73,57 @@ fn smooth(
                     total += w;
                 }
             }
-            if total < 1e-6 { (value, variance) } else { (sum / total, sum_variance / (total * total)) }
+            if total < 1e-6 {
+                (value, variance)
+            } else {
+                (sum / total, sum_variance / (total * total))
+            }
         });
         layer = filtered.collect();
     }
     layer
 }
 
-/// The variance over 3 x 3 pixels: one pixel's own estimate is too noisy to judge by.
+/// Fireflies brought down (and dead pixels up) to what the 24 pixels about them say is likely: no weight would ever let
+/// them melt into their neighbours.
+fn despeckled(
+    pixels: &[Pixel],
+    layer: &[(V3, f32)],
+    width: usize,
+    may: impl Fn(&Pixel) -> bool + Sync,
+) -> Vec<(V3, f32)> {
+    let height = pixels.len() / width;
+    let one = |k: usize| {
+        let (p, (value, variance)) = (&pixels[k], layer[k]);
+        if p.material == u16::MAX || !may(p) {
+            return (value, variance);
+        }
+        let (x, y) = (k % width, k / width);
+        let mut near = [0.0f32; 24];
+        let mut n = 0;
+        for v in y.saturating_sub(2)..(y + 3).min(height) {
+            for u in x.saturating_sub(2)..(x + 3).min(width) {
+                let o = &pixels[v * width + u];
+                if (u, v) != (x, y) && o.material == p.material && o.normal.dot(p.normal) > 0.9 {
+                    near[n] = layer[v * width + u].0.luminance();
+                    n += 1;
+                }
+            }
+        }
+        if n < 4 {
+            return (value, variance);
+        }
+        near[..n].sort_by(f32::total_cmp);
+        let (low, high, own) = (near[n / 8], near[n - 1 - n / 8], value.luminance());
+        // The pixel's error is about that of its neighbours; its own estimate of it is worthless if it is a firefly.
+        let kept = own.clamp(low * 0.7, high * 1.3);
+        let k = if own > 1e-6 { kept / own } else { 1.0 };
+        (value * k, variance * (k * k).min(1.0))
+    };
+    (0..pixels.len()).into_par_iter().map(one).collect()
+}
+
+/// The variance over 5 x 5 pixels: one pixel's own estimate is too noisy to judge by.
 fn blurred_variance(layer: &[(V3, f32)], width: usize) -> Vec<f32> {
     let height = layer.len() / width;
     (0..layer.len())
@@ -80,8 +131,8 @@ fn blurred_variance(layer: &[(V3, f32)], width: usize) -> Vec<f32> {
         .map(|k| {
             let (x, y) = (k % width, k / width);
             let (mut sum, mut n) = (0.0, 0.0);
-            for v in y.saturating_sub(1)..(y + 2).min(height) {
-                for u in x.saturating_sub(1)..(x + 2).min(width) {
+            for v in y.saturating_sub(2)..(y + 3).min(height) {
+                for u in x.saturating_sub(2)..(x + 3).min(width) {
                     sum += layer[v * width + u].1;
                     n += 1.0;
                 }

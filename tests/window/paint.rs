@@ -49,6 +49,22 @@ pub struct Material {
 }
 
 impl Paint {
+    /// About the mean of [`Paint::colour`] over the surface: enough for the light that it throws on others.
+    pub fn mean(&self) -> V3 {
+        match *self {
+            Paint::Plain(c) | Paint::Plaster(c) | Paint::Speckle(c, _) => c,
+            Paint::Planks(_) => v3(0.31, 0.155, 0.065),
+            Paint::Wood(c, _) => c * 0.85,
+            Paint::Rug => v3(0.22, 0.12, 0.10),
+            Paint::Book(c, _) => c * 0.9,
+            Paint::Picture(_) => v3(0.36, 0.30, 0.24),
+            Paint::Cloth(a, b, _) => a.mix(b, 0.24),
+            Paint::Pottery(a, b) => a.mix(b, 0.15),
+            Paint::Leaf(c, _) => c * 1.05,
+            Paint::Weave(c) => c * 0.6,
+        }
+    }
+
     /// The reflectance at `p` (metres), texture coordinates `uv`.
     pub fn colour(&self, p: V3, uv: [f32; 2]) -> V3 {
         match *self {
@@ -124,11 +140,11 @@ fn planks(w: f32, p: V3) -> V3 {
 
 /// A knotted carpet in whole knots: borders, a field of small flowers, a medallion.
 fn rug(uv: [f32; 2], p: V3) -> V3 {
-    let (nx, ny) = (208.0, 176.0);
+    let (nx, ny) = (280.0, 236.0);
     let (kx, ky) = ((uv[0] * nx).floor(), (uv[1] * ny).floor());
     let (red, navy, cream, gold, green) = (
-        v3(0.37, 0.045, 0.035),
-        v3(0.028, 0.045, 0.13),
+        v3(0.33, 0.055, 0.04),
+        v3(0.035, 0.048, 0.105),
         v3(0.62, 0.52, 0.36),
         v3(0.50, 0.27, 0.06),
         v3(0.09, 0.15, 0.075),
@@ -156,7 +172,7 @@ fn rug(uv: [f32; 2], p: V3) -> V3 {
     } else if edge < 26.0 {
         if ((along / 2.0) as i32) & 1 == 0 { gold } else { navy }
     } else {
-        let d = x / 62.0 + y / 48.0;
+        let d = x / 84.0 + y / 66.0;
         let wave = 0.05 * (x * 0.55).cos() + 0.05 * (y * 0.55).cos();
         match d + wave {
             d if d < 0.16 => gold,
@@ -175,7 +191,13 @@ fn rug(uv: [f32; 2], p: V3) -> V3 {
             },
             _ => match flower(x + 3.0, y + 7.0, 14.0, 5.0) {
                 (_, true) => navy,
-                (true, _) => if ((x / 14.0) as i32 + (y / 14.0) as i32) & 1 == 0 { gold } else { cream },
+                (true, _) => {
+                    if ((x / 14.0) as i32 + (y / 14.0) as i32) & 1 == 0 {
+                        gold
+                    } else {
+                        cream
+                    }
+                }
                 _ => red,
             },
         }
@@ -188,7 +210,11 @@ fn rug(uv: [f32; 2], p: V3) -> V3 {
 fn book(c: V3, n: u32, uv: [f32; 2], p: V3) -> V3 {
     let (u, v) = (uv[0], uv[1]);
     let worn = 0.8 + 0.4 * fbm(p.x * 60.0, p.y * 60.0, p.z * 60.0 + 0.01, 3);
-    let gilt = if unit(n, 1, 1) < 0.6 { v3(0.62, 0.44, 0.14) } else { v3(0.7, 0.66, 0.56) };
+    let gilt = if unit(n, 1, 1) < 0.6 {
+        v3(0.62, 0.44, 0.14)
+    } else {
+        v3(0.7, 0.66, 0.56)
+    };
     let band = unit(n, 2, 2) * 0.12 + 0.78;
     let rules = [band, band + 0.05, 0.12, 0.155];
     if rules.iter().any(|r| (v - r).abs() < 0.008) {
@@ -217,7 +243,10 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
             let sky = v3(0.75, 0.45, 0.22).mix(v3(0.16, 0.26, 0.42), smooth(0.45, 1.0, v + 0.1 * brush));
             let sun = ((u - 0.62).powi(2) * 1.8 + (v - 0.56).powi(2)).sqrt();
             let wave = value(u * 18.0, v * 120.0, 2.0);
-            let sea = v3(0.03, 0.10, 0.16).mix(v3(0.55, 0.36, 0.18), smooth(0.55, 0.9, wave) * smooth(0.35, 0.0, (u - 0.62).abs()));
+            let sea = v3(0.03, 0.10, 0.16).mix(
+                v3(0.55, 0.36, 0.18),
+                smooth(0.55, 0.9, wave) * smooth(0.35, 0.0, (u - 0.62).abs()),
+            );
             let sail = (u - 0.3).abs() < 0.09 * (0.72 - v) / 0.3 && v > 0.44 && v < 0.72 && u > 0.27;
             let hull = (u - 0.31).abs() < 0.10 && v > 0.40 && v < 0.435;
             match () {
@@ -233,7 +262,13 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
             for i in 0..26 {
                 let (x, y, r) = (unit(i, 1, 31), unit(i, 2, 31), 0.05 + 0.12 * unit(i, 3, 31));
                 let d = ((u - x).powi(2) + (v - y).powi(2)).sqrt();
-                let hue = [v3(0.55, 0.08, 0.05), v3(0.05, 0.16, 0.32), v3(0.72, 0.46, 0.08), v3(0.03, 0.03, 0.04), v3(0.13, 0.28, 0.16)];
+                let hue = [
+                    v3(0.55, 0.08, 0.05),
+                    v3(0.05, 0.16, 0.32),
+                    v3(0.72, 0.46, 0.08),
+                    v3(0.03, 0.03, 0.04),
+                    v3(0.13, 0.28, 0.16),
+                ];
                 if d < r && (d > r * 0.6 || i % 3 == 0) {
                     c = hue[(i % 5) as usize];
                 }
@@ -274,7 +309,12 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
         }
         _ => {
             let (i, j) = ((u * 7.0) as u32, (v * 9.0) as u32);
-            vary(v3(unit(i, j, 1 + n), unit(i, j, 2 + n), unit(i, j, 3 + n)) * 0.6, 0.2, i, j)
+            vary(
+                v3(unit(i, j, 1 + n), unit(i, j, 2 + n), unit(i, j, 3 + n)) * 0.6,
+                0.2,
+                i,
+                j,
+            )
         }
     };
     c * k
@@ -282,7 +322,11 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
 
 fn cloth(a: V3, b: V3, pitch: f32, uv: [f32; 2], p: V3) -> V3 {
     let s = (uv[0] * pitch).fract();
-    let stripe = if (0.42..0.58).contains(&s) || (0.64..0.68).contains(&s) || (0.32..0.36).contains(&s) { b } else { a };
+    let stripe = if (0.42..0.58).contains(&s) || (0.64..0.68).contains(&s) || (0.32..0.36).contains(&s) {
+        b
+    } else {
+        a
+    };
     let weave = value(p.x * 300.0, p.y * 300.0, p.z * 300.0 + 0.01) - 0.5;
     let slub = fbm(p.x * 30.0, p.y * 140.0, p.z * 30.0 + 0.01, 2) - 0.5;
     stripe * (1.0 + 0.3 * weave + 0.25 * slub)
@@ -294,11 +338,22 @@ fn pottery(a: V3, b: V3, uv: [f32; 2]) -> V3 {
     let dots = ((u.fract() - 0.5).powi(2) + ((v - 0.6) * 24.0).powi(2)).sqrt() < 0.3;
     let ring = [0.36, 0.56, 0.64, 0.9].iter().any(|r| (v - r).abs() < 0.008);
     let k = 0.85 + 0.3 * fbm(uv[0] * 40.0, v * 30.0, 3.0, 3);
-    (if (v - zigzag).abs() < 0.022 || dots || ring { b } else { a }) * k
+    (if (v - zigzag).abs() < 0.022 || dots || ring {
+        b
+    } else {
+        a
+    }) * k
 }
 
 fn leaf(c: V3, n: u32, uv: [f32; 2]) -> V3 {
     let rib = (uv[0] - 0.5).abs() < 0.04;
     let vein = ((uv[1] * 14.0 - (uv[0] - 0.5).abs() * 6.0).fract() - 0.5).abs() < 0.08;
-    vary(c, 0.25, n, 3) * if rib { 1.5 } else if vein { 1.2 } else { 1.0 }
+    vary(c, 0.25, n, 3)
+        * if rib {
+            1.5
+        } else if vein {
+            1.2
+        } else {
+            1.0
+        }
 }

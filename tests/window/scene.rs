@@ -51,8 +51,8 @@ pub struct Scene {
     sky: Vec<V3>,
 }
 
-const SKY_W: usize = 384;
-const SKY_H: usize = 256;
+const SKY_W: usize = 192;
+const SKY_H: usize = 128;
 
 impl Scene {
     pub fn new() -> Scene {
@@ -65,13 +65,20 @@ impl Scene {
                 let (i, j) = (k % SKY_W, k / SKY_W);
                 // The mean of four directions: this map only lights things, it is never seen.
                 (0..4).fold(V3::ZERO, |sum, q| {
-                    let (u, v) = ((i as f32 + 0.25 + 0.5 * (q % 2) as f32) / SKY_W as f32, (j as f32 + 0.25 + 0.5 * (q / 2) as f32) / SKY_H as f32);
+                    let (u, v) = (
+                        (i as f32 + 0.25 + 0.5 * (q % 2) as f32) / SKY_W as f32,
+                        (j as f32 + 0.25 + 0.5 * (q / 2) as f32) / SKY_H as f32,
+                    );
                     let (az, el) = ((u - 0.5) * std::f32::consts::PI, (v - 0.5) * std::f32::consts::PI);
                     sum + outdoors::radiance(v3(el.cos() * az.sin(), el.sin(), el.cos() * az.cos())) * 0.25
                 })
             })
             .collect();
-        Scene { bvh: Bvh::new(b.mesh.triangles), materials: b.materials, sky }
+        Scene {
+            bvh: Bvh::new(b.mesh.triangles),
+            materials: b.materials,
+            sky,
+        }
     }
 
     /// The outdoors' radiance, coarsely: what lights a diffuse surface.
@@ -96,6 +103,9 @@ pub fn camera_ray(x: f64, y: f64) -> (V3, V3) {
     let right = v3(ahead.z, 0.0, -ahead.x).unit();
     let down = right.cross(ahead);
     let down = if down.y > 0.0 { -down } else { down };
-    let (u, v) = ((x - (WIDTH as f64 - 1.0) / 2.0) / FOCAL, (y - (HEIGHT as f64 - 1.0) / 2.0) / FOCAL);
+    let (u, v) = (
+        (x - (WIDTH as f64 - 1.0) / 2.0) / FOCAL,
+        (y - (HEIGHT as f64 - 1.0) / 2.0) / FOCAL,
+    );
     (from, (ahead + right * u as f32 + down * v as f32).unit())
 }
