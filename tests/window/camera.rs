@@ -37,7 +37,7 @@ pub const KNEE: f64 = 0.45;
 pub const FORMULA: &str =
     "f(X) = (1 + s) X^n / (X^n + s), n = 0.8, s = 0.45; X = 1 at saturation; value = round(255 f(X))";
 
-pub const QUALITY: u8 = 92;
+pub const QUALITY: u8 = 90;
 
 /// Film's S curve: exposure 0..1 to brightness 0..1.
 pub fn response(x: f64) -> f64 {

@@ -24,20 +24,41 @@ pub fn develop(scene: &Scene, pixels: &[Pixel], width: usize) -> Vec<V3> {
         .iter()
         .zip(rest)
         .zip(mirror)
-        .map(|((p, r), m)| p.direct + m.0 + p.albedo * (p.sun + r.0))
+        .map(|((p, r), m)| p.direct + m + p.albedo * (p.sun + r))
         .collect()
 }
 
-/// `levels` passes of a 5 x 5 filter with holes, over pixels that `may` take part.
+/// One layer without its noise, over pixels that `may` take part.
+///
+/// What makes a pixel a firefly is taken off first, smoothed on its own as far as the surface goes, and put back: the
+/// light stays the same in all.
 fn smooth(
+    pixels: &[Pixel],
+    layer: Vec<(V3, f32)>,
+    width: usize,
+    levels: u32,
+    may: impl Fn(&Pixel) -> bool + Sync,
+) -> Vec<V3> {
+    let calm = despeckled(pixels, &layer, width, &may);
+    let excess = layer.iter().zip(&calm).map(|(a, b)| (a.0 - b.0, 0.0)).collect();
+    let calm = wavelet(pixels, calm, width, levels, true, &may);
+    let excess = wavelet(pixels, excess, width, levels, false, &may);
+    calm.into_iter()
+        .zip(excess)
+        .map(|(a, b)| (a.0 + b.0).max(V3::ZERO))
+        .collect()
+}
+
+/// `levels` passes of a 5 x 5 filter with holes; `ranged` ones keep edges that stand out from the noise.
+fn wavelet(
     pixels: &[Pixel],
     mut layer: Vec<(V3, f32)>,
     width: usize,
     levels: u32,
+    ranged: bool,
     may: impl Fn(&Pixel) -> bool + Sync,
 ) -> Vec<(V3, f32)> {
     let height = pixels.len() / width;
-    layer = despeckled(pixels, &layer, width, &may);
     const TAPS: [f32; 5] = [1.0 / 16.0, 1.0 / 4.0, 3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
     for level in 0..levels {
         let step = 1isize << level;
@@ -49,7 +70,11 @@ fn smooth(
             if p.material == u16::MAX || !may(p) {
                 return (value, variance);
             }
-            let range = 4.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4;
+            let range = if ranged {
+                4.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4
+            } else {
+                f32::INFINITY
+            };
             let (mut sum, mut sum_variance, mut total) = (V3::ZERO, 0.0, 0.0);
             for j in -2..=2 {
                 for i in -2..=2 {
@@ -104,7 +129,8 @@ fn despeckled(
         for v in y.saturating_sub(2)..(y + 3).min(height) {
             for u in x.saturating_sub(2)..(x + 3).min(width) {
                 let o = &pixels[v * width + u];
-                if (u, v) != (x, y) && o.material == p.material && o.normal.dot(p.normal) > 0.9 {
+                let alike = o.material == p.material && o.normal.dot(p.normal) > 0.9;
+                if (u, v) != (x, y) && o.material != u16::MAX && (p.mixed || alike) {
                     near[n] = layer[v * width + u].0.luminance();
                     n += 1;
                 }
@@ -114,7 +140,9 @@ fn despeckled(
             return (value, variance);
         }
         near[..n].sort_by(f32::total_cmp);
-        let (low, high, own) = (near[n / 8], near[n - 1 - n / 8], value.luminance());
+        // An edge may be as dark or as light as anything about it.
+        let spare = if p.mixed { 2.min(n / 4) } else { n / 8 };
+        let (low, high, own) = (near[spare], near[n - 1 - spare], value.luminance());
         // The pixel's error is about that of its neighbours; its own estimate of it is worthless if it is a firefly.
         let kept = own.clamp(low * 0.7, high * 1.3);
         let k = if own > 1e-6 { kept / own } else { 1.0 };

@@ -48,6 +48,8 @@ pub struct Pixel {
     pub depth: f32,
     /// The first surface's material; `u16::MAX` outdoors.
     pub material: u16,
+    /// Did its samples meet more than one material? Then it is an edge.
+    pub mixed: bool,
 }
 
 /// Where a path is, on what.
@@ -110,6 +112,7 @@ fn pixel(scene: &Scene, view: View, x: usize, y: usize) -> Pixel {
             if seen == 0 {
                 (sums.normal, sums.depth, sums.material) = (normal, depth, material);
             }
+            sums.mixed |= material != sums.material;
             seen += 1;
         }
         // The view through the window has no noise but its own detail.
