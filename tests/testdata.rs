@@ -7,8 +7,6 @@
 //! `WINDOW_PREVIEW=scale,samples` renders only a picture to look at, `target/window-preview.png`, while the scene is
 //! being changed.
 
-#![allow(missing_docs)]
-
 mod window;
 
 use std::fs;
