@@ -207,7 +207,7 @@ fn frames_carry_their_exif_and_are_small() {
         }
     }
     total += shipped("truth.hdr").len() + shipped("truth.json").len();
-    assert!(total < 2_200_000, "testdata/window has grown to {total} bytes");
+    assert!(total < 1_750_000, "testdata/window has grown to {total} bytes");
 }
 
 #[test]
