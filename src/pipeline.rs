@@ -152,7 +152,9 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
 pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
     let mut sorted: Vec<&PathBuf> = images.iter().collect();
     sorted.sort_by(|a, b| natural(a, b));
-    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else { return Vec::new() };
+    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else {
+        return Vec::new();
+    };
     let stem = |p: &Path| p.file_stem().unwrap_or_default().to_os_string();
     ["exr", "png"]
         .iter()
@@ -242,8 +244,7 @@ impl<'a> Line<'a> {
     fn load(&mut self, images: &[PathBuf], options: &Options) -> Result<Bracket> {
         let watch = self.watch;
         let decoded = |done| watch(Progress::Decoded(done));
-        let (loaded, time) =
-            self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
+        let (loaded, time) = self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
         let (bracket, warnings) = loaded?;
         self.times.load = time;
         self.warnings.extend(warnings);

@@ -23,11 +23,7 @@ impl<T> Plane<T> {
     /// # Panics
     /// When the length does not fit the size: that is a fault of the caller, never of a file.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
-        assert_eq!(
-            data.len(),
-            width * height,
-            "a plane of {width}x{height} needs that many values"
-        );
+        assert_eq!(data.len(), width * height, "a plane of {width}x{height} needs that many values");
         Plane { width, height, data }
     }
 
@@ -82,11 +78,7 @@ impl<T: Copy> Plane<T> {
 impl<T: Clone> Plane<T> {
     /// A plane with `value` everywhere.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
-        Plane {
-            width,
-            height,
-            data: vec![value; width * height],
-        }
+        Plane { width, height, data: vec![value; width * height] }
     }
 }
 
@@ -133,10 +125,7 @@ pub fn band_rows(band: usize, height: usize) -> Range<usize> {
 
 /// `map` of every band's rows, computed in parallel, given back in order.
 pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync) -> Vec<R> {
-    (0..band_count(height))
-        .into_par_iter()
-        .map(|band| map(band_rows(band, height)))
-        .collect()
+    (0..band_count(height)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
 }
 
 /// `map` of every band's rows, computed in parallel, then `fold`ed in index order: sums of floats come out the same on any machine.

@@ -91,9 +91,7 @@ pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
 /// The Gaussian's weights from its centre outwards; all of them, both sides, sum to 1.
 fn half_kernel(sigma: f64) -> Vec<f32> {
     let reach = libm::ceil(4.0 * sigma) as usize;
-    let raw: Vec<f64> = (0..=reach)
-        .map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma)))
-        .collect();
+    let raw: Vec<f64> = (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
     let sum = raw[0] + 2.0 * raw[1..].iter().sum::<f64>();
     raw.iter().map(|w| (w / sum) as f32).collect()
 }
@@ -111,12 +109,8 @@ mod tests {
 
     #[test]
     fn the_smallest_half_is_no_smaller_than_asked() {
-        let sizes = |w, h| {
-            halves(Plane::filled(w, h, 0u8), 32)
-                .iter()
-                .map(|p| p.height().min(p.width()))
-                .collect::<Vec<_>>()
-        };
+        let sizes =
+            |w, h| halves(Plane::filled(w, h, 0u8), 32).iter().map(|p| p.height().min(p.width())).collect::<Vec<_>>();
         assert_eq!(sizes(300, 256), [256, 128, 64, 32]);
         assert_eq!(sizes(300, 255), [255, 127, 63]);
         assert_eq!(sizes(10, 1), [1]);
@@ -138,10 +132,8 @@ mod tests {
                 let (mut sum, mut weight) = (0.0, 0.0);
                 for dy in -reach..=reach {
                     for dx in -reach..=reach {
-                        let at = plane.at(
-                            (x + dx).clamp(0, w as isize - 1) as usize,
-                            (y + dy).clamp(0, h as isize - 1) as usize,
-                        );
+                        let at = plane
+                            .at((x + dx).clamp(0, w as isize - 1) as usize, (y + dy).clamp(0, h as isize - 1) as usize);
                         sum += g(dx) * g(dy) * f64::from(at);
                         weight += g(dx) * g(dy);
                     }

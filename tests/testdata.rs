@@ -55,14 +55,8 @@ fn preview(pixels: &[V3], width: usize, path: &std::path::Path) {
             [show(p.x * k), show(p.y * k), show(p.z * k)]
         })
         .collect();
-    image::save_buffer(
-        path,
-        &bytes,
-        width as u32,
-        (pixels.len() / width) as u32,
-        image::ColorType::Rgb8,
-    )
-    .expect("the preview");
+    image::save_buffer(path, &bytes, width as u32, (pixels.len() / width) as u32, image::ColorType::Rgb8)
+        .expect("the preview");
 }
 
 #[test]
@@ -85,14 +79,7 @@ fn render_the_bracket() {
     }
     let v = view(1.25, MARGIN, SAMPLES);
     let pixels = develop(&scene, &render(&scene, v), v.width);
-    let plate = Plate {
-        pixels,
-        width: v.width,
-        height: v.height,
-        left: v.left,
-        top: v.top,
-        scale: v.scale,
-    };
+    let plate = Plate { pixels, width: v.width, height: v.height, left: v.left, top: v.top, scale: v.scale };
     let folder = truth::folder();
     fs::create_dir_all(&folder).expect("testdata/window");
     for (i, hands) in HANDS.iter().enumerate() {
@@ -103,11 +90,7 @@ fn render_the_bracket() {
         if i == camera::REFERENCE {
             preview(&radiance, WIDTH, &target.join("window-preview.png"));
             let small = truth::shrink(&radiance, WIDTH, truth::QUARTER);
-            fs::write(
-                folder.join("truth.hdr"),
-                truth::write_hdr(&small, WIDTH / truth::QUARTER),
-            )
-            .expect("the truth");
+            fs::write(folder.join("truth.hdr"), truth::write_hdr(&small, WIDTH / truth::QUARTER)).expect("the truth");
         }
     }
     let text = serde_json::to_string_pretty(&truth::describe()).expect("JSON") + "\n";
@@ -132,15 +115,11 @@ fn assert_same(a: &Value, b: &Value, place: &str) {
         }
         (Value::Array(x), Value::Array(y)) => {
             assert_eq!(x.len(), y.len(), "{place}");
-            x.iter()
-                .zip(y)
-                .enumerate()
-                .for_each(|(i, (x, y))| assert_same(x, y, &format!("{place}[{i}]")));
+            x.iter().zip(y).enumerate().for_each(|(i, (x, y))| assert_same(x, y, &format!("{place}[{i}]")));
         }
         (Value::Object(x), Value::Object(y)) => {
             assert_eq!(x.keys().collect::<Vec<_>>(), y.keys().collect::<Vec<_>>(), "{place}");
-            x.iter()
-                .for_each(|(k, x)| assert_same(x, &y[k], &format!("{place}.{k}")));
+            x.iter().for_each(|(k, x)| assert_same(x, &y[k], &format!("{place}.{k}")));
         }
         _ => assert_eq!(a, b, "{place}"),
     }
@@ -167,20 +146,10 @@ fn the_hands_move_a_little_and_stay_on_the_plate() {
             let [u, v] = apply(&m, x, y);
             let moved = (u - x).hypot(v - y);
             let still = i == camera::REFERENCE;
-            assert!(
-                if still {
-                    moved < 1e-9
-                } else {
-                    (1.0..60.0).contains(&moved)
-                },
-                "frame {i}: {moved} px"
-            );
+            assert!(if still { moved < 1e-9 } else { (1.0..60.0).contains(&moved) }, "frame {i}: {moved} px");
             let [u, v] = apply(&inverse(&homography(hands)), x, y);
             let (mx, my) = (MARGIN * w - 2.0, MARGIN * h - 2.0);
-            assert!(
-                u > -mx && u < w + mx && v > -my && v < h + my,
-                "frame {i} looks past the plate: {u}, {v}"
-            );
+            assert!(u > -mx && u < w + mx && v > -my && v < h + my, "frame {i} looks past the plate: {u}, {v}");
         }
     }
 }
@@ -191,19 +160,10 @@ fn frames_carry_their_exif_and_are_small() {
     for i in 0..HANDS.len() {
         let bytes = shipped(&camera::file_name(i));
         total += bytes.len();
-        let found = exif::Reader::new()
-            .read_from_container(&mut Cursor::new(bytes))
-            .expect("EXIF");
+        let found = exif::Reader::new().read_from_container(&mut Cursor::new(bytes)).expect("EXIF");
         for wanted in camera::exif_fields(i) {
-            let field = found
-                .get_field(wanted.tag, wanted.ifd_num)
-                .unwrap_or_else(|| panic!("no {}", wanted.tag));
-            assert_eq!(
-                format!("{:?}", field.value),
-                format!("{:?}", wanted.value),
-                "frame {i}: {}",
-                wanted.tag
-            );
+            let field = found.get_field(wanted.tag, wanted.ifd_num).unwrap_or_else(|| panic!("no {}", wanted.tag));
+            assert_eq!(format!("{:?}", field.value), format!("{:?}", wanted.value), "frame {i}: {}", wanted.tag);
         }
     }
     total += shipped("truth.hdr").len() + shipped("truth.json").len();
@@ -230,17 +190,13 @@ fn frames_are_the_truth_through_the_camera() {
     let (truth, w) = truth::read_hdr(&shipped("truth.hdr"));
     assert_eq!((w, truth.len() / w), (WIDTH / truth::QUARTER, HEIGHT / truth::QUARTER));
     for (i, hands) in HANDS.iter().enumerate() {
-        let picture = image::load_from_memory(&shipped(&camera::file_name(i)))
-            .expect("a JPEG")
-            .to_rgb8();
+        let picture = image::load_from_memory(&shipped(&camera::file_name(i))).expect("a JPEG").to_rgb8();
         assert_eq!(picture.dimensions(), (WIDTH as u32, HEIGHT as u32));
         let code = |l: f32| 255.0 * camera::response(f64::from(l) * camera::seconds(i) / camera::SATURATION);
         let codes: Vec<[f64; 3]> = truth.iter().map(|p| [code(p.x), code(p.y), code(p.z)]).collect();
         let seen = |u: f64, v: f64, c: usize, r: u32| {
             let (u, v, side) = (u.round() as u32 - r, v.round() as u32 - r, 2 * r + 1);
-            let sum: u32 = (0..side * side)
-                .map(|q| u32::from(picture.get_pixel(u + q % side, v + q / side)[c]))
-                .sum();
+            let sum: u32 = (0..side * side).map(|q| u32::from(picture.get_pixel(u + q % side, v + q / side)[c])).sum();
             f64::from(sum) / f64::from(side * side)
         };
         let to_frame = homography(hands);
@@ -258,38 +214,18 @@ fn frames_are_the_truth_through_the_camera() {
             if flat && wanted.iter().all(|b| (6.0..250.0).contains(b)) {
                 errors.extend((0..3).map(|c| seen(u, v, c, 2) - wanted[c]));
             }
-            for (fit, [dx, dy]) in misfit
-                .iter_mut()
-                .zip([[0.0, 0.0], [3.0, 0.0], [-3.0, 0.0], [0.0, 3.0], [0.0, -3.0]])
+            for (fit, [dx, dy]) in misfit.iter_mut().zip([[0.0, 0.0], [3.0, 0.0], [-3.0, 0.0], [0.0, 3.0], [0.0, -3.0]])
             {
                 *fit += (seen(u + dx, v + dy, 1, 1) - wanted[1]).abs() / codes.len() as f64;
             }
         }
         errors.sort_by(f64::total_cmp);
         let at = |part: f64| errors[((errors.len() - 1) as f64 * part) as usize];
-        println!(
-            "frame {i}: {} values, {:.2} {:.2} {:.2}; {misfit:.2?}",
-            errors.len(),
-            at(0.05),
-            at(0.5),
-            at(0.95)
-        );
+        println!("frame {i}: {} values, {:.2} {:.2} {:.2}; {misfit:.2?}", errors.len(), at(0.05), at(0.5), at(0.95));
         assert!(errors.len() > 300, "frame {i}: only {} flat values", errors.len());
-        assert!(
-            at(0.5).abs() < 0.5,
-            "frame {i}: the median error is {:.2} values",
-            at(0.5)
-        );
-        assert!(
-            at(0.95).max(-at(0.05)) < 3.0,
-            "frame {i}: errors reach from {:.2} to {:.2}",
-            at(0.05),
-            at(0.95)
-        );
-        assert!(
-            misfit[1..].iter().all(|m| *m > 1.3 * misfit[0]),
-            "frame {i} is not where it should be: {misfit:?}"
-        );
+        assert!(at(0.5).abs() < 0.5, "frame {i}: the median error is {:.2} values", at(0.5));
+        assert!(at(0.95).max(-at(0.05)) < 3.0, "frame {i}: errors reach from {:.2} to {:.2}", at(0.05), at(0.95));
+        assert!(misfit[1..].iter().all(|m| *m > 1.3 * misfit[0]), "frame {i} is not where it should be: {misfit:?}");
     }
 }
 
@@ -299,25 +235,13 @@ fn the_scene_still_renders_to_the_truth() {
     let (truth, w) = truth::read_hdr(&shipped("truth.hdr"));
     let v = view(1.0 / 16.0, 0.0, 24);
     let pixels = render(&Scene::new(), v);
-    let mine: Vec<V3> = pixels
-        .iter()
-        .map(|p| p.direct + p.mirror + p.albedo * (p.sun + p.rest))
-        .collect();
+    let mine: Vec<V3> = pixels.iter().map(|p| p.direct + p.mirror + p.albedo * (p.sun + p.rest)).collect();
     let (mine, truth) = (truth::shrink(&mine, v.width, 5), truth::shrink(&truth, w, 20));
     assert_eq!(mine.len(), truth.len());
-    let mut stops: Vec<f32> = mine
-        .iter()
-        .zip(&truth)
-        .map(|(a, b)| (a.luminance() / b.luminance()).log2())
-        .collect();
+    let mut stops: Vec<f32> = mine.iter().zip(&truth).map(|(a, b)| (a.luminance() / b.luminance()).log2()).collect();
     stops.sort_by(f32::total_cmp);
     let at = |part: f32| stops[((stops.len() - 1) as f32 * part) as usize];
     println!("stops: {:.3} {:.3} {:.3}", at(0.05), at(0.5), at(0.95));
     assert!(at(0.5).abs() < 0.15, "the whole picture is {:.2} stops off", at(0.5));
-    assert!(
-        at(0.95).max(-at(0.05)) < 0.6,
-        "parts are from {:.2} to {:.2} stops off",
-        at(0.05),
-        at(0.95)
-    );
+    assert!(at(0.95).max(-at(0.05)) < 0.6, "parts are from {:.2} to {:.2} stops off", at(0.05), at(0.95));
 }

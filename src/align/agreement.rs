@@ -56,9 +56,7 @@ pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
     let (columns, rows) = (width / side, height / side);
     // One task a tile; bands of one row each serve as the indexed map.
     let tiles: Vec<Tile> = map_bands(rows * columns, |range| {
-        range
-            .map(|i| judge(both, &warped, i % columns * side, i / columns * side, side))
-            .collect::<Vec<_>>()
+        range.map(|i| judge(both, &warped, i % columns * side, i / columns * side, side)).collect::<Vec<_>>()
     })
     .concat();
     let mut sum = Agreement::default();
@@ -133,11 +131,7 @@ fn judge(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, si
             }
             let variance = squares - sum * sum / n;
             // A frame without structure where the reference has some agrees with nothing.
-            *c = if variance.is_nan() {
-                f32::NAN
-            } else {
-                product / (energy * variance.max(0.25 * n)).sqrt()
-            };
+            *c = if variance.is_nan() { f32::NAN } else { product / (energy * variance.max(0.25 * n)).sqrt() };
         }
     }
     let centre = REACH as usize;
@@ -164,31 +158,16 @@ fn judge(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, si
     let (dx, dy) = (vertex(&correlation, at, true), vertex(&correlation, at, false));
     let offset_x = at.0 as f32 - centre as f32 + dx;
     let offset_y = at.1 as f32 - centre as f32 + dy;
-    Tile::Confirms {
-        offset: (offset_x * offset_x + offset_y * offset_y).sqrt(),
-        correlation: here,
-    }
+    Tile::Confirms { offset: (offset_x * offset_x + offset_y * offset_y).sqrt(), correlation: here }
 }
 
 /// The vertex of the parabola through the best and its neighbours along one axis, -1/2..=1/2.
 fn vertex<const N: usize>(c: &[[f32; N]; N], at: (usize, usize), along_x: bool) -> f32 {
     let get = |d: isize| -> f32 {
-        let (x, y) = if along_x {
-            (at.0 as isize + d, at.1 as isize)
-        } else {
-            (at.0 as isize, at.1 as isize + d)
-        };
-        if x < 0 || y < 0 || x >= N as isize || y >= N as isize {
-            f32::NAN
-        } else {
-            c[y as usize][x as usize]
-        }
+        let (x, y) = if along_x { (at.0 as isize + d, at.1 as isize) } else { (at.0 as isize, at.1 as isize + d) };
+        if x < 0 || y < 0 || x >= N as isize || y >= N as isize { f32::NAN } else { c[y as usize][x as usize] }
     };
     let (a, b, d) = (get(-1), get(0), get(1));
     let bend = a - 2.0 * b + d;
-    if bend < 0.0 {
-        (0.5 * (a - d) / bend).clamp(-0.5, 0.5)
-    } else {
-        0.0
-    }
+    if bend < 0.0 { (0.5 * (a - d) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }

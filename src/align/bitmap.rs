@@ -23,10 +23,7 @@ impl Bitmap {
         let mut words = vec![0u64; stride * height];
         for (y, row) in words.chunks_exact_mut(stride).enumerate() {
             for (word, pixels) in row[1..].iter_mut().zip(plane.row(y).chunks(64)) {
-                *word = pixels
-                    .iter()
-                    .enumerate()
-                    .fold(0, |bits, (i, &v)| bits | u64::from(set(v)) << i);
+                *word = pixels.iter().enumerate().fold(0, |bits, (i, &v)| bits | u64::from(set(v)) << i);
             }
         }
         Bitmap { width, height, words }
@@ -113,11 +110,7 @@ pub struct Difference {
 impl Difference {
     /// The share of the compared pixels that differ; 1 where none could be compared.
     pub fn rate(&self) -> f64 {
-        if self.compared == 0 {
-            1.0
-        } else {
-            self.differing as f64 / self.compared as f64
-        }
+        if self.compared == 0 { 1.0 } else { self.differing as f64 / self.compared as f64 }
     }
 
     #[inline]
@@ -130,10 +123,7 @@ impl Difference {
 
 /// The difference when the frame's pixel (x + `dx`, y + `dy`) is held against the reference's (x, y), over the whole overlap.
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
-    let (height, words) = (
-        reference.threshold.height() as i64,
-        reference.threshold.stride() as i64 - 2,
-    );
+    let (height, words) = (reference.threshold.height() as i64, reference.threshold.stride() as i64 - 2);
     let (whole, offset) = (dx.div_euclid(64), dx.rem_euclid(64) as u32);
     // Padded indices i + whole and i + whole + 1 must both lie in 0..words + 2, for i in 1..=words.
     let (first, end) = (1.max(-whole), (words + 1).min(words + 1 - whole));
@@ -146,10 +136,7 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     let beyond = far.start + 1..far.end + 1;
     for y in 0.max(-dy)..height.min(height - dy) {
         let (y, v) = (y as usize, (y + dy) as usize);
-        let (rt, re) = (
-            &reference.threshold.row(y)[near.clone()],
-            &reference.exclusion.row(y)[near.clone()],
-        );
+        let (rt, re) = (&reference.threshold.row(y)[near.clone()], &reference.exclusion.row(y)[near.clone()]);
         let (ft, fe) = (frame.threshold.row(v), frame.exclusion.row(v));
         let (ft_low, ft_high) = (&ft[far.clone()], &ft[beyond.clone()]);
         let (fe_low, fe_high) = (&fe[far.clone()], &fe[beyond.clone()]);
@@ -182,10 +169,7 @@ pub fn difference_in_circle(reference: &ThresholdBitmaps, frame: &ThresholdBitma
             continue;
         }
         let half = half.sqrt();
-        let (left, right) = (
-            ((cx - half).ceil() as i64).max(0),
-            ((cx + half).floor() as i64 + 1).min(width),
-        );
+        let (left, right) = (((cx - half).ceil() as i64).max(0), ((cx + half).floor() as i64 + 1).min(width));
         // The place of pixel x is (cos x + u0, sin x + v0); half a pixel is added so that floor rounds to the nearest.
         let u0 = cx + motion.dx - cos * cx - sin * down + 0.5;
         let v0 = cy + motion.dy - sin * cx + cos * down + 0.5;
@@ -276,16 +260,10 @@ mod tests {
     fn packed_shifts_count_as_pixel_by_pixel() {
         for (width, height) in [(64, 9), (131, 20), (200, 17), (5, 5)] {
             let (a, b) = (bitmaps(1, width, height), bitmaps(2, width, height));
-            for dx in [
-                -300, -131, -65, -64, -63, -7, -1, 0, 1, 3, 62, 63, 64, 65, 128, 130, 199, 400,
-            ] {
+            for dx in [-300, -131, -65, -64, -63, -7, -1, 0, 1, 3, 62, 63, 64, 65, 128, 130, 199, 400] {
                 for dy in [-30, -4, 0, 1, 8, 19, 30] {
                     let slow = by_pixel(&a, &b, |x, y| Some((x + dx, y + dy)));
-                    assert_eq!(
-                        difference_shifted(&a, &b, dx, dy),
-                        slow,
-                        "{width}x{height} by {dx}, {dy}"
-                    );
+                    assert_eq!(difference_shifted(&a, &b, dx, dy), slow, "{width}x{height} by {dx}, {dy}");
                 }
             }
         }

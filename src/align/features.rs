@@ -73,14 +73,7 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
         .map(|chunk| {
             let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len());
             range
-                .map(|i| {
-                    best_of(
-                        &reference.descriptors[i],
-                        frame,
-                        &candidates(&reference.keypoints[i], &grid),
-                        ratio,
-                    )
-                })
+                .map(|i| best_of(&reference.descriptors[i], frame, &candidates(&reference.keypoints[i], &grid), ratio))
                 .collect()
         })
         .collect();
@@ -96,11 +89,8 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
             }
         }
     }
-    let mut matches: Vec<Match> = owner
-        .iter()
-        .enumerate()
-        .filter_map(|(j, o)| o.map(|i| Match { reference: i, frame: j }))
-        .collect();
+    let mut matches: Vec<Match> =
+        owner.iter().enumerate().filter_map(|(j, o)| o.map(|i| Match { reference: i, frame: j })).collect();
     matches.sort_by_key(|m| m.reference);
     matches
 }
@@ -141,11 +131,7 @@ fn best_of(descriptor: &Descriptor, frame: &Features, candidates: &Candidates, r
         Candidates::Some(cells) => cells.iter().flat_map(|c| c.iter().copied()).for_each(&mut consider),
     }
     let clear = second == u32::MAX || f64::from(first) < ratio * ratio * f64::from(second);
-    if at != NONE && clear && first <= FARTHEST {
-        (at, first)
-    } else {
-        (NONE, u32::MAX)
-    }
+    if at != NONE && clear && first <= FARTHEST { (at, first) } else { (NONE, u32::MAX) }
 }
 
 /// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes: descriptors are 512
@@ -181,12 +167,7 @@ impl Grid {
             let at = (f64::from(p.y.max(0.0)) / cell) as i64 * columns + (f64::from(p.x.max(0.0)) / cell) as i64;
             cells[at as usize].push(j as u32);
         }
-        Grid {
-            cell,
-            columns,
-            rows,
-            cells,
-        }
+        Grid { cell, columns, rows, cells }
     }
 
     /// The points of the cells about (x, y): all those within the radius, and some more.
@@ -226,20 +207,14 @@ mod tests {
                 response: 0.1,
             })
             .collect();
-        Features {
-            keypoints,
-            descriptors: seeds.iter().map(|&s| descriptor(s)).collect(),
-        }
+        Features { keypoints, descriptors: seeds.iter().map(|&s| descriptor(s)).collect() }
     }
 
     #[test]
     fn equal_descriptors_find_each_other() {
         let a = features(&(0..200).collect::<Vec<_>>(), 0.0);
         let b = features(&(100..300).rev().collect::<Vec<_>>(), 5.0);
-        let guide = Guide {
-            motion: Matrix3::new(1.0, 0.0, 5.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            radius: 10.0,
-        };
+        let guide = Guide { motion: Matrix3::new(1.0, 0.0, 5.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), radius: 10.0 };
         for guide in [None, Some(&guide)] {
             let matches = match_mutual(&a, &b, 0.8, guide);
             let right = matches.iter().filter(|m| m.reference == 100 + 199 - m.frame).count();
@@ -251,17 +226,8 @@ mod tests {
     fn a_guide_forbids_distant_partners() {
         let a = features(&[7], 0.0);
         let b = features(&[7], 300.0);
-        let still = Guide {
-            motion: Matrix3::identity(),
-            radius: 10.0,
-        };
-        assert_eq!(
-            (
-                match_mutual(&a, &b, 0.8, None).len(),
-                match_mutual(&a, &b, 0.8, Some(&still)).len()
-            ),
-            (1, 0)
-        );
+        let still = Guide { motion: Matrix3::identity(), radius: 10.0 };
+        assert_eq!((match_mutual(&a, &b, 0.8, None).len(), match_mutual(&a, &b, 0.8, Some(&still)).len()), (1, 0));
     }
 
     #[test]
@@ -275,10 +241,7 @@ mod tests {
     fn only_the_nearest_of_two_suitors_is_taken() {
         let mut near = descriptor(5);
         near[0] ^= 1;
-        let a = Features {
-            keypoints: features(&[1, 2], 0.0).keypoints,
-            descriptors: vec![near, descriptor(5)],
-        };
+        let a = Features { keypoints: features(&[1, 2], 0.0).keypoints, descriptors: vec![near, descriptor(5)] };
         let b = features(&[5, 6], 0.0);
         assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 0 }]);
     }

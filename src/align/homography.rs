@@ -43,9 +43,7 @@ pub fn fit(pairs: &[Pair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
     let h = Matrix3::new(h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]);
     let h = to.try_inverse()? * h * from;
     let h = h / h[(2, 2)];
-    let in_front = pairs
-        .iter()
-        .all(|(p, _)| h[(2, 0)] * p[0] + h[(2, 1)] * p[1] + 1.0 > 0.0);
+    let in_front = pairs.iter().all(|(p, _)| h[(2, 0)] * p[0] + h[(2, 1)] * p[1] + 1.0 > 0.0);
     (h.iter().all(|v| v.is_finite()) && in_front && h.determinant() > 0.0).then_some(h)
 }
 
@@ -56,12 +54,9 @@ fn normalisation(points: impl Iterator<Item = ([f64; 2], f64)> + Clone) -> Optio
         (sx, sy, sw) = (sx + w * p[0], sy + w * p[1], sw + w);
     }
     let (cx, cy) = (sx / sw, sy / sw);
-    let spread: f64 = points
-        .map(|(p, w)| w * ((p[0] - cx) * (p[0] - cx) + (p[1] - cy) * (p[1] - cy)))
-        .sum();
+    let spread: f64 = points.map(|(p, w)| w * ((p[0] - cx) * (p[0] - cx) + (p[1] - cy) * (p[1] - cy))).sum();
     let s = (2.0 * sw / spread).sqrt();
-    s.is_finite()
-        .then(|| Matrix3::new(s, 0.0, -s * cx, 0.0, s, -s * cy, 0.0, 0.0, 1.0))
+    s.is_finite().then(|| Matrix3::new(s, 0.0, -s * cx, 0.0, s, -s * cy, 0.0, 0.0, 1.0))
 }
 
 #[cfg(test)]
@@ -105,9 +100,7 @@ mod tests {
 
     #[test]
     fn open_questions_have_no_answer() {
-        let line: Vec<Pair> = (0..6)
-            .map(|i| ([f64::from(i), 2.0 * f64::from(i)], [f64::from(i), 3.0]))
-            .collect();
+        let line: Vec<Pair> = (0..6).map(|i| ([f64::from(i), 2.0 * f64::from(i)], [f64::from(i), 3.0])).collect();
         assert!(fit(&line, None).is_none());
         assert!(fit(&pairs(&H, 3), None).is_none());
         let mirrored: Vec<Pair> = pairs(&H, 8).into_iter().map(|(p, q)| (p, [-q[0], q[1]])).collect();

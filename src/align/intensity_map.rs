@@ -31,9 +31,7 @@ impl IntensityMap {
     /// The map that takes the distribution of the first of each pair to that of the second; the identity without samples.
     pub fn from_samples(samples: &[(u8, u8)]) -> Self {
         if samples.is_empty() {
-            return IntensityMap {
-                levels: (0..KNOTS).map(|v| v as f32).collect(),
-            };
+            return IntensityMap { levels: (0..KNOTS).map(|v| v as f32).collect() };
         }
         let (mut reference, mut frame) = ([0u32; KNOTS], [0u32; KNOTS]);
         for &(r, f) in samples {
@@ -120,20 +118,12 @@ impl CommonExposure {
         let forth = IntensityMap::from_samples(&samples);
         if forth.brightens() {
             let mapped = smooth(reference, |v| forth.at(v), sigma);
-            return CommonExposure {
-                reference: mapped,
-                frame: smooth(frame, |v| v, sigma),
-                trusts: trusts(&forth),
-            };
+            return CommonExposure { reference: mapped, frame: smooth(frame, |v| v, sigma), trusts: trusts(&forth) };
         }
         let swapped: Vec<(u8, u8)> = samples.iter().map(|&(r, f)| (f, r)).collect();
         let back = IntensityMap::from_samples(&swapped);
         let mapped = smooth(frame, |v| back.at(v), sigma);
-        CommonExposure {
-            reference: smooth(reference, |v| v, sigma),
-            frame: mapped,
-            trusts: trusts(&back),
-        }
+        CommonExposure { reference: smooth(reference, |v| v, sigma), frame: mapped, trusts: trusts(&back) }
     }
 
     /// How far level `v` can be trusted, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
@@ -146,9 +136,7 @@ impl CommonExposure {
 
 /// Levels of both at a coarse grid of places that both see.
 fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8, u8)> {
-    let step = ((reference.width() * reference.height()) as f64 / SAMPLES)
-        .sqrt()
-        .max(1.0) as usize;
+    let step = ((reference.width() * reference.height()) as f64 / SAMPLES).sqrt().max(1.0) as usize;
     let mut samples = Vec::new();
     for y in (0..reference.height()).step_by(step) {
         for x in (0..reference.width()).step_by(step) {
@@ -200,9 +188,8 @@ mod tests {
         let n = 20_000;
         let reference: Vec<f32> = (0..n).map(|i| 20.0 + 200.0 * i as f32 / n as f32).collect();
         // The frame's samples are those of other places of the same scene: a permutation.
-        let samples: Vec<(u8, u8)> = (0..n)
-            .map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8))
-            .collect();
+        let samples: Vec<(u8, u8)> =
+            (0..n).map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8)).collect();
         let map = IntensityMap::from_samples(&samples);
         assert!(map.brightens());
         for v in [30.0f32, 77.3, 140.0, 210.0] {

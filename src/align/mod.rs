@@ -14,6 +14,7 @@ pub mod features;
 pub mod homography;
 pub mod intensity_map;
 pub mod mtb;
+mod overlap;
 mod place;
 pub mod ransac;
 pub mod refine;
@@ -29,7 +30,7 @@ use place::{Candidate, FeatureSets};
 use ransac::RansacOptions;
 use rayon::prelude::*;
 use sift::SiftOptions;
-use warp::{Warp, map};
+use warp::Warp;
 
 /// Which methods seek the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -82,10 +83,7 @@ impl AlignOptions {
         let angle = self.mtb.max_rotation_deg;
         if !(0.0..=45.0).contains(&angle) {
             let reason = format!("{angle} is not within 0..45 degrees; give a number such as 5");
-            return Err(Error::Option {
-                option: "--max-rotation",
-                reason,
-            });
+            return Err(Error::Option { option: "--max-rotation", reason });
         }
         Ok(())
     }
@@ -170,21 +168,22 @@ pub struct Verdict {
     pub keypoints: Option<KeypointCounts>,
     /// Our own estimate of the root mean square error of the warp over the picture, in pixels; none where nothing can be said.
     pub error_px: Option<f64>,
-    /// How sure it is, 0..1: under 0.5 is doubtful.
+    /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
     pub confidence: f64,
     /// Why it was rejected.
     pub reason: Option<String>,
 }
 
 impl Verdict {
-    fn reference() -> Self {
+    /// A frame that lies as the reference does, because it is the reference or because the user says so.
+    fn by_definition(status: Status) -> Self {
         Verdict {
-            status: Status::Reference,
+            status,
             model: Some(Model::Unmoved),
             warp: Some(Warp::Identity),
             inliers: None,
             keypoints: None,
-            error_px: Some(0.0),
+            error_px: (status == Status::Reference).then_some(0.0),
             confidence: 1.0,
             reason: None,
         }
@@ -196,8 +195,19 @@ impl Verdict {
 pub struct Alignment {
     /// One verdict per frame, in the order of [`Bracket::frames`].
     pub verdicts: Vec<Verdict>,
-    /// The largest rectangle of the reference found that all placed frames cover.
+    /// The largest rectangle of the reference that all placed frames cover.
     pub overlap: Rect,
+}
+
+impl Alignment {
+    /// Every frame of `bracket` as it lies, unseen: for a tripod that can be trusted.
+    pub fn unmoved(bracket: &Bracket) -> Self {
+        let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
+        Alignment {
+            verdicts: (0..bracket.frames().len()).map(|i| Verdict::by_definition(status(i))).collect(),
+            overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
+        }
+    }
 }
 
 /// A candidate with less confidence is no place at all.
@@ -213,28 +223,23 @@ const BY_COMPANY: f64 = 0.6;
 /// [`Error::Option`] where an option is out of range. That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
-    let pyramids: Vec<GreyPyramid> = bracket
-        .frames()
-        .par_iter()
-        .map(|f| GreyPyramid::new(f.grey()))
-        .collect();
-    let search = Search {
-        pyramids: &pyramids,
-        reference: bracket.reference_index(),
-        options,
-    };
+    if options.mode == AlignMode::None {
+        return Ok((Alignment::unmoved(bracket), Vec::new()));
+    }
+    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(|f| GreyPyramid::new(f.grey())).collect();
+    let search = Search { pyramids: &pyramids, reference: bracket.reference_index(), options };
     let verdicts = match options.mode {
-        AlignMode::Auto => search.auto(),
+        AlignMode::Auto | AlignMode::None => search.auto(),
         AlignMode::Mtb => search.each(|i| search.by_bitmaps_alone(i)),
         AlignMode::Sift => search.by_features_alone(),
-        AlignMode::None => search.each(|i| search.unmoved(i)),
     };
-    let warnings = warn(bracket, &verdicts, options.mode);
-    let overlap = overlap(&verdicts, bracket.width(), bracket.height());
+    let warnings = warn(bracket, &verdicts);
+    let warps: Vec<Warp> = verdicts.iter().filter_map(|v| v.warp).collect();
+    let overlap = overlap::largest(&warps, bracket.width(), bracket.height());
     Ok((Alignment { verdicts, overlap }, warnings))
 }
 
-fn warn(bracket: &Bracket, verdicts: &[Verdict], mode: AlignMode) -> Vec<Warning> {
+fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
@@ -243,12 +248,8 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict], mode: AlignMode) -> Vec<Warning
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });
             }
-            // Who asks for no alignment does not ask for an opinion.
-            _ if verdict.confidence < DOUBT && mode != AlignMode::None => {
-                warnings.push(Warning::LowConfidence {
-                    path,
-                    confidence: verdict.confidence,
-                });
+            _ if verdict.confidence < DOUBT => {
+                warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
             }
             _ => {}
         }
@@ -282,43 +283,23 @@ impl Search<'_> {
     /// `verdict` of every frame but the reference, in parallel.
     fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
         let place = |i| {
-            if i == self.reference {
-                Verdict::reference()
-            } else {
-                verdict(i)
-            }
+            if i == self.reference { Verdict::by_definition(Status::Reference) } else { verdict(i) }
         };
         (0..self.pyramids.len()).into_par_iter().map(place).collect()
-    }
-
-    fn unmoved(&self, i: usize) -> Verdict {
-        let candidate = place::judge(self.base(), &self.pyramids[i], Warp::Identity, 0.0);
-        placed(Model::Unmoved, &candidate, &Found::default())
     }
 
     fn by_bitmaps_alone(&self, i: usize) -> Verdict {
         let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
         let (model, warp) = match found.warp() {
-            Warp::Rigid {
-                dx: 0.0,
-                dy: 0.0,
-                angle: 0.0,
-            } => (Model::Unmoved, Warp::Identity),
+            Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 } => (Model::Unmoved, Warp::Identity),
             warp @ Warp::Rigid { angle: 0.0, .. } => (Model::Shift, warp),
             warp => (Model::Rigid, warp),
         };
-        placed(
-            model,
-            &place::judge(self.base(), &self.pyramids[i], warp, 0.0),
-            &Found::default(),
-        )
+        placed(model, &place::judge(self.base(), &self.pyramids[i], warp, 0.0), &Found::default())
     }
 
     fn by_features_alone(&self) -> Vec<Verdict> {
-        let sets: Vec<FeatureSets> = (0..self.pyramids.len())
-            .into_par_iter()
-            .map(|i| self.features(i))
-            .collect();
+        let sets: Vec<FeatureSets> = (0..self.pyramids.len()).into_par_iter().map(|i| self.features(i)).collect();
         let to_full = place::level_to_full(place::features_level(self.base()));
         self.each(|i| {
             let keypoints = Some(sets[i].counts);
@@ -333,28 +314,14 @@ impl Search<'_> {
             match consensus {
                 Some(c) if c.inliers.len() >= LEAST_INLIERS => {
                     let warp = Warp::Homography(c.homography);
-                    let found = Found {
-                        inliers: Some(c.inliers.len()),
-                        keypoints,
-                    };
-                    placed(
-                        Model::Homography,
-                        &place::judge(self.base(), &self.pyramids[i], warp, 0.0),
-                        &found,
-                    )
+                    let found = Found { inliers: Some(c.inliers.len()), keypoints };
+                    placed(Model::Homography, &place::judge(self.base(), &self.pyramids[i], warp, 0.0), &found)
                 }
                 other => {
                     let inliers = other.map_or(0, |c| c.inliers.len());
                     let reason =
                         format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
-                    rejected(
-                        reason,
-                        0.0,
-                        &Found {
-                            inliers: Some(inliers),
-                            keypoints,
-                        },
-                    )
+                    rejected(reason, 0.0, &Found { inliers: Some(inliers), keypoints })
                 }
             }
         })
@@ -392,10 +359,7 @@ impl Search<'_> {
 
     /// The frames whose place is still in doubt.
     fn unsettled(&self, best: &[Option<Candidate>]) -> Vec<usize> {
-        self.others()
-            .into_iter()
-            .filter(|&i| best[i].as_ref().is_none_or(|c| !c.is_settled()))
-            .collect()
+        self.others().into_iter().filter(|&i| best[i].as_ref().is_none_or(|c| !c.is_settled())).collect()
     }
 
     fn try_features(&self, best: &mut [Option<Candidate>], found: &mut [Found]) {
@@ -403,22 +367,14 @@ impl Search<'_> {
         if doubtful.is_empty() {
             return;
         }
-        let wanted: Vec<usize> = std::iter::once(self.reference)
-            .chain(doubtful.iter().copied())
-            .collect();
+        let wanted: Vec<usize> = std::iter::once(self.reference).chain(doubtful.iter().copied()).collect();
         let sets: Vec<FeatureSets> = wanted.par_iter().map(|&i| self.features(i)).collect();
         let to_full = place::level_to_full(place::features_level(self.base()));
         let results: Vec<(Option<usize>, Option<Candidate>)> = (1..wanted.len())
             .into_par_iter()
             .map(|k| {
-                let consensus = place::by_matches(
-                    &sets[0],
-                    &sets[k],
-                    &to_full,
-                    self.options.ratio,
-                    None,
-                    &self.options.ransac,
-                );
+                let consensus =
+                    place::by_matches(&sets[0], &sets[k], &to_full, self.options.ratio, None, &self.options.ransac);
                 let Some(consensus) = consensus else {
                     return (None, None);
                 };
@@ -429,10 +385,7 @@ impl Search<'_> {
             .collect();
         for (k, (inliers, candidate)) in results.into_iter().enumerate() {
             let i = wanted[k + 1];
-            found[i] = Found {
-                inliers,
-                keypoints: Some(sets[k + 1].counts),
-            };
+            found[i] = Found { inliers, keypoints: Some(sets[k + 1].counts) };
             keep_better(&mut best[i], candidate);
         }
         found[self.reference].keypoints = Some(sets[0].counts);
@@ -444,9 +397,7 @@ impl Search<'_> {
         let results: Vec<Vec<Candidate>> = doubtful
             .par_iter()
             .map(|&i| {
-                let angle = best[i]
-                    .as_ref()
-                    .map_or(0.0, |c| c.warp.rotation_deg(width, height).to_radians());
+                let angle = best[i].as_ref().map_or(0.0, |c| c.warp.rotation_deg(width, height).to_radians());
                 place::by_rivals(self.base(), &self.pyramids[i], angle, &self.options.mtb)
             })
             .collect();
@@ -483,10 +434,7 @@ impl Search<'_> {
     /// A frame too dark or too bright to say anything is unmoved where all the others are: it stood on the same tripod.
     fn keep_company(&self, verdicts: &mut [Verdict], best: &[Option<Candidate>], found: &[Found]) {
         let others = self.others();
-        let still = others
-            .iter()
-            .filter(|&&i| verdicts[i].status == Status::Unmoved)
-            .count();
+        let still = others.iter().filter(|&&i| verdicts[i].status == Status::Unmoved).count();
         let moved = others.iter().any(|&i| verdicts[i].status == Status::Aligned);
         if still == 0 || moved {
             return;
@@ -495,9 +443,7 @@ impl Search<'_> {
             if verdicts[i].status == Status::Rejected {
                 let here = place::judge(self.base(), &self.pyramids[i], Warp::Identity, 0.0);
                 let says_otherwise = here.agreement.contradict > here.agreement.confirm
-                    || best[i]
-                        .as_ref()
-                        .is_some_and(|c| c.agreement.confirm > here.agreement.confirm + 3);
+                    || best[i].as_ref().is_some_and(|c| c.agreement.confirm > here.agreement.confirm + 3);
                 if !says_otherwise {
                     verdicts[i] = placed(Model::Unmoved, &here, &found[i]);
                     verdicts[i].confidence = verdicts[i].confidence.max(BY_COMPANY);
@@ -512,9 +458,7 @@ const LEAST_INLIERS: usize = 10;
 
 fn keep_better(best: &mut Option<Candidate>, other: Option<Candidate>) {
     if let Some(other) = other
-        && best
-            .as_ref()
-            .is_none_or(|b| other.confidence() > b.confidence() + 0.005)
+        && best.as_ref().is_none_or(|b| other.confidence() > b.confidence() + 0.005)
     {
         *best = Some(other);
     }
@@ -536,11 +480,7 @@ fn why(candidate: Option<&Candidate>) -> String {
 
 fn placed(model: Model, candidate: &Candidate, found: &Found) -> Verdict {
     Verdict {
-        status: if model == Model::Unmoved {
-            Status::Unmoved
-        } else {
-            Status::Aligned
-        },
+        status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
         model: Some(model),
         warp: Some(candidate.warp),
         inliers: found.inliers,
@@ -562,57 +502,4 @@ fn rejected(reason: String, confidence: f64, found: &Found) -> Verdict {
         confidence: confidence.min(LEAST_CONFIDENCE),
         reason: Some(reason),
     }
-}
-
-/// A large rectangle of the reference that all placed frames cover: from the whole picture, the side that cuts off least is moved in
-/// until every corner of it lies in every frame. A frame's picture in the reference is convex, so the corners speak for the rest.
-fn overlap(verdicts: &[Verdict], width: usize, height: usize) -> Rect {
-    let warps: Vec<Matrix3<f64>> = verdicts
-        .iter()
-        .filter_map(|v| v.warp)
-        .filter(|w| *w != Warp::Identity)
-        .map(|w| w.matrix(width, height))
-        .collect();
-    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-    let seen = |x: usize, y: usize| {
-        warps.iter().all(|h| {
-            let (u, v) = map(h, x as f64, y as f64);
-            u >= 0.0 && v >= 0.0 && u <= right && v <= bottom
-        })
-    };
-    let mut rect = Rect {
-        x0: 0,
-        y0: 0,
-        x1: width,
-        y1: height,
-    };
-    while rect.width() > 1 && rect.height() > 1 {
-        let corners = [
-            seen(rect.x0, rect.y0),
-            seen(rect.x1 - 1, rect.y0),
-            seen(rect.x1 - 1, rect.y1 - 1),
-            seen(rect.x0, rect.y1 - 1),
-        ];
-        if corners.iter().all(|&c| c) {
-            break;
-        }
-        // A side with two corners outside goes first; of equals the one whose rows or columns are shortest.
-        let [tl, tr, br, bl] = corners.map(|c| u32::from(!c));
-        let sides = [
-            (tl + tr, rect.width()),
-            (tr + br, rect.height()),
-            (bl + br, rect.width()),
-            (tl + bl, rect.height()),
-        ];
-        let worst = (0..4)
-            .max_by_key(|&i| (sides[i].0, usize::MAX - sides[i].1, 4 - i))
-            .unwrap_or(0);
-        match worst {
-            0 => rect.y0 += 1,
-            1 => rect.x1 -= 1,
-            2 => rect.y1 -= 1,
-            _ => rect.x0 += 1,
-        }
-    }
-    rect
 }

@@ -23,11 +23,7 @@ pub struct MtbOptions {
 
 impl Default for MtbOptions {
     fn default() -> Self {
-        MtbOptions {
-            max_rotation_deg: 5.0,
-            max_shift: 0.15,
-            exclusion: 4,
-        }
+        MtbOptions { max_rotation_deg: 5.0, max_shift: 0.15, exclusion: 4 }
     }
 }
 
@@ -190,11 +186,7 @@ pub struct MtbMatch {
 impl MtbMatch {
     /// The motion as a warp.
     pub fn warp(&self) -> Warp {
-        Warp::Rigid {
-            dx: self.motion.dx,
-            dy: self.motion.dy,
-            angle: self.motion.angle,
-        }
+        Warp::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
     }
 }
 
@@ -213,11 +205,7 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     for level in (finest..coarsest).rev() {
         here = pair(level);
         for candidate in &mut candidates {
-            let doubled = Motion {
-                dx: 2.0 * candidate.dx,
-                dy: 2.0 * candidate.dy,
-                ..*candidate
-            };
+            let doubled = Motion { dx: 2.0 * candidate.dx, dy: 2.0 * candidate.dy, ..*candidate };
             *candidate = here.alternate(doubled);
         }
         here.keep_best(&mut candidates, level);
@@ -225,11 +213,7 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     let motion = here.interpolate(candidates[0]);
     let scale = (1u64 << finest) as f64;
     MtbMatch {
-        motion: Motion {
-            dx: motion.dx * scale,
-            dy: motion.dy * scale,
-            ..motion
-        },
+        motion: Motion { dx: motion.dx * scale, dy: motion.dy * scale, ..motion },
         percentile,
         difference: here.difference(&motion),
         difference_unmoved: here.difference(&Motion::default()),
@@ -258,14 +242,7 @@ pub fn rivals(
     let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
     let distinct = |a: &Motion, b: &Motion| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5;
     let found = best_distinct(rated, most, distinct);
-    found
-        .into_iter()
-        .map(|m| Motion {
-            dx: m.dx * scale,
-            dy: m.dy * scale,
-            ..m
-        })
-        .collect()
+    found.into_iter().map(|m| Motion { dx: m.dx * scale, dy: m.dy * scale, ..m }).collect()
 }
 
 /// The bitmaps of two frames at one level.
@@ -289,11 +266,7 @@ impl Pair {
     fn rate(&self, motion: &Motion) -> f64 {
         let difference = self.difference(motion);
         let circle = std::f64::consts::PI * self.radius() * self.radius();
-        if (difference.compared as f64) < 0.1 * circle {
-            1.0
-        } else {
-            difference.rate()
-        }
+        if (difference.compared as f64) < 0.1 * circle { 1.0 } else { difference.rate() }
     }
 
     /// The largest shift sought along an axis, in pixels of this level.
@@ -308,19 +281,11 @@ impl Pair {
         let mut rated = Vec::with_capacity((2 * reach + 1).pow(2) as usize);
         for dy in -reach..=reach {
             for dx in -reach..=reach {
-                let motion = Motion {
-                    dx: dx as f64,
-                    dy: dy as f64,
-                    angle,
-                };
+                let motion = Motion { dx: dx as f64, dy: dy as f64, angle };
                 // Without a rotation the corners can speak as well.
                 let rate = if angle == 0.0 {
                     let difference = difference_shifted(&self.reference, &self.frame, dx, dy);
-                    if (difference.compared as f64) < LEAST_COMPARED * area {
-                        1.0
-                    } else {
-                        difference.rate()
-                    }
+                    if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
                 } else {
                     self.rate(&motion)
                 };
@@ -335,9 +300,7 @@ impl Pair {
         let step = 1.0 / self.radius();
         let turns = libm::floor(self.max_angle / step) as i64;
         let reach = self.reach(max_shift);
-        let rated = (-turns..=turns)
-            .flat_map(|turn| self.rate_shifts(turn as f64 * step, reach))
-            .collect();
+        let rated = (-turns..=turns).flat_map(|turn| self.rate_shifts(turn as f64 * step, reach)).collect();
         best_distinct(rated, BEAM, |a, b| {
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.5 || (a.angle - b.angle).abs() > 1.5 * step
         })
@@ -354,14 +317,7 @@ impl Pair {
             for _ in 0..4 {
                 let centre = best.1;
                 for (dx, dy) in NEIGHBOURS {
-                    self.try_motion(
-                        &mut best,
-                        Motion {
-                            dx: centre.dx + dx,
-                            dy: centre.dy + dy,
-                            ..centre
-                        },
-                    );
+                    self.try_motion(&mut best, Motion { dx: centre.dx + dx, dy: centre.dy + dy, ..centre });
                 }
                 if best.1 == centre {
                     break;
@@ -370,13 +326,7 @@ impl Pair {
             if self.max_angle > 0.0 {
                 let centre = best.1;
                 for turn in [-2.0, -1.0, 1.0, 2.0] {
-                    self.try_motion(
-                        &mut best,
-                        Motion {
-                            angle: centre.angle + turn * step,
-                            ..centre
-                        },
-                    );
+                    self.try_motion(&mut best, Motion { angle: centre.angle + turn * step, ..centre });
                 }
             }
             if best.1.angle == before.angle {
@@ -399,48 +349,21 @@ impl Pair {
     fn keep_best(&self, candidates: &mut Vec<Motion>, level: usize) {
         let mut rated: Vec<(f64, Motion)> = candidates.iter().map(|m| (self.rate(m), *m)).collect();
         rated.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| smaller(&a.1, &b.1)));
-        let keep = if level == 0 || self.radius() >= 100.0 {
-            1
-        } else {
-            BEAM / 2
-        };
+        let keep = if level == 0 || self.radius() >= 100.0 { 1 } else { BEAM / 2 };
         *candidates = rated.into_iter().take(keep).map(|(_, m)| m).collect();
     }
 
     /// The lowest point between the steps, along each axis by itself, as they are nearly independent.
     fn interpolate(&self, start: Motion) -> Motion {
         let turn = 1.0 / self.radius();
-        let angle = if self.max_angle > 0.0 {
-            self.vertex(|t| Motion {
-                angle: start.angle + t * turn,
-                ..start
-            })
-        } else {
-            0.0
-        };
-        let turned = Motion {
-            angle: start.angle + angle * turn,
-            ..start
-        };
-        let dx = self.vertex(|t| Motion {
-            dx: turned.dx + t,
-            ..turned
-        });
-        let dy = self.vertex(|t| Motion {
-            dy: turned.dy + t,
-            ..turned
-        });
-        let motion = Motion {
-            dx: turned.dx + dx,
-            dy: turned.dy + dy,
-            ..turned
-        };
+        let angle =
+            if self.max_angle > 0.0 { self.vertex(|t| Motion { angle: start.angle + t * turn, ..start }) } else { 0.0 };
+        let turned = Motion { angle: start.angle + angle * turn, ..start };
+        let dx = self.vertex(|t| Motion { dx: turned.dx + t, ..turned });
+        let dy = self.vertex(|t| Motion { dy: turned.dy + t, ..turned });
+        let motion = Motion { dx: turned.dx + dx, dy: turned.dy + dy, ..turned };
         // No motion stays exactly no motion unless moving measurably helps.
-        if self.rate(&Motion::default()) <= self.rate(&motion) {
-            Motion::default()
-        } else {
-            motion
-        }
+        if self.rate(&Motion::default()) <= self.rate(&motion) { Motion::default() } else { motion }
     }
 
     /// Where on -1..=1 the rate is lowest. Two pictures of one scene differ in proportion to how far they are displaced, so
@@ -449,11 +372,7 @@ impl Pair {
     fn vertex(&self, along: impl Fn(f64) -> Motion) -> f64 {
         let [far_left, left, right, far_right] = [-2.0, -1.0, 1.0, 2.0].map(|t| self.rate(&along(t)));
         let slope = (far_right + far_left - right - left) / 2.0;
-        if slope <= 0.0 {
-            0.0
-        } else {
-            ((far_left + left - right - far_right) / (4.0 * slope)).clamp(-1.0, 1.0)
-        }
+        if slope <= 0.0 { 0.0 } else { ((far_left + left - right - far_right) / (4.0 * slope)).clamp(-1.0, 1.0) }
     }
 }
 
@@ -466,16 +385,8 @@ const RIVALS_SIDE: usize = 128;
 /// Candidates followed from the coarsest level on.
 const BEAM: usize = 6;
 
-const NEIGHBOURS: [(f64, f64); 8] = [
-    (-1.0, -1.0),
-    (0.0, -1.0),
-    (1.0, -1.0),
-    (-1.0, 0.0),
-    (1.0, 0.0),
-    (-1.0, 1.0),
-    (0.0, 1.0),
-    (1.0, 1.0),
-];
+const NEIGHBOURS: [(f64, f64); 8] =
+    [(-1.0, -1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 0.0), (1.0, 0.0), (-1.0, 1.0), (0.0, 1.0), (1.0, 1.0)];
 
 /// The best `most` of the rated motions of which each is `distinct` from those before it.
 fn best_distinct(
@@ -496,7 +407,5 @@ fn best_distinct(
 /// Of equal rates the smaller motion comes first.
 fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
     let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
-    size(a)
-        .total_cmp(&size(b))
-        .then(a.angle.abs().total_cmp(&b.angle.abs()))
+    size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))
 }

@@ -60,9 +60,7 @@ impl Candidate {
 /// The first level of `pyramid` with at most `pixels` pixels.
 pub(super) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
     let area = |i: usize| pyramid.level(i).width() * pyramid.level(i).height();
-    (0..pyramid.len())
-        .find(|&i| area(i) <= pixels)
-        .unwrap_or(pyramid.len() - 1)
+    (0..pyramid.len()).find(|&i| area(i) <= pixels).unwrap_or(pyramid.len() - 1)
 }
 
 /// The level on which features are sought.
@@ -93,11 +91,7 @@ pub(super) fn by_rivals(
     mtb::rivals(reference, frame, angle, MOST_RIVALS, options)
         .into_iter()
         .filter_map(|m| {
-            let warp = Warp::Rigid {
-                dx: m.dx,
-                dy: m.dy,
-                angle: m.angle,
-            };
+            let warp = Warp::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
             by_start(reference, frame, &warp, CAPTURE_LEVELS)
         })
         .collect()
@@ -135,10 +129,7 @@ pub(super) fn by_matches(
         }
     }
     drop_repeated(&mut pairs, to_full[(0, 0)]);
-    let in_full = RansacOptions {
-        threshold: options.threshold * to_full[(0, 0)],
-        ..options.clone()
-    };
+    let in_full = RansacOptions { threshold: options.threshold * to_full[(0, 0)], ..options.clone() };
     ransac::search(&pairs, &in_full)
 }
 
@@ -159,13 +150,11 @@ pub(super) fn by_start(
 ) -> Option<Candidate> {
     let finest = level_within(reference, REFINED_PIXELS);
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
-    [Model::Homography, Model::Rigid, Model::Shift]
-        .into_iter()
-        .find_map(|model| {
-            let found = refine(reference, frame, start, model, (finest + capture, finest))?;
-            let candidate = judge(reference, frame, found.warp, NOISE_FACTOR * found.error_px);
-            is_sane(&candidate.warp, reference).then_some(candidate)
-        })
+    [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
+        let found = refine(reference, frame, start, model, (finest + capture, finest))?;
+        let candidate = judge(reference, frame, found.warp, NOISE_FACTOR * found.error_px);
+        is_sane(&candidate.warp, reference).then_some(candidate)
+    })
 }
 
 /// The tiles' opinion of `warp`.
@@ -180,11 +169,7 @@ pub(super) fn judge(reference: &GreyPyramid, frame: &GreyPyramid, warp: Warp, no
     // A tile's own place is known to a few hundredths of a pixel.
     let seen = to_full[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
     let error_px = (noise_px * noise_px + seen * seen).sqrt();
-    Candidate {
-        warp,
-        agreement,
-        error_px,
-    }
+    Candidate { warp, agreement, error_px }
 }
 
 /// The median offset of tiles under the true warp, in pixels of the level. Measured on rendered brackets.
@@ -262,11 +247,8 @@ pub(super) fn features(pyramid: &GreyPyramid, sift: &SiftOptions, mtb: &MtbOptio
         }
     });
     let mtb = sift::detect(&bitmap, sift);
-    let counts = KeypointCounts {
-        plain: plain.len(),
-        mtb: mtb.len(),
-        merged: plain.len() + mtb.len() - repeated(&plain, &mtb),
-    };
+    let counts =
+        KeypointCounts { plain: plain.len(), mtb: mtb.len(), merged: plain.len() + mtb.len() - repeated(&plain, &mtb) };
     FeatureSets { plain, mtb, counts }
 }
 
@@ -286,11 +268,8 @@ fn repeated(plain: &Features, mtb: &Features) -> usize {
         .filter(|k| {
             let (cx, cy) = cell(k.x, k.y);
             (cy - 1..=cy + 1).any(|y| {
-                (cx - 1..=cx + 1).any(|x| {
-                    cells
-                        .get(&(x, y))
-                        .is_some_and(|c| c.iter().any(|&i| same(&plain.keypoints[i], k)))
-                })
+                (cx - 1..=cx + 1)
+                    .any(|x| cells.get(&(x, y)).is_some_and(|c| c.iter().any(|&i| same(&plain.keypoints[i], k))))
             })
         })
         .count()

@@ -25,12 +25,7 @@ pub struct RansacOptions {
 
 impl Default for RansacOptions {
     fn default() -> Self {
-        RansacOptions {
-            threshold: 2.5,
-            confidence: 0.9999,
-            max_trials: 3000,
-            seed: 0,
-        }
+        RansacOptions { threshold: 2.5, confidence: 0.9999, max_trials: 3000, seed: 0 }
     }
 }
 
@@ -76,11 +71,7 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
         return None;
     }
     let sum: f64 = inliers.iter().map(|&i| distance_squared(&homography, &pairs[i])).sum();
-    Some(Consensus {
-        rms: (sum / inliers.len() as f64).sqrt(),
-        homography,
-        inliers,
-    })
+    Some(Consensus { rms: (sum / inliers.len() as f64).sqrt(), homography, inliers })
 }
 
 /// Squared distance between where `h` puts the pair's first point and its second, in pixels squared.
@@ -94,9 +85,7 @@ fn score(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> f64 {
 }
 
 fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
-    (0..pairs.len())
-        .filter(|&i| distance_squared(h, &pairs[i]) <= limit)
-        .collect()
+    (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
 /// Refits on the inliers, those near the threshold counting less, as long as the score falls.
@@ -128,11 +117,7 @@ fn trials_for(share: f64, options: &RansacOptions) -> u64 {
         return 1;
     }
     let trials = libm::log(1.0 - options.confidence) / libm::log(1.0 - all_four);
-    if trials.is_finite() {
-        trials.ceil() as u64
-    } else {
-        options.max_trials
-    }
+    if trials.is_finite() { trials.ceil() as u64 } else { options.max_trials }
 }
 
 /// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them leaves them.

@@ -92,11 +92,7 @@ fn to_warp(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Warp 
     match model {
         Model::Unmoved => Warp::Identity,
         Model::Shift => Warp::Rigid { dx, dy, angle: 0.0 },
-        Model::Rigid => Warp::Rigid {
-            dx,
-            dy,
-            angle: whole.rotation_deg(width, height).to_radians(),
-        },
+        Model::Rigid => Warp::Rigid { dx, dy, angle: whole.rotation_deg(width, height).to_radians() },
         Model::Homography => whole,
     }
 }
@@ -132,18 +128,10 @@ impl Stage {
         let to_full = Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0);
         let from_full = to_full.try_inverse()?;
         let h = from_full * h_full * to_full;
-        let cell = ((reference.width() * reference.height()) as f64 / CELLS)
-            .sqrt()
-            .max(1.0) as usize;
+        let cell = ((reference.width() * reference.height()) as f64 / CELLS).sqrt().max(1.0) as usize;
         let both = CommonExposure::new(reference, frame, &h, SMOOTHING);
         let points = choose_points(&both, cell);
-        (points.len() >= 50).then_some(Stage {
-            frame: both.frame,
-            points,
-            to_full,
-            from_full,
-            scale,
-        })
+        (points.len() >= 50).then_some(Stage { frame: both.frame, points, to_full, from_full, scale })
     }
 
     /// Steps of Gauss and Newton with Tukey's weights until no corner moves.
@@ -175,13 +163,7 @@ impl Stage {
         let loss = self.loss(&residuals, noise);
         let error_px = self.scale * basis.expected_error(&normal)?;
         let h_full = self.to_full * h * self.from_full;
-        let refined = Refined {
-            warp: Warp::Identity,
-            noise: noise.into(),
-            loss,
-            error_px,
-            points: used,
-        };
+        let refined = Refined { warp: Warp::Identity, noise: noise.into(), loss, error_px, points: used };
         Some((h_full / h_full[(2, 2)], refined))
     }
 
@@ -214,10 +196,7 @@ impl Stage {
                 }
             }
         }
-        (
-            DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]),
-            DVector::from_fn(n, |i, _| b[i]),
-        )
+        (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
     }
 
     fn loss(&self, residuals: &[Option<f32>], noise: f32) -> f64 {
@@ -262,13 +241,7 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
             ];
             let jitter = JITTER * JITTER * (gradient[0] * gradient[0] + gradient[1] * gradient[1]);
             let precision = 1.0 / (1.0 / both.trust(level) + jitter).sqrt();
-            Point {
-                x: x as f64,
-                y: y as f64,
-                level,
-                gradient,
-                precision,
-            }
+            Point { x: x as f64, y: y as f64, level, gradient, precision }
         }));
     }
     points
@@ -283,11 +256,8 @@ fn tukey_weight(r: f32) -> f32 {
 
 /// The robust standard deviation of the trusted residuals: 1.4826 times the median of their absolutes, at least half a grey level.
 fn spread(points: &[Point], residuals: &[Option<f32>]) -> Option<f32> {
-    let mut absolutes: Vec<f32> = points
-        .iter()
-        .zip(residuals)
-        .filter_map(|(p, r)| r.map(|r| (r * p.precision).abs()))
-        .collect();
+    let mut absolutes: Vec<f32> =
+        points.iter().zip(residuals).filter_map(|(p, r)| r.map(|r| (r * p.precision).abs())).collect();
     if absolutes.len() < LEAST_POINTS {
         return None;
     }
@@ -319,12 +289,7 @@ pub(super) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
 /// Weights of the four samples about a place `t` of the way from the second to the third (Keys 1981, a = -1/2).
 fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
-    [
-        -0.5 * t3 + t2 - 0.5 * t,
-        1.5 * t3 - 2.5 * t2 + 1.0,
-        -1.5 * t3 + 2.0 * t2 + 0.5 * t,
-        0.5 * t3 - 0.5 * t2,
-    ]
+    [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
 }
 
 /// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
@@ -339,12 +304,7 @@ impl Basis {
     fn new(model: Model, width: usize, height: usize) -> Self {
         let half = |n: usize| n as f64 / 2.0;
         let unit = (half(width) * half(width) + half(height) * half(height)).sqrt();
-        Basis {
-            model,
-            centre: centre(width, height),
-            unit,
-            size: (width, height),
-        }
+        Basis { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
     /// How many numbers the model has.
@@ -359,11 +319,7 @@ impl Basis {
 
     /// d(place) / d(numbers) at (x, y), in pixels.
     fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
-        let (x, y, u) = (
-            (x - self.centre.0) / self.unit,
-            (y - self.centre.1) / self.unit,
-            self.unit,
-        );
+        let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
         match self.model {
             Model::Unmoved => {}
@@ -400,17 +356,8 @@ impl Basis {
     /// The motion of the reference's pixels that the numbers `d` stand for.
     fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
         let (cx, cy) = self.centre;
-        let from = Matrix3::new(
-            1.0 / self.unit,
-            0.0,
-            -cx / self.unit,
-            0.0,
-            1.0 / self.unit,
-            -cy / self.unit,
-            0.0,
-            0.0,
-            1.0,
-        );
+        let from =
+            Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0);
         let to = Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0);
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),

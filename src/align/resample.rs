@@ -29,18 +29,11 @@ const PHASES: usize = 1024;
 pub fn resample_rows(frame: &Frame, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
     assert_eq!(out.len(), columns.len() * rows.len());
     match frame.samples() {
-        Samples::Eight(codes) => Source {
-            codes,
-            size: (frame.width(), frame.height()),
-            scale: 1.0,
+        Samples::Eight(codes) => {
+            Source { codes, size: (frame.width(), frame.height()), scale: 1.0 }.resample(warp, columns, rows, out)
         }
-        .resample(warp, columns, rows, out),
-        Samples::Sixteen(codes) => Source {
-            codes,
-            size: (frame.width(), frame.height()),
-            scale: 1.0 / 257.0,
-        }
-        .resample(warp, columns, rows, out),
+        Samples::Sixteen(codes) => Source { codes, size: (frame.width(), frame.height()), scale: 1.0 / 257.0 }
+            .resample(warp, columns, rows, out),
     }
 }
 
@@ -168,13 +161,7 @@ mod tests {
                 [v, v * 0.5, 255.0 - v].map(|v| (v * 257.0).round() as u16)
             })
             .collect();
-        Frame::new(
-            "f".into(),
-            width,
-            height,
-            Samples::Sixteen(codes),
-            Exposure::given(0.0).unwrap(),
-        )
+        Frame::new("f".into(), width, height, Samples::Sixteen(codes), Exposure::given(0.0).unwrap())
     }
 
     fn whole(frame: &Frame, warp: &Warp) -> Vec<[f32; 3]> {
@@ -185,9 +172,7 @@ mod tests {
 
     /// The paper's double sum, pixel by pixel, without tables.
     fn textbook(frame: &Frame, u: f64, v: f64, channel: usize) -> f64 {
-        let Samples::Sixteen(codes) = frame.samples() else {
-            unreachable!()
-        };
+        let Samples::Sixteen(codes) = frame.samples() else { unreachable!() };
         let (mut sum, mut weight) = (0.0, 0.0);
         for y in v.floor() as isize - 2..=v.floor() as isize + 3 {
             for x in u.floor() as isize - 2..=u.floor() as isize + 3 {
@@ -203,14 +188,8 @@ mod tests {
 
     #[test]
     fn agrees_with_the_textbook_sum() {
-        let f = frame(40, 30, |x, y| {
-            120.0 + 60.0 * (0.9 * x).sin() + 50.0 * (0.7 * y + 0.2 * x).cos()
-        });
-        let warp = Warp::Rigid {
-            dx: 1.37,
-            dy: -0.61,
-            angle: 0.03,
-        };
+        let f = frame(40, 30, |x, y| 120.0 + 60.0 * (0.9 * x).sin() + 50.0 * (0.7 * y + 0.2 * x).cos());
+        let warp = Warp::Rigid { dx: 1.37, dy: -0.61, angle: 0.03 };
         let h = warp.matrix(40, 30);
         for (i, pixel) in whole(&f, &warp).iter().enumerate() {
             let (u, v) = map(&h, (i % 40) as f64, (i / 40) as f64);
@@ -229,14 +208,7 @@ mod tests {
     fn whole_pixel_shifts_and_identity_are_exact() {
         let f = frame(20, 12, |x, y| (7.0 * x + 3.0 * y) % 256.0);
         let still = whole(&f, &Warp::Identity);
-        let moved = whole(
-            &f,
-            &Warp::Rigid {
-                dx: 2.0,
-                dy: 1.0,
-                angle: 0.0,
-            },
-        );
+        let moved = whole(&f, &Warp::Rigid { dx: 2.0, dy: 1.0, angle: 0.0 });
         for y in 0..11 {
             for x in 0..18 {
                 for c in 0..3 {
@@ -252,15 +224,8 @@ mod tests {
         let eight: Vec<u8> = (0..3 * 16 * 16).map(|i| (i * 37 % 256) as u8).collect();
         let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
         let make = |s| Frame::new("f".into(), 16, 16, s, Exposure::given(0.0).unwrap());
-        let warp = Warp::Rigid {
-            dx: 0.4,
-            dy: 0.3,
-            angle: 0.01,
-        };
-        let (a, b) = (
-            whole(&make(Samples::Eight(eight)), &warp),
-            whole(&make(Samples::Sixteen(sixteen)), &warp),
-        );
+        let warp = Warp::Rigid { dx: 0.4, dy: 0.3, angle: 0.01 };
+        let (a, b) = (whole(&make(Samples::Eight(eight)), &warp), whole(&make(Samples::Sixteen(sixteen)), &warp));
         for (p, q) in a.iter().zip(&b) {
             for c in 0..3 {
                 assert!((p[c] - q[c]).abs() < 1e-3);

@@ -33,17 +33,7 @@ impl Warp {
             Warp::Rigid { dx, dy, angle } => {
                 let (cx, cy) = centre(width, height);
                 let (s, c) = (libm::sin(angle), libm::cos(angle));
-                Matrix3::new(
-                    c,
-                    -s,
-                    cx + dx - c * cx + s * cy,
-                    s,
-                    c,
-                    cy + dy - s * cx - c * cy,
-                    0.0,
-                    0.0,
-                    1.0,
-                )
+                Matrix3::new(c, -s, cx + dx - c * cx + s * cy, s, c, cy + dy - s * cx - c * cy, 0.0, 0.0, 1.0)
             }
             Warp::Homography(h) => h,
         }
@@ -91,10 +81,7 @@ pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
 /// x' ~ H x. Not finite on the line that H sends to infinity.
 pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
-    (
-        (h[(0, 0)] * x + h[(0, 1)] * y + h[(0, 2)]) / w,
-        (h[(1, 0)] * x + h[(1, 1)] * y + h[(1, 2)]) / w,
-    )
+    ((h[(0, 0)] * x + h[(0, 1)] * y + h[(0, 2)]) / w, (h[(1, 0)] * x + h[(1, 1)] * y + h[(1, 2)]) / w)
 }
 
 #[cfg(test)]
@@ -103,11 +90,7 @@ mod tests {
 
     #[test]
     fn a_rigid_warp_turns_about_the_centre() {
-        let warp = Warp::Rigid {
-            dx: 3.0,
-            dy: -2.0,
-            angle: 0.1,
-        };
+        let warp = Warp::Rigid { dx: 3.0, dy: -2.0, angle: 0.1 };
         let (dx, dy) = warp.shift_px(101, 51);
         assert!((dx - 3.0).abs() < 1e-12 && (dy + 2.0).abs() < 1e-12);
         assert!((warp.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);

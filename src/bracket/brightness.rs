@@ -124,11 +124,7 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
 /// The sRGB curve (IEC 61966-2-1) of a code 0..=255.
 fn linear(code: f64) -> f64 {
     let v = code / 255.0;
-    if v <= 0.04045 {
-        v / 12.92
-    } else {
-        libm::pow((v + 0.055) / 1.055, 2.4)
-    }
+    if v <= 0.04045 { v / 12.92 } else { libm::pow((v + 0.055) / 1.055, 2.4) }
 }
 
 /// The exposures of `frames` in EV, in their order, that of the darkest being 0. `None` where neighbours in brightness cannot be compared.
@@ -136,10 +132,8 @@ fn linear(code: f64) -> f64 {
 pub fn estimate(frames: &[Brightness]) -> Option<Vec<f64>> {
     let mut order: Vec<usize> = (0..frames.len()).collect();
     order.sort_by(|&a, &b| frames[a].mean().total_cmp(&frames[b].mean()));
-    let steps: Vec<f64> = order
-        .windows(2)
-        .map(|pair| step(&frames[pair[0]], &frames[pair[1]]))
-        .collect::<Option<_>>()?;
+    let steps: Vec<f64> =
+        order.windows(2).map(|pair| step(&frames[pair[0]], &frames[pair[1]])).collect::<Option<_>>()?;
     let contrast = contrast(&steps);
     let mut evs = vec![0.0; frames.len()];
     for (pair, step) in order.windows(2).zip(&steps) {
@@ -159,11 +153,7 @@ fn contrast(steps: &[f64]) -> f64 {
     (1..=4)
         .map(|whole| middle / f64::from(whole))
         .filter(|c| CONTRASTS.contains(c))
-        .min_by(|a, b| {
-            libm::log2(a / CONTRAST)
-                .abs()
-                .total_cmp(&libm::log2(b / CONTRAST).abs())
-        })
+        .min_by(|a, b| libm::log2(a / CONTRAST).abs().total_cmp(&libm::log2(b / CONTRAST).abs()))
         .unwrap_or(CONTRAST)
 }
 
@@ -204,12 +194,8 @@ pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];
         let seen = step(&frames[pair[0]], &frames[pair[1]])? / CONTRAST;
-        (said >= 0.3 && seen <= -0.5).then(|| {
-            format!(
-                "one frame should be {said:.1} EV brighter than the next, but is {:.1} EV darker",
-                -seen
-            )
-        })
+        (said >= 0.3 && seen <= -0.5)
+            .then(|| format!("one frame should be {said:.1} EV brighter than the next, but is {:.1} EV darker", -seen))
     })
 }
 
@@ -226,11 +212,7 @@ mod tests {
                 let scene =
                     ((x + shift) as f64 / 23.0).sin() + (y as f64 / 17.0).cos() + 0.3 * ((x * y) as f64 / 90.0).sin();
                 let light = 2f64.powf(2.2 * scene + ev - 2.5).powf(contrast);
-                let v = if light <= 0.0031308 {
-                    12.92 * light
-                } else {
-                    1.055 * light.powf(1.0 / 2.4) - 0.055
-                };
+                let v = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
                 samples.extend([0, (v.min(1.0) * 255.0).round() as u8, 0]);
             }
         }
@@ -240,15 +222,10 @@ mod tests {
     #[test]
     fn even_steps_come_out_whole_whatever_the_contrast() {
         for (step, contrast) in [(1.0, 1.1), (1.0, 1.5), (2.0, 1.4), (3.0, 1.35)] {
-            let frames: Vec<_> = (0..4)
-                .map(|i| picture(step * f64::from(i) - 4.0, contrast, 3 * i as usize))
-                .collect();
+            let frames: Vec<_> = (0..4).map(|i| picture(step * f64::from(i) - 4.0, contrast, 3 * i as usize)).collect();
             let evs = estimate(&frames).unwrap();
             for (i, ev) in evs.iter().enumerate() {
-                assert!(
-                    (ev - step * i as f64).abs() < 0.12 * step,
-                    "{step} EV at contrast {contrast}: {evs:?}"
-                );
+                assert!((ev - step * i as f64).abs() < 0.12 * step, "{step} EV at contrast {contrast}: {evs:?}");
             }
         }
     }
@@ -277,20 +254,14 @@ mod tests {
         assert_eq!(contradiction(&[-5.0, -4.0], &frames), None);
         assert!(contradiction(&[-4.0, -5.0], &frames).is_some());
         // A third of a stop in light is weather, not a contradiction.
-        assert_eq!(
-            contradiction(&[0.0, 0.0], &[picture(0.0, 1.4, 0), picture(0.3, 1.4, 0)]),
-            None
-        );
+        assert_eq!(contradiction(&[0.0, 0.0], &[picture(0.0, 1.4, 0), picture(0.3, 1.4, 0)]), None);
     }
 
     #[test]
     fn sixteen_bits_give_what_eight_give() {
         let eight: Vec<u8> = (0..3 * 64 * 64u32).map(|i| (i * 7 % 251) as u8).collect();
         let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
-        let (a, b) = (
-            Brightness::of(&Samples::Eight(eight), 64),
-            Brightness::of(&Samples::Sixteen(sixteen), 64),
-        );
+        let (a, b) = (Brightness::of(&Samples::Eight(eight), 64), Brightness::of(&Samples::Sixteen(sixteen), 64));
         assert_eq!(a.counts, b.counts);
     }
 

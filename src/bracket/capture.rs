@@ -8,15 +8,11 @@ use exif::{Exif, In, Tag, Value};
 
 /// The notes that are carried over to the outputs.
 pub(super) fn read(exif: &Exif) -> Capture {
-    let focal_length = exif
-        .get_field(Tag::FocalLength, In::PRIMARY)
-        .and_then(|f| exposure::first_number(&f.value));
+    let focal_length = exif.get_field(Tag::FocalLength, In::PRIMARY).and_then(|f| exposure::first_number(&f.value));
     Capture {
         make: ascii(exif, Tag::Make),
         model: ascii(exif, Tag::Model),
-        date: ascii(exif, Tag::DateTimeOriginal)
-            .or_else(|| ascii(exif, Tag::DateTime))
-            .filter(|d| is_date(d)),
+        date: ascii(exif, Tag::DateTimeOriginal).or_else(|| ascii(exif, Tag::DateTime)).filter(|d| is_date(d)),
         lens: ascii(exif, Tag::LensModel),
         focal_length_mm: focal_length.filter(|&f| f > 0.0),
     }
@@ -26,10 +22,7 @@ pub(super) fn read(exif: &Exif) -> Capture {
 fn is_date(text: &str) -> bool {
     let shape = b"0000:00:00 00:00:00";
     text.len() == shape.len()
-        && text
-            .bytes()
-            .zip(shape)
-            .all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })
+        && text.bytes().zip(shape).all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })
         && !text.starts_with("0000")
 }
 
@@ -51,13 +44,7 @@ mod tests {
     #[test]
     fn only_dates_are_dates() {
         assert!(is_date("2026:11:20 08:00:00"));
-        for wrong in [
-            "0000:00:00 00:00:00",
-            "    :  :     :  :  ",
-            "2026-11-20 08:00:00",
-            "2026:11:20",
-            "",
-        ] {
+        for wrong in ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-20 08:00:00", "2026:11:20", ""] {
             assert!(!is_date(wrong), "{wrong}");
         }
     }

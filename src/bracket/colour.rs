@@ -26,67 +26,35 @@ const D50: [f64; 2] = [0.3457, 0.3585];
 /// The D50 of the profile connection space (ICC.1, 7.2.16).
 const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
 /// Bradford's cone responses (ICC.1, annex E).
-const BRADFORD: Matrix3<f64> = Matrix3::new(
-    0.8951, 0.2664, -0.1614, -0.7502, 1.7135, 0.0367, 0.0389, -0.0685, 1.0296,
-);
+const BRADFORD: Matrix3<f64> = Matrix3::new(0.8951, 0.2664, -0.1614, -0.7502, 1.7135, 0.0367, 0.0389, -0.0685, 1.0296);
 
 impl Primaries {
     /// ITU-R BT.709 and sRGB, D65.
-    pub const SRGB: Primaries = Primaries {
-        red: [0.64, 0.33],
-        green: [0.30, 0.60],
-        blue: [0.15, 0.06],
-        white: D65,
-    };
+    pub const SRGB: Primaries = Primaries { red: [0.64, 0.33], green: [0.30, 0.60], blue: [0.15, 0.06], white: D65 };
     /// Display P3, D65.
-    pub const DISPLAY_P3: Primaries = Primaries {
-        red: [0.680, 0.320],
-        green: [0.265, 0.690],
-        blue: [0.150, 0.060],
-        white: D65,
-    };
+    pub const DISPLAY_P3: Primaries =
+        Primaries { red: [0.680, 0.320], green: [0.265, 0.690], blue: [0.150, 0.060], white: D65 };
     /// Adobe RGB (1998), D65.
-    pub const ADOBE_RGB: Primaries = Primaries {
-        red: [0.64, 0.33],
-        green: [0.21, 0.71],
-        blue: [0.15, 0.06],
-        white: D65,
-    };
+    pub const ADOBE_RGB: Primaries =
+        Primaries { red: [0.64, 0.33], green: [0.21, 0.71], blue: [0.15, 0.06], white: D65 };
     /// ITU-R BT.2020, D65.
-    pub const BT2020: Primaries = Primaries {
-        red: [0.708, 0.292],
-        green: [0.170, 0.797],
-        blue: [0.131, 0.046],
-        white: D65,
-    };
+    pub const BT2020: Primaries =
+        Primaries { red: [0.708, 0.292], green: [0.170, 0.797], blue: [0.131, 0.046], white: D65 };
     /// ProPhoto RGB (ROMM, ISO 22028-2), D50.
-    pub const PROPHOTO: Primaries = Primaries {
-        red: [0.7347, 0.2653],
-        green: [0.1596, 0.8404],
-        blue: [0.0366, 0.0001],
-        white: D50,
-    };
+    pub const PROPHOTO: Primaries =
+        Primaries { red: [0.7347, 0.2653], green: [0.1596, 0.8404], blue: [0.0366, 0.0001], white: D50 };
 
     /// Whether no coordinate differs by more than `tolerance`; profiles round, and 0.005 is below what can be seen.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
         let all = |p: &Primaries| [p.red, p.green, p.blue, p.white].concat();
-        all(self)
-            .iter()
-            .zip(all(other))
-            .all(|(a, b)| (a - b).abs() <= tolerance)
+        all(self).iter().zip(all(other)).all(|(a, b)| (a - b).abs() <= tolerance)
     }
 
     /// The standard set that this is, if any: profiles round to a few units in the fourth place.
     pub fn nearest_standard(&self) -> Option<Primaries> {
-        [
-            Self::SRGB,
-            Self::DISPLAY_P3,
-            Self::ADOBE_RGB,
-            Self::BT2020,
-            Self::PROPHOTO,
-        ]
-        .into_iter()
-        .find(|standard| self.is_close(standard, 0.005))
+        [Self::SRGB, Self::DISPLAY_P3, Self::ADOBE_RGB, Self::BT2020, Self::PROPHOTO]
+            .into_iter()
+            .find(|standard| self.is_close(standard, 0.005))
     }
 }
 
@@ -119,10 +87,7 @@ impl Profile {
         match parsed.color_space {
             moxcms::DataColorSpace::Rgb => {
                 let description = parsed.description.as_ref().map(text).filter(|d| !d.is_empty());
-                Found::Rgb(Profile {
-                    icc,
-                    description: description.unwrap_or_else(|| "unnamed profile".into()),
-                })
+                Found::Rgb(Profile { icc, description: description.unwrap_or_else(|| "unnamed profile".into()) })
             }
             moxcms::DataColorSpace::Gray => Found::Other("grey"),
             moxcms::DataColorSpace::Cmyk => Found::Other("CMYK"),
@@ -135,15 +100,10 @@ impl Profile {
         let profile = parse(&self.icc)?;
         let colorant = |c: moxcms::Xyzd| Vector3::new(c.x, c.y, c.z);
         let colorants = [profile.red_colorant, profile.green_colorant, profile.blue_colorant].map(colorant);
-        if colorants
-            .iter()
-            .any(|c| c.y.abs() < 1e-6 && c.x.abs() < 1e-6 && c.z.abs() < 1e-6)
-        {
+        if colorants.iter().any(|c| c.y.abs() < 1e-6 && c.x.abs() < 1e-6 && c.z.abs() < 1e-6) {
             return None;
         }
-        let chad = profile
-            .chromatic_adaptation
-            .map(|chad| Matrix3::from_fn(|row, column| chad.v[row][column]));
+        let chad = profile.chromatic_adaptation.map(|chad| Matrix3::from_fn(|row, column| chad.v[row][column]));
         // moxcms up to 0.9, and so what was written with it, puts the cone matrix itself where the adaptation belongs.
         if let Some(to_d50) = chad.filter(|chad| (chad - BRADFORD).amax() > 1e-3) {
             return unadapted(&colorants, to_d50.try_inverse()?);
@@ -154,11 +114,7 @@ impl Profile {
         }
         // D50 is what version 4 must say of every profile, and what ProPhoto is: D65 is meant where it makes a known space.
         let d65 = unadapted(&colorants, from_d50(D65)?)?;
-        if d65.nearest_standard().is_some() {
-            Some(d65)
-        } else {
-            unadapted(&colorants, Matrix3::identity())
-        }
+        if d65.nearest_standard().is_some() { Some(d65) } else { unadapted(&colorants, Matrix3::identity()) }
     }
 
     /// What to embed for Adobe RGB (1998), where a camera says so by EXIF alone. The same bytes every time.
@@ -166,17 +122,9 @@ impl Profile {
         let mut profile = moxcms::ColorProfile::new_adobe_rgb();
         let to_d50 = from_d50(D65)?.try_inverse()?;
         let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
-        profile.chromatic_adaptation = Some(moxcms::Matrix3d {
-            v: [row(0), row(1), row(2)],
-        });
-        profile.creation_date_time = moxcms::ColorDateTime {
-            year: 1998,
-            month: 11,
-            day_of_the_month: 1,
-            hours: 0,
-            minutes: 0,
-            seconds: 0,
-        };
+        profile.chromatic_adaptation = Some(moxcms::Matrix3d { v: [row(0), row(1), row(2)] });
+        profile.creation_date_time =
+            moxcms::ColorDateTime { year: 1998, month: 11, day_of_the_month: 1, hours: 0, minutes: 0, seconds: 0 };
         match Profile::parse(profile.encode().ok()?) {
             Found::Rgb(profile) => Some(profile),
             _ => None,
@@ -198,22 +146,13 @@ fn text(description: &moxcms::ProfileText) -> String {
         moxcms::ProfileText::Description(d) if d.ascii_string.is_empty() => d.unicode_string.as_str(),
         moxcms::ProfileText::Description(d) => d.ascii_string.as_str(),
     };
-    text.chars()
-        .filter(|c| !c.is_control())
-        .collect::<String>()
-        .trim()
-        .to_string()
+    text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string()
 }
 
 /// Colorants and D50 taken to where they were before adaptation.
 fn unadapted(colorants: &[Vector3<f64>; 3], from_d50: Matrix3<f64>) -> Option<Primaries> {
     let [red, green, blue] = colorants.map(|c| xy(from_d50 * c));
-    Some(Primaries {
-        red: red?,
-        green: green?,
-        blue: blue?,
-        white: xy(from_d50 * PCS_WHITE)?,
-    })
+    Some(Primaries { red: red?, green: green?, blue: blue?, white: xy(from_d50 * PCS_WHITE)? })
 }
 
 /// The Bradford transform from D50 to the white of chromaticity `white` (ICC.1, annex E).
@@ -222,11 +161,7 @@ fn from_d50(white: [f64; 2]) -> Option<Matrix3<f64>> {
     if white[1] < 1e-3 {
         return None;
     }
-    let target = cones(Vector3::new(
-        white[0] / white[1],
-        1.0,
-        (1.0 - white[0] - white[1]) / white[1],
-    ));
+    let target = cones(Vector3::new(white[0] / white[1], 1.0, (1.0 - white[0] - white[1]) / white[1]));
     let source = cones(PCS_WHITE);
     Some(BRADFORD.try_inverse()? * Matrix3::from_diagonal(&target.component_div(&source)) * BRADFORD)
 }
@@ -246,11 +181,7 @@ mod tests {
     fn icc(colorants: [[f64; 3]; 3], white: [f64; 3]) -> Vec<u8> {
         let xyz = |v: [f64; 3]| {
             let numbers = v.iter().flat_map(|x| ((x * 65536.0).round() as i32).to_be_bytes());
-            [*b"XYZ ", [0; 4]]
-                .concat()
-                .into_iter()
-                .chain(numbers)
-                .collect::<Vec<u8>>()
+            [*b"XYZ ", [0; 4]].concat().into_iter().chain(numbers).collect::<Vec<u8>>()
         };
         let mut tags = vec![(*b"wtpt", xyz(white))];
         tags.extend([*b"rXYZ", *b"gXYZ", *b"bXYZ"].into_iter().zip(colorants.map(xyz)));
@@ -282,24 +213,14 @@ mod tests {
     }
 
     /// As in the profiles that HP, Adobe and Kodak published, D50.
-    const SRGB_D50: [[f64; 3]; 3] = [
-        [0.4361, 0.2225, 0.0139],
-        [0.3851, 0.7169, 0.0971],
-        [0.1431, 0.0606, 0.7141],
-    ];
-    const ADOBE_D50: [[f64; 3]; 3] = [
-        [0.6097, 0.3111, 0.0195],
-        [0.2053, 0.6257, 0.0609],
-        [0.1492, 0.0632, 0.7446],
-    ];
+    const SRGB_D50: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
+    const ADOBE_D50: [[f64; 3]; 3] = [[0.6097, 0.3111, 0.0195], [0.2053, 0.6257, 0.0609], [0.1492, 0.0632, 0.7446]];
     const PROPHOTO_D50: [[f64; 3]; 3] = [[0.7977, 0.2880, 0.0], [0.1352, 0.7119, 0.0], [0.0313, 0.0001, 0.8249]];
     const WHITE_65: [f64; 3] = [0.9505, 1.0, 1.0891];
     const WHITE_50: [f64; 3] = [0.9642, 1.0, 0.8249];
 
     fn primaries(icc: Vec<u8>) -> Primaries {
-        let Found::Rgb(profile) = Profile::parse(icc) else {
-            panic!("no RGB profile")
-        };
+        let Found::Rgb(profile) = Profile::parse(icc) else { panic!("no RGB profile") };
         profile.primaries().expect("primaries")
     }
 
@@ -318,11 +239,8 @@ mod tests {
     }
 
     /// D65 to D50, as LittleCMS writes it.
-    const CHAD: [[f64; 3]; 3] = [
-        [1.04788, 0.02292, -0.05022],
-        [0.02959, 0.99048, -0.01707],
-        [-0.00925, 0.01508, 0.75168],
-    ];
+    const CHAD: [[f64; 3]; 3] =
+        [[1.04788, 0.02292, -0.05022], [0.02959, 0.99048, -0.01707], [-0.00925, 0.01508, 0.75168]];
 
     #[test]
     fn version_4_profiles_with_chad() {
@@ -334,11 +252,7 @@ mod tests {
         ] {
             let mut right = profile.clone();
             right.chromatic_adaptation = Some(moxcms::Matrix3d { v: CHAD });
-            right.media_white_point = Some(moxcms::Xyzd {
-                x: 0.9642,
-                y: 1.0,
-                z: 0.8249,
-            });
+            right.media_white_point = Some(moxcms::Xyzd { x: 0.9642, y: 1.0, z: 0.8249 });
             assert_close(primaries(right.encode().unwrap()), published);
             // With the cone matrix in its place, as moxcms has it.
             assert_close(primaries(profile.encode().unwrap()), published);
@@ -352,10 +266,7 @@ mod tests {
             other => panic!("{other:?}"),
         };
         assert_eq!(description(icc(SRGB_D50, WHITE_65)), "Made by hand");
-        assert_eq!(
-            description(ColorProfile::new_srgb().encode().unwrap()),
-            "sRGB IEC61966-2.1"
-        );
+        assert_eq!(description(ColorProfile::new_srgb().encode().unwrap()), "sRGB IEC61966-2.1");
     }
 
     #[test]
@@ -363,9 +274,7 @@ mod tests {
         let grey = ColorProfile::new_gray_with_gamma(2.2).encode().unwrap();
         assert_eq!(Profile::parse(grey), Found::Other("grey"));
         assert_eq!(Profile::parse(b"no profile".to_vec()), Found::Damaged);
-        let Found::Rgb(black) = Profile::parse(icc([[0.0; 3]; 3], WHITE_50)) else {
-            panic!("no RGB profile")
-        };
+        let Found::Rgb(black) = Profile::parse(icc([[0.0; 3]; 3], WHITE_50)) else { panic!("no RGB profile") };
         assert_eq!(black.primaries(), None);
     }
 

@@ -53,10 +53,7 @@ type Reason = String;
 /// # Errors
 /// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and excessive sizes.
 pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Decoded> {
-    let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat {
-        path: path.into(),
-        found,
-    })?;
+    let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
     let stored = catch_unwind(AssertUnwindSafe(|| match format {
         Format::Jpeg => jpeg::decode(bytes, max_pixels),
@@ -64,20 +61,13 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Dec
         Format::Tiff => tiff::decode(bytes, max_pixels),
     }))
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
-    .map_err(|reason| Error::Decode {
-        path: path.into(),
-        format: format.name(),
-        reason,
-    })?;
+    .map_err(|reason| Error::Decode { path: path.into(), format: format.name(), reason })?;
 
     let mut notes = Vec::new();
     let exif = stored.exif.and_then(|raw| {
         // Many a writer leaves one bad entry; the others are still good.
         let parsed = catch_unwind(|| {
-            exif::Reader::new()
-                .continue_on_error(true)
-                .read_raw(raw)
-                .or_else(|e| e.distill_partial_result(|_| ()))
+            exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
         });
         match parsed {
             Ok(Ok(exif)) => Some(exif),
@@ -87,19 +77,9 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Dec
             }
         }
     });
-    let turn = exif
-        .as_ref()
-        .and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0))
-        .unwrap_or(1);
+    let turn = exif.as_ref().and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0)).unwrap_or(1);
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    Ok(Decoded {
-        width,
-        height,
-        samples,
-        exif,
-        icc: stored.icc,
-        notes,
-    })
+    Ok(Decoded { width, height, samples, exif, icc: stored.icc, notes })
 }
 
 /// Refuses sizes that are empty or beyond `max_pixels`, before anything is allocated for them.
@@ -133,9 +113,7 @@ fn cmyk_to_rgb<T: Copy + Into<u32> + TryFrom<u32>>(inks: &[T], channels: usize, 
         let value = ((product + u64::from(max) / 2) / u64::from(max)) as u32;
         T::try_from(value).unwrap_or(ink)
     };
-    inks.chunks_exact(channels)
-        .flat_map(|p| [light(p[0], p[3]), light(p[1], p[3]), light(p[2], p[3])])
-        .collect()
+    inks.chunks_exact(channels).flat_map(|p| [light(p[0], p[3]), light(p[1], p[3]), light(p[2], p[3])]).collect()
 }
 
 #[cfg(test)]

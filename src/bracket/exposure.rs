@@ -48,14 +48,7 @@ impl Exposure {
     }
 
     fn at(ev: f64, source: ExposureSource, tags: String) -> Option<Self> {
-        Some(Exposure {
-            time_s: None,
-            f_number: None,
-            iso: None,
-            relative: positive(libm::exp2(ev))?,
-            source,
-            tags,
-        })
+        Some(Exposure { time_s: None, f_number: None, iso: None, relative: positive(libm::exp2(ev))?, source, tags })
     }
 
     /// An exposure as the camera noted it, in seconds; what is `None` counts as a factor of 1, so it must be missing in the
@@ -185,9 +178,7 @@ fn fill(
         }
         (None, Common::Absent) => Some(None),
         (None, Common::Value(value)) => {
-            notes.push(format!(
-                "its EXIF has no {what}; {prefix}{value} is assumed, as in the other frames"
-            ));
+            notes.push(format!("its EXIF has no {what}; {prefix}{value} is assumed, as in the other frames"));
             Some(Some(value))
         }
         (None, Common::Varied) => None,
@@ -220,14 +211,8 @@ mod tests {
 
     /// The tags as read back from EXIF bytes that hold `fields`.
     fn read(fields: &[(Tag, Value)]) -> ExposureTags {
-        let fields: Vec<Field> = fields
-            .iter()
-            .map(|(tag, value)| Field {
-                tag: *tag,
-                ifd_num: In::PRIMARY,
-                value: value.clone(),
-            })
-            .collect();
+        let fields: Vec<Field> =
+            fields.iter().map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() }).collect();
         let mut writer = Writer::new();
         fields.iter().for_each(|f| writer.push_field(f));
         let mut bytes = std::io::Cursor::new(Vec::new());
@@ -261,39 +246,18 @@ mod tests {
     #[test]
     fn the_f_number_is_f_number_else_aperture() {
         let aperture = (Tag::ApertureValue, ratio(6, 1));
-        assert_eq!(
-            read(&[(Tag::FNumber, ratio(28, 10)), aperture.clone()]).f_number,
-            Some((2.8, "FNumber"))
-        );
-        assert_eq!(
-            read(&[(Tag::FNumber, ratio(0, 1)), aperture]).f_number,
-            Some((8.0, "ApertureValue"))
-        );
+        assert_eq!(read(&[(Tag::FNumber, ratio(28, 10)), aperture.clone()]).f_number, Some((2.8, "FNumber")));
+        assert_eq!(read(&[(Tag::FNumber, ratio(0, 1)), aperture]).f_number, Some((8.0, "ApertureValue")));
         assert_eq!(read(&[(Tag::ApertureValue, ratio(0, 1))]).f_number, None);
     }
 
     #[test]
     fn the_iso_is_the_first_that_is_usable() {
         let all = [
-            (
-                Tag::PhotographicSensitivity,
-                Value::Short(vec![400]),
-                400.0,
-                "PhotographicSensitivity",
-            ),
+            (Tag::PhotographicSensitivity, Value::Short(vec![400]), 400.0, "PhotographicSensitivity"),
             (Tag::ISOSpeed, Value::Long(vec![102_400]), 102_400.0, "ISOSpeed"),
-            (
-                Tag::RecommendedExposureIndex,
-                Value::Long(vec![204_800]),
-                204_800.0,
-                "RecommendedExposureIndex",
-            ),
-            (
-                Tag::StandardOutputSensitivity,
-                Value::Long(vec![51_200]),
-                51_200.0,
-                "StandardOutputSensitivity",
-            ),
+            (Tag::RecommendedExposureIndex, Value::Long(vec![204_800]), 204_800.0, "RecommendedExposureIndex"),
+            (Tag::StandardOutputSensitivity, Value::Long(vec![51_200]), 51_200.0, "StandardOutputSensitivity"),
             (Tag::ExposureIndex, ratio(160, 1), 160.0, "ExposureIndex"),
         ];
         for first in 0..all.len() {
@@ -301,11 +265,7 @@ mod tests {
             assert_eq!(read(&fields).iso, Some((all[first].2, all[first].3)));
             if first > 0 {
                 fields.push((Tag::PhotographicSensitivity, Value::Short(vec![65535])));
-                assert_eq!(
-                    read(&fields).iso,
-                    Some((all[first].2, all[first].3)),
-                    "65535 means overflow"
-                );
+                assert_eq!(read(&fields).iso, Some((all[first].2, all[first].3)), "65535 means overflow");
             }
         }
         assert_eq!(read(&[(Tag::PhotographicSensitivity, Value::Short(vec![0]))]).iso, None);
@@ -323,10 +283,7 @@ mod tests {
     fn relative_exposure_is_time_times_iso_over_n_squared() {
         let (exposures, assumed) = by_tags(&[tags(Some(0.25), Some(4.0), Some(200.0))]);
         let exposure = exposures[0].as_ref().unwrap();
-        assert_eq!(
-            (exposure.relative(), exposure.tags.as_str()),
-            (3.125, "ExposureTime, FNumber, ISOSpeed")
-        );
+        assert_eq!((exposure.relative(), exposure.tags.as_str()), (3.125, "ExposureTime, FNumber, ISOSpeed"));
         assert!(assumed.is_empty());
         assert_eq!(Exposure::given(-3.0).unwrap().relative(), 0.125);
         assert_eq!(Exposure::given(-3.0).unwrap().ev(), -3.0);
@@ -348,11 +305,8 @@ mod tests {
         assert_eq!(assumed.len(), 1);
         assert!(assumed[0].0 == 1 && assumed[0].1.contains("f/2"), "{assumed:?}");
 
-        let (exposures, assumed) = by_tags(&[
-            tags(Some(0.5), Some(2.0), None),
-            tags(Some(1.0), Some(4.0), None),
-            tags(Some(1.0), None, None),
-        ]);
+        let (exposures, assumed) =
+            by_tags(&[tags(Some(0.5), Some(2.0), None), tags(Some(1.0), Some(4.0), None), tags(Some(1.0), None, None)]);
         assert!(exposures[0].is_some() && exposures[2].is_none() && assumed.is_empty());
     }
 }

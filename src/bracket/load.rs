@@ -32,11 +32,7 @@ pub struct LoadOptions {
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        LoadOptions {
-            ev: None,
-            reference: ReferenceChoice::Auto,
-            max_pixels: 500_000_000,
-        }
+        LoadOptions { ev: None, reference: ReferenceChoice::Auto, max_pixels: 500_000_000 }
     }
 }
 
@@ -62,11 +58,7 @@ pub fn load_with_progress(
     if paths.len() < 2 {
         return Err(Error::TooFewFrames { given: paths.len() });
     }
-    let given = options
-        .ev
-        .as_ref()
-        .map(|ev| given_exposures(ev, paths.len()))
-        .transpose()?;
+    let given = options.ev.as_ref().map(|ev| given_exposures(ev, paths.len())).transpose()?;
     refuse_same_files(paths)?;
 
     let done = AtomicUsize::new(0);
@@ -130,10 +122,7 @@ fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
     for path in paths {
         let Some(identity) = identity(path) else { continue };
         if let Some(other) = seen.insert(identity, path) {
-            return Err(Error::SameFile {
-                path: path.clone(),
-                other: other.clone(),
-            });
+            return Err(Error::SameFile { path: path.clone(), other: other.clone() });
         }
     }
     Ok(())
@@ -172,43 +161,18 @@ struct Picture {
 
 impl Picture {
     fn read(path: &Path, max_pixels: u64) -> Result<Self> {
-        let unreadable = |source| Error::Read {
-            path: path.into(),
-            source,
-        };
+        let unreadable = |source| Error::Read { path: path.into(), source };
         if path.is_dir() {
             let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
             return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
         }
         let bytes = std::fs::read(path).map_err(unreadable)?;
-        let Decoded {
-            width,
-            height,
-            samples,
-            exif,
-            icc,
-            mut notes,
-        } = decode::decode(path, bytes, max_pixels)?;
+        let Decoded { width, height, samples, exif, icc, mut notes } = decode::decode(path, bytes, max_pixels)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
-        let warnings = notes
-            .into_iter()
-            .map(|detail| Warning::Metadata {
-                path: path.into(),
-                detail,
-            })
-            .collect();
-        Ok(Picture {
-            path: path.into(),
-            width,
-            height,
-            samples,
-            tags,
-            profile,
-            capture,
-            warnings,
-        })
+        let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
+        Ok(Picture { path: path.into(), width, height, samples, tags, profile, capture, warnings })
     }
 }
 
@@ -219,11 +183,7 @@ fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -
         let exif = exif?;
         let uncalibrated = exif.get_field(Tag::ColorSpace, In::PRIMARY)?.value.get_uint(0) == Some(0xFFFF);
         let r03 = capture::ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");
-        return if uncalibrated && r03 {
-            Profile::adobe_rgb()
-        } else {
-            None
-        };
+        return if uncalibrated && r03 { Profile::adobe_rgb() } else { None };
     };
     match Profile::parse(icc) {
         Found::Rgb(profile) => {
@@ -271,10 +231,7 @@ fn widen_mixed_depths(pictures: &mut [Picture]) {
             let wide = v.iter().map(|&code| u16::from(code) * 257).collect();
             picture.samples = Samples::Sixteen(wide);
             let detail = "it is of 8 bit among frames of 16 bit, and was spread to 16".into();
-            picture.warnings.push(Warning::Metadata {
-                path: picture.path.clone(),
-                detail,
-            });
+            picture.warnings.push(Warning::Metadata { path: picture.path.clone(), detail });
         }
     }
 }
@@ -288,10 +245,8 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
     // By path, so that ties and chains are the same in any order of the command line.
     let mut order: Vec<usize> = (0..pictures.len()).collect();
     order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
-    let seen: Vec<Brightness> = order
-        .par_iter()
-        .map(|&i| Brightness::of(&pictures[i].samples, pictures[i].width))
-        .collect();
+    let seen: Vec<Brightness> =
+        order.par_iter().map(|&i| Brightness::of(&pictures[i].samples, pictures[i].width)).collect();
 
     let warning: fn(String) -> Warning;
     let what;
@@ -302,10 +257,7 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
         };
         warning = |detail| Warning::ExposureEstimated { detail };
     } else {
-        let written: Vec<f64> = order
-            .iter()
-            .filter_map(|&i| by_tags[i].as_ref().map(Exposure::ev))
-            .collect();
+        let written: Vec<f64> = order.iter().filter_map(|&i| by_tags[i].as_ref().map(Exposure::ev)).collect();
         let Some(contradiction) = brightness::contradiction(&written, &seen) else {
             for (i, detail) in assumed {
                 let path = pictures[i].path.clone();
@@ -327,11 +279,8 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
         return Err(unknown("the pictures are equally bright"));
     }
     // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them.
-    let mut offsets: Vec<f64> = order
-        .iter()
-        .zip(&steps)
-        .filter_map(|(&i, step)| Some(by_tags[i].as_ref()?.ev() - step))
-        .collect();
+    let mut offsets: Vec<f64> =
+        order.iter().zip(&steps).filter_map(|(&i, step)| Some(by_tags[i].as_ref()?.ev() - step)).collect();
     if offsets.is_empty() {
         offsets = steps.iter().map(|step| -step).collect();
     }
@@ -346,10 +295,7 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
     let mut by_step = steps;
     by_step.sort_by(f64::total_cmp);
     let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
-    warnings.push(warning(format!(
-        "{what}; their steps are about {} EV",
-        listed.join(", ")
-    )));
+    warnings.push(warning(format!("{what}; their steps are about {} EV", listed.join(", "))));
     if exposures.len() != pictures.len() {
         return Err(unknown("the pixels give no usable number"));
     }
@@ -359,11 +305,7 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
 /// `exposure` with what the file says of its parts. A time that the pixels belie is not repeated.
 fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     if exposure.source != ExposureSource::Exif {
-        exposure.time_s = if exposure.source == ExposureSource::Given {
-            tags.time_s.map(|t| t.0)
-        } else {
-            None
-        };
+        exposure.time_s = if exposure.source == ExposureSource::Given { tags.time_s.map(|t| t.0) } else { None };
         exposure.f_number = tags.f_number.map(|n| n.0);
         exposure.iso = tags.iso.map(|s| s.0);
     }
@@ -371,22 +313,13 @@ fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
 }
 
 fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
-    let name = |frame: &Frame| {
-        frame
-            .profile
-            .as_ref()
-            .map_or("none, so sRGB".into(), |p| p.description.clone())
-    };
+    let name = |frame: &Frame| frame.profile.as_ref().map_or("none, so sRGB".into(), |p| p.description.clone());
     let kept = bracket.reference();
     bracket
         .frames()
         .iter()
         .filter(|frame| !frame.primaries().is_close(&kept.primaries(), 0.005))
-        .map(|frame| Warning::ProfilesDiffer {
-            path: frame.path().into(),
-            found: name(frame),
-            kept: name(kept),
-        })
+        .map(|frame| Warning::ProfilesDiffer { path: frame.path().into(), found: name(frame), kept: name(kept) })
         .collect()
 }
 

@@ -88,19 +88,8 @@ impl Frame {
     /// # Panics
     /// When the number of samples does not fit the size, or the size is zero: decoders check before.
     pub fn new(path: PathBuf, width: usize, height: usize, samples: Samples, exposure: Exposure) -> Self {
-        assert!(
-            width > 0 && height > 0 && samples.len() == 3 * width * height,
-            "a frame holds three samples a pixel"
-        );
-        Frame {
-            path,
-            width,
-            height,
-            samples,
-            exposure,
-            profile: None,
-            capture: Capture::default(),
-        }
+        assert!(width > 0 && height > 0 && samples.len() == 3 * width * height, "a frame holds three samples a pixel");
+        Frame { path, width, height, samples, exposure, profile: None, capture: Capture::default() }
     }
 
     /// The file it came from.
@@ -125,10 +114,7 @@ impl Frame {
 
     /// The chromaticities that the samples are of: the profile's, or sRGB's where there is no profile or it does not say.
     pub fn primaries(&self) -> Primaries {
-        self.profile
-            .as_ref()
-            .and_then(Profile::primaries)
-            .unwrap_or(Primaries::SRGB)
+        self.profile.as_ref().and_then(Profile::primaries).unwrap_or(Primaries::SRGB)
     }
 
     /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
@@ -166,10 +152,7 @@ impl Bracket {
         if frames.len() < 2 {
             return Err(Error::TooFewFrames { given: frames.len() });
         }
-        if let Some(odd) = frames
-            .iter()
-            .find(|f| (f.width, f.height) != (first.width, first.height))
-        {
+        if let Some(odd) = frames.iter().find(|f| (f.width, f.height) != (first.width, first.height)) {
             return Err(Error::SizeMismatch {
                 path: odd.path.clone(),
                 size: (odd.width, odd.height),
@@ -178,12 +161,8 @@ impl Bracket {
             });
         }
         let chosen = reference::chosen(&frames, reference)?;
-        frames.sort_by(|a, b| {
-            a.exposure
-                .relative()
-                .total_cmp(&b.exposure.relative())
-                .then_with(|| a.path.cmp(&b.path))
-        });
+        frames
+            .sort_by(|a, b| a.exposure.relative().total_cmp(&b.exposure.relative()).then_with(|| a.path.cmp(&b.path)));
         let reference = match chosen {
             Some(path) => frames.iter().position(|f| f.path == path).unwrap_or(0),
             None => reference::best(&frames),
@@ -228,19 +207,9 @@ mod tests {
 
     #[test]
     fn grey_is_wards_at_either_depth() {
-        let of = |samples| {
-            Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap())
-                .grey()
-                .at(0, 0)
-        };
-        assert_eq!(
-            of(Samples::Eight(vec![10, 200, 30])),
-            ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8
-        );
-        assert_eq!(
-            of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])),
-            of(Samples::Eight(vec![10, 200, 30]))
-        );
+        let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap()).grey().at(0, 0);
+        assert_eq!(of(Samples::Eight(vec![10, 200, 30])), ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8);
+        assert_eq!(of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])), of(Samples::Eight(vec![10, 200, 30])));
         assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
     }
 
@@ -250,27 +219,14 @@ mod tests {
         let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
         let names: Vec<_> = bracket.frames().iter().map(|f| f.path().to_str().unwrap()).collect();
         assert_eq!(names, ["b", "a", "c"]);
-        assert_eq!(
-            (bracket.reference_index(), bracket.width(), bracket.height()),
-            (2, 3, 2)
-        );
+        assert_eq!((bracket.reference_index(), bracket.width(), bracket.height()), (2, 3, 2));
     }
 
     #[test]
     fn one_frame_or_two_sizes_are_no_bracket() {
         let auto = ReferenceChoice::Auto;
-        assert!(matches!(
-            Bracket::new(vec![frame("a", 3, 0.0)], &auto),
-            Err(Error::TooFewFrames { given: 1 })
-        ));
+        assert!(matches!(Bracket::new(vec![frame("a", 3, 0.0)], &auto), Err(Error::TooFewFrames { given: 1 })));
         let odd = Bracket::new(vec![frame("a", 3, 0.0), frame("b", 4, 1.0)], &auto);
-        assert!(matches!(
-            odd,
-            Err(Error::SizeMismatch {
-                size: (4, 2),
-                other_size: (3, 2),
-                ..
-            })
-        ));
+        assert!(matches!(odd, Err(Error::SizeMismatch { size: (4, 2), other_size: (3, 2), .. })));
     }
 }

@@ -23,17 +23,14 @@ pub enum ReferenceChoice {
 pub(super) fn chosen(frames: &[Frame], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
     match choice {
         ReferenceChoice::Auto => Ok(None),
-        ReferenceChoice::Number(n) => n
-            .checked_sub(1)
-            .and_then(|i| frames.get(i))
-            .map(|frame| Some(frame.path.clone()))
-            .ok_or_else(|| Error::Option {
-                option: "--reference",
-                reason: format!(
-                    "there is no photograph number {n}; give 1 to {}, or a file name",
-                    frames.len()
-                ),
-            }),
+        ReferenceChoice::Number(n) => {
+            n.checked_sub(1).and_then(|i| frames.get(i)).map(|frame| Some(frame.path.clone())).ok_or_else(|| {
+                Error::Option {
+                    option: "--reference",
+                    reason: format!("there is no photograph number {n}; give 1 to {}, or a file name", frames.len()),
+                }
+            })
+        }
         ReferenceChoice::File(path) => find(frames, path).map(Some),
     }
 }
@@ -48,10 +45,7 @@ fn find(frames: &[Frame], path: &Path) -> Result<PathBuf> {
         .map(|f| f.path.clone())
         .ok_or_else(|| Error::Option {
             option: "--reference",
-            reason: format!(
-                "{} is not among the photographs; name one of them, or its number",
-                path.display()
-            ),
+            reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
         })
 }
 
@@ -87,16 +81,8 @@ mod tests {
     use crate::bracket::exposure::Exposure;
 
     fn frame(name: &str, exposed: usize) -> Frame {
-        let samples = (0..64 * 64)
-            .flat_map(|i| [if i / 64 < exposed { 128 } else { 255 }; 3])
-            .collect();
-        Frame::new(
-            name.into(),
-            64,
-            64,
-            Samples::Eight(samples),
-            Exposure::given(0.0).unwrap(),
-        )
+        let samples = (0..64 * 64).flat_map(|i| [if i / 64 < exposed { 128 } else { 255 }; 3]).collect();
+        Frame::new(name.into(), 64, 64, Samples::Eight(samples), Exposure::given(0.0).unwrap())
     }
 
     #[test]
@@ -112,18 +98,8 @@ mod tests {
         let name = |choice| chosen(&frames, &choice).map(|p| p.unwrap());
         assert_eq!(name(ReferenceChoice::Number(2)).unwrap(), Path::new("b.png"));
         assert_eq!(name(ReferenceChoice::File("a.png".into())).unwrap(), Path::new("a.png"));
-        for wrong in [
-            ReferenceChoice::Number(0),
-            ReferenceChoice::Number(3),
-            ReferenceChoice::File("c.png".into()),
-        ] {
-            assert!(matches!(
-                name(wrong),
-                Err(Error::Option {
-                    option: "--reference",
-                    ..
-                })
-            ));
+        for wrong in [ReferenceChoice::Number(0), ReferenceChoice::Number(3), ReferenceChoice::File("c.png".into())] {
+            assert!(matches!(name(wrong), Err(Error::Option { option: "--reference", .. })));
         }
     }
 }

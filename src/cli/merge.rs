@@ -90,11 +90,8 @@ enum OperatorArg {
 
 impl Args {
     fn options(&self) -> Options {
-        let outputs = if self.output.is_empty() {
-            pipeline::default_outputs(&self.common.images)
-        } else {
-            self.output.clone()
-        };
+        let outputs =
+            if self.output.is_empty() { pipeline::default_outputs(&self.common.images) } else { self.output.clone() };
         Options {
             outputs,
             response: match self.response_model {

@@ -165,11 +165,7 @@ impl Layer<'_> {
                     return None;
                 }
                 let at: [(f32, f32); 3] = std::array::from_fn(|c| self.tables[c].at(code[c]));
-                Some(View {
-                    code,
-                    radiance: at.map(|(radiance, _)| radiance),
-                    weight: at.map(|(_, weight)| weight),
-                })
+                Some(View { code, radiance: at.map(|(radiance, _)| radiance), weight: at.map(|(_, weight)| weight) })
             }
         }
     }
@@ -284,7 +280,7 @@ pub fn merge(
         reference_exposure: bracket.reference().exposure.relative(),
         radiance: Statistics::of(&pixels),
     };
-    let primaries = Primaries::SRGB;
+    let primaries = bracket.reference().primaries();
     Ok((RadianceMap { pixels, primaries }, report))
 }
 
@@ -314,10 +310,7 @@ mod tests {
     use crate::response::tests::still;
 
     fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, MergeReport) {
-        let options = MergeOptions {
-            weight,
-            region: alignment.overlap,
-        };
+        let options = MergeOptions { weight, region: alignment.overlap };
         merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap()
     }
 
@@ -336,28 +329,18 @@ mod tests {
                 let (found, truth) = (f64::from(map.pixels.at(x, 69)[1]) / scale, ramp(x, 0)[1]);
                 // Above 8 the shortest exposure clips, below 0.001 the longest has fewer than 20 codes: half of one is 5 %.
                 if (0.001..7.5).contains(&truth) {
-                    assert!(
-                        (found / truth - 1.0).abs() < 0.05,
-                        "{weight:?} {x}: {found} for {truth}"
-                    );
+                    assert!((found / truth - 1.0).abs() < 0.05, "{weight:?} {x}: {found} for {truth}");
                 }
             }
             // It rises over decided and weighted regions alike: to within the rounding of codes.
-            assert!(
-                (1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]),
-                "{weight:?}"
-            );
+            assert!((1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]), "{weight:?}");
             assert_eq!((report.all_clipped, report.all_black), (0, 0));
         }
     }
 
     #[test]
     fn what_all_frames_clip_is_bright_and_grey_and_what_none_sees_is_dark() {
-        let (bracket, alignment) = still(
-            (8, 3),
-            &[1.0, 4.0],
-            |x, _| if x < 4 { [90.0, 80.0, 70.0] } else { [0.0; 3] },
-        );
+        let (bracket, alignment) = still((8, 3), &[1.0, 4.0], |x, _| if x < 4 { [90.0, 80.0, 70.0] } else { [0.0; 3] });
         let (map, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((report.all_clipped, report.all_black), (12, 12));
         let (bright, dark) = (map.pixels.at(0, 0), map.pixels.at(7, 0));
@@ -373,21 +356,13 @@ mod tests {
         let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let (exact, _) = run(&bracket, &alignment, Weight::Hat);
         // Moved by nothing: the interpolated tables must give what the exact ones do.
-        alignment.verdicts[0].warp = Some(Warp::Rigid {
-            dx: 0.0,
-            dy: 0.0,
-            angle: 0.0,
-        });
+        alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let (moved, _) = run(&bracket, &alignment, Weight::Hat);
         for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
             assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
         }
         // Moved out of the picture, it is as if it were rejected.
-        alignment.verdicts[0].warp = Some(Warp::Rigid {
-            dx: 1000.0,
-            dy: 0.0,
-            angle: 0.0,
-        });
+        alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
         alignment.verdicts[0].status = Status::Rejected;
         let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
@@ -403,22 +378,11 @@ mod tests {
         };
         let whole = on(1);
         assert_eq!(whole, on(3));
-        let region = Rect {
-            x0: 7,
-            y0: 70,
-            x1: 31,
-            y1: 190,
-        };
-        let options = MergeOptions {
-            weight: Weight::Gaussian,
-            region,
-        };
+        let region = Rect { x0: 7, y0: 70, x1: 31, y1: 190 };
+        let options = MergeOptions { weight: Weight::Gaussian, region };
         let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap();
         assert!((0..120).all(|y| part.pixels.row(y) == &whole.0.pixels.row(y + 70)[7..31]));
-        let options = MergeOptions {
-            region: Rect { x1: 51, ..region },
-            ..options
-        };
+        let options = MergeOptions { region: Rect { x1: 51, ..region }, ..options };
         assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).is_err());
     }
 }

@@ -46,11 +46,7 @@ struct Part {
 impl Statistics {
     /// Those of `pixels`, all values of which are positive and finite.
     pub fn of(pixels: &Plane<[f32; 3]>) -> Self {
-        let empty = || Part {
-            min: f32::INFINITY,
-            max: 0.0,
-            bins: vec![0; BINS],
-        };
+        let empty = || Part { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] };
         let count = |rows| {
             let mut part = empty();
             for &pixel in pixels.rows(rows) {
@@ -105,11 +101,7 @@ mod tests {
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
         // Half a bin is 2^-8 of the value.
         for (found, rank) in [(s.p1, 100), (s.p50, 5_000), (s.p99, 9_900)] {
-            assert!(
-                (found / sorted[rank] - 1.0).abs() < 1.0 / 255.0,
-                "{found} for {}",
-                sorted[rank]
-            );
+            assert!((found / sorted[rank] - 1.0).abs() < 1.0 / 255.0, "{found} for {}", sorted[rank]);
         }
         // 2 * log2(1 + 2^-8) = 0.012.
         let stops = f64::from(sorted[9_990] / sorted[10]);

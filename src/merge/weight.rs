@@ -10,10 +10,10 @@ use crate::response::{CODES, hat};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Weight {
     /// Rises linearly from both ends to the middle.
+    #[default]
     Hat,
     /// A bell about the middle, with a standard deviation of 45 codes. On truth brackets it ties with the hat in PU21-PSNR and has
     /// slightly smaller errors in stops.
-    #[default]
     Gaussian,
     /// Nearly 1 but for the last tenth at either end.
     Plateau,

@@ -241,7 +241,8 @@ mod tests {
             verdicts: vec![verdict(Status::Rejected, None), verdict(Status::Reference, Some(Warp::Identity))],
             overlap: whole,
         };
-        let json: serde_json::Value = serde_json::from_str(&Report::new(&bracket, &alignment, whole).to_json()).unwrap();
+        let json: serde_json::Value =
+            serde_json::from_str(&Report::new(&bracket, &alignment, whole).to_json()).unwrap();
         assert_eq!(json["schema"], SCHEMA);
         assert_eq!(json["reference"], "b");
         assert_eq!(json["frames"][0]["path"], "a");

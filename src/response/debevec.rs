@@ -56,11 +56,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options {
-            samples: 2000,
-            smoothness: 5.0,
-            rounds: 3,
-        }
+        Options { samples: 2000, smoothness: 5.0, rounds: 3 }
     }
 }
 
@@ -75,10 +71,7 @@ impl Options {
         } else {
             return Ok(());
         };
-        Err(Error::Option {
-            option: "--response-model",
-            reason,
-        })
+        Err(Error::Option { option: "--response-model", reason })
     }
 }
 
@@ -139,16 +132,10 @@ fn check(samples: &[Sample]) -> std::result::Result<(f64, f64), String> {
     };
     let (times, codes) = (range(|v| v.ln_time), range(|v| v.code));
     if times.1 - times.0 < STEP * LN_2 {
-        return Err(format!(
-            "the exposures differ by {:.2} stops, and {STEP} are needed",
-            stops(times.1 - times.0)
-        ));
+        return Err(format!("the exposures differ by {:.2} stops, and {STEP} are needed", stops(times.1 - times.0)));
     }
     if codes.1 - codes.0 < SPAN {
-        return Err(format!(
-            "flat places have codes from {:.0} to {:.0} only",
-            codes.0, codes.1
-        ));
+        return Err(format!("flat places have codes from {:.0} to {:.0} only", codes.0, codes.1));
     }
     Ok(codes)
 }
@@ -157,14 +144,9 @@ fn check(samples: &[Sample]) -> std::result::Result<(f64, f64), String> {
 fn verdict(g: &[f64; CODES], fit: &Fit) -> std::result::Result<(), String> {
     let contrast = stops(g[240] - g[16]);
     if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
-        Err(format!(
-            "the curve found has {contrast:.1} stops from code 16 to code 240"
-        ))
+        Err(format!("the curve found has {contrast:.1} stops from code 16 to code 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
-        Err(format!(
-            "the frames contradict each other by {:.2} stops",
-            fit.residual_stops
-        ))
+        Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
     } else {
         Ok(())
     }
@@ -203,10 +185,7 @@ fn residual(samples: &[Sample], trust: &[f64], g: &[f64]) -> f64 {
 
 /// Tukey's biweight of each sample's weighted misfit, with 4.685 robust standard deviations as its reach.
 fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
-    let misfits: Vec<f64> = samples
-        .iter()
-        .map(|s| (misfit(s, g).1 / s.views.len() as f64).sqrt())
-        .collect();
+    let misfits: Vec<f64> = samples.iter().map(|s| (misfit(s, g).1 / s.views.len() as f64).sqrt()).collect();
     let mut sorted = misfits.clone();
     sorted.sort_by(f64::total_cmp);
     let reach = 4.685 * sorted[sorted.len() / 2] / 0.6745 + f64::MIN_POSITIVE;
@@ -229,11 +208,8 @@ impl Normal {
         let mut weight = vec![0.0; CODES];
         for (sample, &trust) in samples.iter().zip(trust) {
             // Terms (code, share of w^2): sum_j w^2 a a' - s s' / W with a the interpolation, s = sum_j w^2 a, W = sum_j w^2.
-            let views: Vec<_> = sample
-                .views
-                .iter()
-                .map(|v| (trust * hat(v.code) * hat(v.code), between(v.code), v.ln_time))
-                .collect();
+            let views: Vec<_> =
+                sample.views.iter().map(|v| (trust * hat(v.code) * hat(v.code), between(v.code), v.ln_time)).collect();
             let all: f64 = views.iter().map(|(w2, ..)| w2).sum();
             if all <= 0.0 {
                 continue;
@@ -273,11 +249,7 @@ impl Normal {
 
     /// g, fast, for the rounds between.
     fn by_cholesky(&self) -> std::result::Result<DVector<f64>, String> {
-        let factors = self
-            .matrix
-            .clone()
-            .cholesky()
-            .ok_or_else(|| undetermined(f64::INFINITY))?;
+        let factors = self.matrix.clone().cholesky().ok_or_else(|| undetermined(f64::INFINITY))?;
         Ok(factors.solve(&self.right))
     }
 
@@ -286,11 +258,7 @@ impl Normal {
         let svd = self.matrix.clone().symmetric_eigen();
         let (least, most) = (svd.eigenvalues.min(), svd.eigenvalues.max());
         // The matrix is A'A: its singular values are the squares of those of A.
-        let condition = if least > 0.0 {
-            (most / least).sqrt()
-        } else {
-            f64::INFINITY
-        };
+        let condition = if least > 0.0 { (most / least).sqrt() } else { f64::INFINITY };
         if condition.is_nan() || condition > CONDITION {
             return Err(undetermined(condition));
         }
@@ -322,10 +290,7 @@ mod tests {
             let ln_e = (9.0 * i as f64 / count as f64 - 7.0) * LN_2;
             let views = exposures.iter().enumerate().filter_map(|(j, stops)| {
                 let z = 255.0 * code(libm::exp(ln_e + stops * LN_2).min(1.0)) + 1.5 * noise(31 * i + j);
-                (2.0..=253.0).contains(&z).then_some(View {
-                    code: z,
-                    ln_time: stops * LN_2,
-                })
+                (2.0..=253.0).contains(&z).then_some(View { code: z, ln_time: stops * LN_2 })
             });
             Sample { views: views.collect() }
         };
@@ -366,47 +331,25 @@ mod tests {
                     .collect()
             })
             .collect();
-        let view = |(&code, &ln_time): (&usize, &f64)| View {
-            code: code as f64,
-            ln_time,
-        };
-        let samples: Vec<Sample> = z
-            .iter()
-            .map(|codes| Sample {
-                views: codes.iter().zip(&b).map(view).collect(),
-            })
-            .collect();
-        let total: f64 = z
-            .iter()
-            .flatten()
-            .map(|&code| hat(code as f64) * hat(code as f64))
-            .sum();
+        let view = |(&code, &ln_time): (&usize, &f64)| View { code: code as f64, ln_time };
+        let samples: Vec<Sample> =
+            z.iter().map(|codes| Sample { views: codes.iter().zip(&b).map(view).collect() }).collect();
+        let total: f64 = z.iter().flatten().map(|&code| hat(code as f64) * hat(code as f64)).sum();
         // Both sums of the paper divided by the total weight: lambda^2 of the program is smoothness times that.
         let smoothness = 0.7;
         let expected = gsolve(&z, &b, (smoothness * total).sqrt());
-        let (g, _) = Normal::new(&samples, &vec![1.0; samples.len()], smoothness)
-            .by_svd()
-            .unwrap();
-        let by_cholesky = Normal::new(&samples, &vec![1.0; samples.len()], smoothness)
-            .by_cholesky()
-            .unwrap();
+        let (g, _) = Normal::new(&samples, &vec![1.0; samples.len()], smoothness).by_svd().unwrap();
+        let by_cholesky = Normal::new(&samples, &vec![1.0; samples.len()], smoothness).by_cholesky().unwrap();
         // Normal equations square the condition, here some 1e3: 1e6 times 2e-16, with a margin for 256 terms.
         for z in 0..CODES {
-            assert!(
-                (g[z] - expected[z]).abs() < 1e-8,
-                "code {z}: {} for {}",
-                g[z],
-                expected[z]
-            );
+            assert!((g[z] - expected[z]).abs() < 1e-8, "code {z}: {} for {}", g[z], expected[z]);
             assert!((by_cholesky[z] - expected[z]).abs() < 1e-8);
         }
     }
 
     /// Root mean square over codes 10..=245 of what is left between two curves after a shift, in stops.
     fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
-        let d: Vec<f64> = (10..=245)
-            .map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0))))
-            .collect();
+        let d: Vec<f64> = (10..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
         let mean = d.iter().sum::<f64>() / d.len() as f64;
         (d.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / d.len() as f64).sqrt()
     }
@@ -432,10 +375,7 @@ mod tests {
             sample.views[last].code = 0.5 * (sample.views[last].code + 250.0);
         }
         let bent = |rounds| {
-            let options = Options {
-                rounds,
-                ..Options::default()
-            };
+            let options = Options { rounds, ..Options::default() };
             difference(&channel(&samples, &options).unwrap().0, |v| libm::pow(v, 2.2))
         };
         let (plain, robust) = (bent(0), bent(3));

@@ -84,20 +84,11 @@ impl SavedResponse {
     /// [`Error::ResponseFile`] where the text is no JSON, of another schema, or its numbers are no response: 256 to a channel, finite
     /// and rising.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
-        let wrong = |reason: String| Error::ResponseFile {
-            path: path.to_owned(),
-            reason,
-        };
-        let header: Header = serde_json::from_str(text).map_err(|e| {
-            wrong(format!(
-                "it is no JSON with a \"schema\" ({e}); make one by `hdralign response`"
-            ))
-        })?;
+        let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
+        let header: Header = serde_json::from_str(text)
+            .map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e}); make one by `hdralign response`")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!(
-                "its schema is {:?}, and {SCHEMA:?} is read",
-                header.schema
-            )));
+            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let Channels { red, green, blue } = document.ln_exposure;
@@ -134,9 +125,7 @@ mod tests {
     }
 
     fn reason(text: &str) -> String {
-        SavedResponse::from_json(text, Path::new("c.json"))
-            .unwrap_err()
-            .to_string()
+        SavedResponse::from_json(text, Path::new("c.json")).unwrap_err().to_string()
     }
 
     #[test]

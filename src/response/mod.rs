@@ -90,11 +90,7 @@ impl ResponseCurve {
         };
         let ln_mid = libm::log(at(MID));
         let g = std::array::from_fn(|code| libm::log(at(code)) - ln_mid);
-        ResponseCurve {
-            ln_exposure: [g; 3],
-            exposure: [g.map(|v| libm::exp(v) as f32); 3],
-            black: [0.0; 3],
-        }
+        ResponseCurve { ln_exposure: [g; 3], exposure: [g.map(|v| libm::exp(v) as f32); 3], black: [0.0; 3] }
     }
 
     /// g of channel 0, 1 or 2 (R, G, B) at codes 0..=255.
@@ -182,10 +178,7 @@ pub fn recover(
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
     let stated = |curve, model| {
-        let report = ResponseReport {
-            model,
-            ..ResponseReport::default()
-        };
+        let report = ResponseReport { model, ..ResponseReport::default() };
         (curve, report, Vec::new())
     };
     let options = match model {
@@ -202,28 +195,14 @@ pub fn recover(
     });
     Ok(match (fitted, curve) {
         (Ok((_, fits)), Some(curve)) => {
-            let report = ResponseReport {
-                model: "debevec",
-                channels: Some(fits),
-                fallback: None,
-            };
+            let report = ResponseReport { model: "debevec", channels: Some(fits), fallback: None };
             (curve, report, Vec::new())
         }
         (fitted, _) => {
-            let reason = fitted
-                .err()
-                .unwrap_or_else(|| "the curve found is not finite".to_owned());
-            let report = ResponseReport {
-                model: "srgb",
-                channels: None,
-                fallback: Some(reason.clone()),
-            };
+            let reason = fitted.err().unwrap_or_else(|| "the curve found is not finite".to_owned());
+            let report = ResponseReport { model: "srgb", channels: None, fallback: Some(reason.clone()) };
             let used = "the sRGB curve".to_owned();
-            (
-                ResponseCurve::srgb(),
-                report,
-                vec![Warning::ResponseFallback { reason, used }],
-            )
+            (ResponseCurve::srgb(), report, vec![Warning::ResponseFallback { reason, used }])
         }
     })
 }
@@ -255,8 +234,6 @@ fn stops(ln: f64) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::align::warp::Warp;
-    use crate::align::{Rect, Status, Verdict};
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{Frame, ReferenceChoice, Samples};
 
@@ -278,29 +255,12 @@ pub(crate) mod tests {
                 width,
                 height,
                 Samples::Eight(codes),
-                Exposure::given(time),
+                Exposure::given(libm::log2(time)).unwrap(),
             )
         };
-        let bracket = Bracket::new(
-            times.iter().map(frame).collect(),
-            &ReferenceChoice::Number(1 + times.len() / 2),
-        )
-        .unwrap();
-        let verdict = Verdict {
-            status: Status::Unmoved,
-            warp: Some(Warp::Identity),
-            error_px: 0.0,
-            confidence: 1.0,
-        };
-        let alignment = Alignment {
-            verdicts: vec![verdict; times.len()],
-            overlap: Rect {
-                x0: 0,
-                y0: 0,
-                x1: width,
-                y1: height,
-            },
-        };
+        let bracket =
+            Bracket::new(times.iter().map(frame).collect(), &ReferenceChoice::Number(1 + times.len() / 2)).unwrap();
+        let alignment = Alignment::unmoved(&bracket);
         (bracket, alignment)
     }
 
@@ -319,10 +279,7 @@ pub(crate) mod tests {
         for c in 0..3 {
             let d = |z: usize| stops(curve.ln_exposure(c)[z] - srgb.ln_exposure(c)[z]);
             // A shift common to the channels is of no matter; 0.05 stops are 3.5 %.
-            let mean = (10..=245)
-                .map(|z| stops(curve.ln_exposure(1)[z] - srgb.ln_exposure(1)[z]))
-                .sum::<f64>()
-                / n;
+            let mean = (10..=245).map(|z| stops(curve.ln_exposure(1)[z] - srgb.ln_exposure(1)[z])).sum::<f64>() / n;
             let rms = ((10..=245).map(|z| (d(z) - mean) * (d(z) - mean)).sum::<f64>() / n).sqrt();
             assert!(rms < 0.05, "channel {c}: {rms} stops");
         }
@@ -346,10 +303,7 @@ pub(crate) mod tests {
             let (bracket, alignment) = still((100, 80), &times, |_, _| [radiance; 3]);
             let (curve, report, warnings) = recover(&bracket, &alignment, &ResponseModel::default()).unwrap();
             assert_eq!((curve, report.model), (ResponseCurve::srgb(), "srgb"));
-            assert!(
-                matches!(&warnings[..], [Warning::ResponseFallback { .. }]),
-                "{warnings:?}"
-            );
+            assert!(matches!(&warnings[..], [Warning::ResponseFallback { .. }]), "{warnings:?}");
         }
     }
 

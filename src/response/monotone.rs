@@ -22,9 +22,7 @@ pub fn rising(values: &[f64], weights: &[f64], step: f64) -> Vec<f64> {
         }
         blocks.push(block);
     }
-    let level = blocks
-        .iter()
-        .flat_map(|&(mean, _, count)| std::iter::repeat_n(mean, count));
+    let level = blocks.iter().flat_map(|&(mean, _, count)| std::iter::repeat_n(mean, count));
     level.enumerate().map(|(i, v)| v + step * i as f64).collect()
 }
 
@@ -46,17 +44,8 @@ mod tests {
 
     #[test]
     fn no_other_rising_curve_is_nearer() {
-        let (v, w) = (
-            [0.3, -0.2, 0.9, 0.1, 0.15, 2.0, 1.5],
-            [1.0, 3.0, 0.5, 2.0, 1.0, 0.1, 4.0],
-        );
-        let cost = |x: &[f64]| {
-            x.iter()
-                .zip(&v)
-                .zip(&w)
-                .map(|((a, b), w)| w * (a - b) * (a - b))
-                .sum::<f64>()
-        };
+        let (v, w) = ([0.3, -0.2, 0.9, 0.1, 0.15, 2.0, 1.5], [1.0, 3.0, 0.5, 2.0, 1.0, 0.1, 4.0]);
+        let cost = |x: &[f64]| x.iter().zip(&v).zip(&w).map(|((a, b), w)| w * (a - b) * (a - b)).sum::<f64>();
         let best = rising(&v, &w, 0.05);
         assert!(best.windows(2).all(|p| p[1] - p[0] >= 0.05 - 1e-12));
         // Convex: if no small feasible move of a run of values helps, nothing does.

@@ -90,9 +90,7 @@ pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
     let Rect { x0, y0, .. } = alignment.overlap;
     let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
     let cells = (READ / (TRIES * TRIES * frames.len())).max(1);
-    let side = ((width * height) as f64 / cells as f64)
-        .sqrt()
-        .max((TRIES * PATCH) as f64);
+    let side = ((width * height) as f64 / cells as f64).sqrt().max((TRIES * PATCH) as f64);
     let (columns, rows) = ((width as f64 / side) as usize, (height as f64 / side) as usize);
     let places: Vec<Candidate> = (0..rows)
         .into_par_iter()
@@ -100,9 +98,7 @@ pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
         .filter_map(|(column, row)| {
             let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
             let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
-            tries
-                .filter_map(|(x, y)| look(&frames, x, y))
-                .min_by(|a, b| a.roughness.total_cmp(&b.roughness))
+            tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
         })
         .collect();
     Drawn {
@@ -114,9 +110,8 @@ pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
 /// The range of frames that say something of a place: not those so short that a longer one is no brighter.
 fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize> {
     let views = place.patches.iter().zip(frames).enumerate();
-    let views: Vec<_> = views
-        .filter_map(|(i, (p, frame))| Some((i, p.as_ref()?[channel].mean, frame.ln_time / LN_2)))
-        .collect();
+    let views: Vec<_> =
+        views.filter_map(|(i, (p, frame))| Some((i, p.as_ref()?[channel].mean, frame.ln_time / LN_2))).collect();
     let first = views.windows(2).find(|pair| {
         let (step, rise) = (pair[1].2 - pair[0].2, pair[1].1 - pair[0].1);
         rise > step * (RISE.0 * pair[0].1).max(RISE.1)
@@ -130,12 +125,7 @@ fn black(places: &[Candidate], frames: &[Placed], channel: usize) -> f64 {
     let mut codes: Vec<f64> = Vec::new();
     for place in places {
         let silent = &place.patches[..telling(place, frames, channel).start];
-        codes.extend(
-            silent
-                .iter()
-                .flatten()
-                .map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation),
-        );
+        codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
     }
     codes.retain(|&code| code < 64.0);
     codes.sort_by(f64::total_cmp);
@@ -178,9 +168,7 @@ fn look(frames: &[Placed], x: usize, y: usize) -> Option<Candidate> {
         }
         patches.push(patch);
     }
-    (0..3)
-        .all(|channel| brightens(&patches, channel))
-        .then_some(Candidate { patches, roughness })
+    (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { patches, roughness })
 }
 
 /// Whether no longer exposure is darker than a shorter one: what moves, is not.
@@ -269,16 +257,10 @@ fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize)
 /// The views of a place in a channel that are not clipped.
 fn sample(place: &Candidate, frames: &[Placed], channel: usize) -> Sample {
     let range = telling(place, frames, channel);
-    let views = place.patches[range.clone()]
-        .iter()
-        .zip(&frames[range])
-        .filter_map(|(patch, frame)| {
-            let patch = patch.as_ref()?[channel];
-            patch.seen.then_some(View {
-                code: patch.mean,
-                ln_time: frame.ln_time,
-            })
-        });
+    let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, frame)| {
+        let patch = patch.as_ref()?[channel];
+        patch.seen.then_some(View { code: patch.mean, ln_time: frame.ln_time })
+    });
     Sample { views: views.collect() }
 }
 
@@ -300,18 +282,9 @@ mod tests {
             assert!(samples.len() > 100 && samples.len() <= 500, "{}", samples.len());
             for s in samples {
                 assert!(s.views.len() >= 2 && s.views.iter().all(|v| (SEEN.0..=SEEN.1).contains(&v.code)));
-                assert!(
-                    s.views
-                        .windows(2)
-                        .all(|v| v[0].code < v[1].code && v[0].ln_time < v[1].ln_time)
-                );
+                assert!(s.views.windows(2).all(|v| v[0].code < v[1].code && v[0].ln_time < v[1].ln_time));
             }
-            let seen = |from: f64| {
-                samples
-                    .iter()
-                    .flat_map(|s| &s.views)
-                    .any(|v| (from..from + 16.0).contains(&v.code))
-            };
+            let seen = |from: f64| samples.iter().flat_map(|s| &s.views).any(|v| (from..from + 16.0).contains(&v.code));
             assert!((0..15).all(|k| seen(8.0 + 16.0 * k as f64)));
         }
     }
@@ -320,15 +293,7 @@ mod tests {
     fn edges_and_what_darkens_are_left_out() {
         let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
         assert!(draw(&bracket, &alignment, 500).channels.iter().all(Vec::is_empty));
-        let patch = |mean| {
-            Some(
-                [Patch {
-                    mean,
-                    deviation: 1.0,
-                    seen: true,
-                }; 3],
-            )
-        };
+        let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
         assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
         assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
     }
@@ -338,14 +303,7 @@ mod tests {
         let (bracket, alignment) = still((60, 60), &[0.5, 1.0], |x, y| [0.002 * (x + 3 * y) as f64; 3]);
         let mut frames = placed(&bracket, &alignment);
         let expected = read(&frames[0], 17, 24).unwrap()[0].mean;
-        frames[0].matrix = Some(
-            Warp::Rigid {
-                dx: 7.0,
-                dy: 4.0,
-                angle: 0.0,
-            }
-            .matrix(60, 60),
-        );
+        frames[0].matrix = Some(Warp::Rigid { dx: 7.0, dy: 4.0, angle: 0.0 }.matrix(60, 60));
         assert_eq!(read(&frames[0], 10, 20).unwrap()[0].mean, expected);
         assert!(read(&frames[0], 50, 20).is_none());
     }
@@ -353,32 +311,15 @@ mod tests {
     #[test]
     fn film_base_is_black() {
         // A camera whose black is 18 codes up: short exposures of dark places say nothing.
-        let (bracket, alignment) = still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| {
-            tiles(x, y).map(|e| e.max(1e-9))
-        });
+        let (bracket, alignment) =
+            still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
         assert!(draw(&bracket, &alignment, 500).black.iter().all(|&b| b < 4.0));
         let frames = bracket.frames().iter().map(|frame| {
-            let Codes::Eight(codes) = frame.samples() else {
-                unreachable!()
-            };
-            let lifted = codes
-                .iter()
-                .map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8)
-                .collect();
-            Frame::new(
-                frame.path().to_owned(),
-                400,
-                300,
-                Codes::Eight(lifted),
-                frame.exposure.clone(),
-            )
+            let Codes::Eight(codes) = frame.samples() else { unreachable!() };
+            let lifted = codes.iter().map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8).collect();
+            Frame::new(frame.path().to_owned(), 400, 300, Codes::Eight(lifted), frame.exposure.clone())
         });
         let lifted = Bracket::new(frames.collect(), &crate::bracket::ReferenceChoice::Number(2)).unwrap();
-        assert!(
-            draw(&lifted, &alignment, 500)
-                .black
-                .iter()
-                .all(|&b| (18.0..24.0).contains(&b))
-        );
+        assert!(draw(&lifted, &alignment, 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
     }
 }

@@ -33,12 +33,10 @@ impl ToSrgb {
         if same {
             return ToSrgb(None);
         }
-        let matrix = to_xyz(primaries)
-            .zip(to_xyz(&Primaries::SRGB).and_then(inverse))
-            .and_then(|(to, back)| {
-                let adapt = adaptation(white_xyz(primaries), white_xyz(&Primaries::SRGB))?;
-                Some(product(back, product(adapt, to)).map(|row| row.map(|v| v as f32)))
-            });
+        let matrix = to_xyz(primaries).zip(to_xyz(&Primaries::SRGB).and_then(inverse)).and_then(|(to, back)| {
+            let adapt = adaptation(white_xyz(primaries), white_xyz(&Primaries::SRGB))?;
+            Some(product(back, product(adapt, to)).map(|row| row.map(|v| v as f32)))
+        });
         ToSrgb(matrix)
     }
 
@@ -69,11 +67,7 @@ fn to_xyz(primaries: &Primaries) -> Option<Matrix> {
 
 /// Bradford: von Kries' scaling by the whites' ratio in sharpened cone responses.
 fn adaptation(from: [f64; 3], to: [f64; 3]) -> Option<Matrix> {
-    const CONES: Matrix = [
-        [0.8951, 0.2664, -0.1614],
-        [-0.7502, 1.7135, 0.0367],
-        [0.0389, -0.0685, 1.0296],
-    ];
+    const CONES: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
     let (from, to) = (times(CONES, from), times(CONES, to));
     let ratio = [0, 1, 2].map(|i| to[i] / from[i]);
     let scaled = [0, 1, 2].map(|i| CONES[i].map(|v| v * ratio[i]));
@@ -146,11 +140,7 @@ static CODES: LazyLock<Codes> = LazyLock::new(|| {
         let exact = to_linear((code as f64 + 0.5) / 255.0);
         // The first float at or above: so that comparing floats decides as comparing the exact numbers.
         let nearest = exact as f32;
-        *begin = if f64::from(nearest) < exact {
-            nearest.next_up()
-        } else {
-            nearest
-        };
+        *begin = if f64::from(nearest) < exact { nearest.next_up() } else { nearest };
     }
     let code_of = |v: f32| next.partition_point(|&begin| begin <= v) as u8;
     let base = (0..=CELLS).map(|cell| code_of(cell as f32 / CELLS as f32)).collect();
@@ -159,11 +149,7 @@ static CODES: LazyLock<Codes> = LazyLock::new(|| {
 
 /// The sRGB electro-optical transfer, 0..=1 to 0..=1: what a display shows for a code value.
 pub fn to_linear(encoded: f64) -> f64 {
-    if encoded <= 0.04045 {
-        encoded / 12.92
-    } else {
-        libm::pow((encoded + 0.055) / 1.055, 2.4)
-    }
+    if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
 }
 
 /// The codes of linear light by sRGB, rounded to nearest; outside 0..=1 the nearest end, NaN as 0.
@@ -198,11 +184,7 @@ mod tests {
 
     /// The transfer as it is printed, in doubles.
     fn textbook(linear: f64) -> f64 {
-        if linear <= 0.0031308 {
-            12.92 * linear
-        } else {
-            1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055
-        }
+        if linear <= 0.0031308 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 }
     }
 
     /// The standard's two branches miss each other by 3e-8 around the knee; a float nearer than 1e-6 of a code to a boundary may fall
@@ -211,13 +193,7 @@ mod tests {
     fn codes_are_those_of_the_standard() {
         let encoder = Encoder::new();
         let mut values: Vec<f32> = (0..=300_000).map(|i| i as f32 / 300_000.0).collect();
-        values.extend(
-            CODES
-                .next
-                .iter()
-                .flat_map(|&v| [v.next_down(), v, v.next_up()])
-                .filter(|v| *v <= 1.0),
-        );
+        values.extend(CODES.next.iter().flat_map(|&v| [v.next_down(), v, v.next_up()]).filter(|v| *v <= 1.0));
         for v in values {
             let exact = 255.0 * textbook(f64::from(v));
             let error = (f64::from(encoder.code(v)) - exact).abs();
@@ -238,11 +214,7 @@ mod tests {
     /// The matrix that IEC 61966-2-1 prints, to its four places.
     #[test]
     fn srgb_to_xyz_is_the_printed_matrix() {
-        let printed = [
-            [0.4124, 0.3576, 0.1805],
-            [0.2126, 0.7152, 0.0722],
-            [0.0193, 0.1192, 0.9505],
-        ];
+        let printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
         let ours = to_xyz(&Primaries::SRGB).unwrap();
         for (a, b) in ours.as_flattened().iter().zip(printed.as_flattened()) {
             assert!((a - b).abs() < 1e-4, "{ours:?}");
@@ -252,40 +224,25 @@ mod tests {
     /// Adobe RGB's green is outside sRGB: published as (-0.3983, 1, -0.0429) of linear sRGB in its second column.
     #[test]
     fn other_primaries_are_converted_and_white_stays_white() {
-        let adobe = Primaries {
-            green: [0.21, 0.71],
-            ..Primaries::SRGB
-        };
+        let adobe = Primaries { green: [0.21, 0.71], ..Primaries::SRGB };
         let green = ToSrgb::from(&adobe).apply([0.0, 1.0, 0.0]);
         for (a, b) in green.iter().zip([-0.3983, 1.0, -0.0429]) {
             assert!((a - b).abs() < 2e-3, "{green:?}");
         }
-        let equal_energy = Primaries {
-            white: [1.0 / 3.0, 1.0 / 3.0],
-            ..Primaries::SRGB
-        };
+        let equal_energy = Primaries { white: [1.0 / 3.0, 1.0 / 3.0], ..Primaries::SRGB };
         for primaries in [adobe, equal_energy] {
             let white = ToSrgb::from(&primaries).apply([1.0; 3]);
             assert!(white.iter().all(|c| (c - 1.0).abs() < 1e-5), "{white:?}");
         }
         assert_eq!(ToSrgb::from(&Primaries::SRGB), ToSrgb(None));
-        let none = Primaries {
-            green: [0.64, 0.33],
-            ..Primaries::SRGB
-        };
+        let none = Primaries { green: [0.64, 0.33], ..Primaries::SRGB };
         assert_eq!(ToSrgb::from(&none), ToSrgb(None));
     }
 
     /// Keeps luminance to rounding, keeps the order and proportions of the differences from grey (hue), and stays within 0..=1.
     #[test]
     fn the_gamut_is_entered_at_the_same_hue_and_luminance() {
-        for rgb in [
-            [3.0, 0.2, 0.1],
-            [0.0, 0.0, 8.0],
-            [0.9, 0.95, 1.3],
-            [0.5, -0.1, 0.2],
-            [0.2, 0.3, 0.1],
-        ] {
+        for rgb in [[3.0, 0.2, 0.1], [0.0, 0.0, 8.0], [0.9, 0.95, 1.3], [0.5, -0.1, 0.2], [0.2, 0.3, 0.1]] {
             let y = luminance(rgb);
             let out = into_gamut(rgb, y);
             assert!(out.iter().all(|c| (-1e-6..=1.0).contains(c)), "{rgb:?} to {out:?}");

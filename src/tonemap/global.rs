@@ -23,11 +23,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options {
-            key: None,
-            white: None,
-            saturation: 1.0,
-        }
+        Options { key: None, white: None, saturation: 1.0 }
     }
 }
 
@@ -65,11 +61,7 @@ fn statistics(radiance: &RadianceMap, to_srgb: &ToSrgb) -> Option<Statistics> {
     let last = logs.len().checked_sub(1)?;
     let (dark, bright) = (logs[last / 100], logs[last - last / 100]);
     let sum: f64 = logs.iter().map(|&l| f64::from(l.clamp(dark, bright))).sum();
-    Some(Statistics {
-        average: sum / logs.len() as f64,
-        dark: dark.into(),
-        bright: bright.into(),
-    })
+    Some(Statistics { average: sum / logs.len() as f64, dark: dark.into(), bright: bright.into() })
 }
 
 /// The curve, with its parameters settled: rows can be mapped as they come.
@@ -88,11 +80,7 @@ impl Curve {
     /// Settles the parameters for `radiance`.
     pub fn estimate(radiance: &RadianceMap, options: &Options) -> Self {
         let to_srgb = ToSrgb::from(&radiance.primaries);
-        let none = Statistics {
-            average: 0.0,
-            dark: 0.0,
-            bright: 0.0,
-        };
+        let none = Statistics { average: 0.0, dark: 0.0, bright: 0.0 };
         let scene = statistics(radiance, &to_srgb).unwrap_or(none);
         let key = options.key.unwrap_or_else(|| key(&scene).clamp(KEYS.0, KEYS.1));
         let white = options.white.unwrap_or_else(|| white(&scene, key));
@@ -237,19 +225,13 @@ mod tests {
     #[test]
     fn pixels_are_those_of_the_papers() {
         let map = ramp(3.0);
-        let options = Options {
-            key: Some(0.18),
-            ..Options::default()
-        };
+        let options = Options { key: Some(0.18), ..Options::default() };
         let curve = Curve::estimate(&map, &options);
         for x in 0..500 {
             let ours = curve.pixel(map.pixels.at(x, 5));
             let theirs = textbook(&map, &curve, 0.18, x, 5);
             for c in 0..3 {
-                assert!(
-                    (f64::from(ours[c]) - theirs[c]).abs() < 0.004,
-                    "{x}: {ours:?} {theirs:?}"
-                );
+                assert!((f64::from(ours[c]) - theirs[c]).abs() < 0.004, "{x}: {ours:?} {theirs:?}");
             }
         }
     }
@@ -290,21 +272,14 @@ mod tests {
             assert!(black.pixels.as_slice().iter().all(|p| *p == [0; 3]), "{value}");
         }
         let grey = reinhard(&scene(9, 9, |_, _| [5.0; 3]), &Options::default());
-        assert!(
-            grey.pixels
-                .as_slice()
-                .iter()
-                .all(|p| p[0] == p[1] && p[1] == p[2] && (90..200).contains(&p[0]))
-        );
+        assert!(grey.pixels.as_slice().iter().all(|p| p[0] == p[1] && p[1] == p[2] && (90..200).contains(&p[0])));
         let bright = reinhard(&scene(9, 9, |_, _| [f32::MAX; 3]), &Options::default());
         assert!(bright.pixels.at(0, 0)[0] > 90);
     }
 
     #[test]
     fn the_codes_are_the_same_on_any_number_of_threads() {
-        let map = scene(700, 64 * 12, |x, y| {
-            [(x * y % 97) as f32, x as f32, 0.01 * y as f32 + 0.1]
-        });
+        let map = scene(700, 64 * 12, |x, y| [(x * y % 97) as f32, x as f32, 0.01 * y as f32 + 0.1]);
         let on = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| reinhard(&map, &Options::default()))
@@ -314,13 +289,7 @@ mod tests {
 
     #[test]
     fn the_key_follows_the_tone() {
-        let at = |average| {
-            key(&Statistics {
-                average,
-                dark: -5.0,
-                bright: 5.0,
-            })
-        };
+        let at = |average| key(&Statistics { average, dark: -5.0, bright: 5.0 });
         // In the middle 0.18; at an end a factor 4 from it, by equation 4.
         assert!((at(0.0) - 0.18).abs() < 1e-12 && (at(5.0) - 0.72).abs() < 1e-12 && (at(-5.0) - 0.045).abs() < 1e-12);
     }

@@ -23,12 +23,7 @@ pub(super) struct Bands<P> {
 
 impl<P: Copy + Sync> Bands<P> {
     pub(super) fn new((width, height): (usize, usize)) -> Self {
-        Bands {
-            width,
-            height,
-            done: 0,
-            rest: Vec::new(),
-        }
+        Bands { width, height, done: 0, rest: Vec::new() }
     }
 
     /// Takes `rows`; `encode(first row, pixels)` makes of each band what `sink` then gets.
@@ -59,11 +54,8 @@ impl<P: Copy + Sync> Bands<P> {
         let whole = if last { rows.len() } else { rows.len() / band * band };
         for group in rows[..whole].chunks(BANDS_AT_ONCE * band) {
             let first = self.done;
-            let encoded: Vec<R> = group
-                .par_chunks(band)
-                .enumerate()
-                .map(|(i, pixels)| encode(first + i * BAND_ROWS, pixels))
-                .collect();
+            let encoded: Vec<R> =
+                group.par_chunks(band).enumerate().map(|(i, pixels)| encode(first + i * BAND_ROWS, pixels)).collect();
             encoded.into_iter().try_for_each(&mut sink)?;
             self.done += group.len() / self.width;
         }
@@ -108,9 +100,8 @@ mod tests {
             bands.complete().unwrap();
             seen
         };
-        let expected: Vec<_> = (0..19)
-            .map(|b| (64 * b, if b == 18 { 5 } else { 64 }, (64 * b * width) as u32))
-            .collect();
+        let expected: Vec<_> =
+            (0..19).map(|b| (64 * b, if b == 18 { 5 } else { 64 }, (64 * b * width) as u32)).collect();
         for portion in [1, 7, 63, 64, 65, 130, height] {
             assert_eq!(cut(portion), expected, "{portion} rows at a time");
         }
@@ -120,9 +111,6 @@ mod tests {
     fn missing_rows_are_an_error() {
         let mut bands = Bands::new((2, 100));
         bands.push(&[0u8; 140], |_, _| (), |()| Ok(())).unwrap();
-        assert_eq!(
-            bands.complete().unwrap_err().to_string(),
-            "only 70 of 100 rows were given"
-        );
+        assert_eq!(bands.complete().unwrap_err().to_string(), "only 70 of 100 rows were given");
     }
 }

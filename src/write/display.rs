@@ -32,11 +32,7 @@ impl Writer {
     pub fn new(mut file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
         let start = header(size, metadata).map_err(|e| file.error(e))?;
         file.put(&start)?;
-        Ok(Writer {
-            file,
-            bands: Bands::new(size),
-            adler: Adler::default(),
-        })
+        Ok(Writer { file, bands: Bands::new(size), adler: Adler::default() })
     }
 }
 
@@ -70,27 +66,18 @@ impl RowWriter<[u8; 3]> for Writer {
         let mut end = Vec::new();
         put_chunk(b"IEND", &[], &mut end);
         self.file.put(&end)?;
-        Ok(Written {
-            file: self.file,
-            warnings: Vec::new(),
-        })
+        Ok(Written { file: self.file, warnings: Vec::new() })
     }
 }
 
 /// Everything before the pixels.
 fn header((width, height): (usize, usize), metadata: &Metadata) -> io::Result<Vec<u8>> {
     let side = |n: usize| {
-        u32::try_from(n)
-            .map_err(|_| io::Error::other("PNG holds no side of 2^32 pixels"))
-            .map(u32::to_be_bytes)
+        u32::try_from(n).map_err(|_| io::Error::other("PNG holds no side of 2^32 pixels")).map(u32::to_be_bytes)
     };
     let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
     // 8 bits, RGB, deflate, adaptive filters, not interlaced.
-    put_chunk(
-        b"IHDR",
-        &[&side(width)?[..], &side(height)?, &[8, 2, 0, 0, 0]].concat(),
-        &mut out,
-    );
+    put_chunk(b"IHDR", &[&side(width)?[..], &side(height)?, &[8, 2, 0, 0, 0]].concat(), &mut out);
     match &metadata.profile {
         // Perceptual intent, which is meant for photographs.
         None => put_chunk(b"sRGB", &[0], &mut out),
@@ -273,10 +260,7 @@ mod tests {
 
     #[test]
     fn the_header_is_to_the_letter() {
-        let metadata = Metadata {
-            software: "hdralign 1.2.3".into(),
-            ..Metadata::default()
-        };
+        let metadata = Metadata { software: "hdralign 1.2.3".into(), ..Metadata::default() };
         let bytes = header((258, 3), &metadata).unwrap();
         let golden = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x01\x02\0\0\0\x03\x08\x02\0\0\0";
         assert_eq!(bytes[..golden.len()], golden[..]);
@@ -288,13 +272,8 @@ mod tests {
     #[test]
     fn a_profile_takes_the_place_of_srgb() {
         let icc: Vec<u8> = (0..500).map(|i| (i / 7) as u8).collect();
-        let metadata = Metadata {
-            profile: Some(Profile {
-                icc: icc.clone(),
-                description: String::new(),
-            }),
-            ..Metadata::default()
-        };
+        let metadata =
+            Metadata { profile: Some(Profile { icc: icc.clone(), description: String::new() }), ..Metadata::default() };
         let bytes = written(&picture(4, 4), &metadata);
         let reader = png::Decoder::new(io::Cursor::new(&bytes)).read_info().unwrap();
         assert_eq!(reader.info().icc_profile.as_deref(), Some(&icc[..]));

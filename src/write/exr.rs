@@ -95,15 +95,7 @@ impl Writer {
 
 impl RowWriter<[f32; 3]> for Writer {
     fn push(&mut self, rows: &[[f32; 3]]) -> Result<()> {
-        let Writer {
-            file,
-            bands,
-            header,
-            offsets,
-            at,
-            over,
-            ..
-        } = self;
+        let Writer { file, bands, header, offsets, at, over, .. } = self;
         let (width, sample) = (bands.width, self.sample);
         let mut bytes = Vec::new();
         bands.push(
@@ -133,10 +125,7 @@ impl RowWriter<[f32; 3]> for Writer {
         end().map_err(|e| self.file.error(e))?;
         let what = "are above 65504 and were written as that; write floats, or scale the picture down";
         let warnings = clamped(&self.file, self.over, what);
-        Ok(Written {
-            file: self.file,
-            warnings,
-        })
+        Ok(Written { file: self.file, warnings })
     }
 }
 
@@ -157,19 +146,10 @@ fn header((width, height): (usize, usize), metadata: &Metadata, options: &Option
         BlockDescription::ScanLines,
         LineOrder::Increasing,
     );
-    let Primaries {
-        red,
-        green,
-        blue,
-        white,
-    } = metadata.primaries;
+    let Primaries { red, green, blue, white } = metadata.primaries;
     let xy = |p: [f64; 2]| Vec2(p[0] as f32, p[1] as f32);
-    header.shared_attributes.chromaticities = Some(Chromaticities {
-        red: xy(red),
-        green: xy(green),
-        blue: xy(blue),
-        white: xy(white),
-    });
+    header.shared_attributes.chromaticities =
+        Some(Chromaticities { red: xy(red), green: xy(green), blue: xy(blue), white: xy(white) });
     let number = |v: Option<f64>| v.map(|v| v as f32);
     let own = &mut header.own_attributes;
     own.layer_name = None;
@@ -208,12 +188,7 @@ fn put_frame(header: &Header, metadata: &Metadata, out: &mut Vec<u8>) -> ::exr::
 
 /// The name that newer readers know a linear colour space by, where it has one.
 fn interop_id(primaries: &Primaries) -> Option<&'static str> {
-    let Primaries {
-        red,
-        green,
-        blue,
-        white,
-    } = primaries;
+    let Primaries { red, green, blue, white } = primaries;
     let close = |a: &[f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < 1e-3 && (a[1] - b[1]).abs() < 1e-3;
     let known = [
         ("lin_rec709_scene", [0.64, 0.33], [0.30, 0.60], [0.15, 0.06]),
@@ -264,11 +239,7 @@ fn encode_band(first: usize, pixels: &[[f32; 3]], width: usize, sample: Sample, 
 }
 
 fn halves(block: &[[f32; 3]], width: usize) -> (Vec<u8>, u64) {
-    let over = block
-        .as_flattened()
-        .iter()
-        .filter(|&&v| v.is_nan() || v.abs() > HALF_MAX)
-        .count() as u64;
+    let over = block.as_flattened().iter().filter(|&&v| v.is_nan() || v.abs() > HALF_MAX).count() as u64;
     (planar(block, width, |v| half_bits(v).to_ne_bytes()), over)
 }
 
@@ -292,15 +263,8 @@ fn planar<const N: usize>(block: &[[f32; 3]], width: usize, bytes: impl Fn(f32) 
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     use ::exr::prelude::{ReadChannels, ReadLayers, read};
     let failed = |e| match e {
-        ::exr::error::Error::Io(source) => Error::Read {
-            path: path.to_owned(),
-            source,
-        },
-        other => Error::Decode {
-            path: path.to_owned(),
-            format: "OpenEXR",
-            reason: other.to_string(),
-        },
+        ::exr::error::Error::Io(source) => Error::Read { path: path.to_owned(), source },
+        other => Error::Decode { path: path.to_owned(), format: "OpenEXR", reason: other.to_string() },
     };
     let image = read()
         .no_deep_data()
@@ -327,17 +291,9 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     metadata.capture.date = words(own.capture_date);
     metadata.comments.extend(words(own.comments));
     if let Some(c) = image.attributes.chromaticities {
-        metadata.primaries = Primaries {
-            red: xy(c.red),
-            green: xy(c.green),
-            blue: xy(c.blue),
-            white: xy(c.white),
-        };
+        metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
     }
-    let map = RadianceMap {
-        pixels: image.layer_data.channel_data.pixels,
-        primaries: metadata.primaries,
-    };
+    let map = RadianceMap { pixels: image.layer_data.channel_data.pixels, primaries: metadata.primaries };
     Ok((map, metadata))
 }
 
@@ -415,9 +371,7 @@ mod tests {
     /// The offset table lies before the first block, to which its first entry points.
     fn offsets(bytes: &[u8], blocks: usize) -> Vec<u64> {
         let entry = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
-        let start = (8..bytes.len() - 8)
-            .find(|&at| entry(at) == (at + 8 * blocks) as u64)
-            .unwrap();
+        let start = (8..bytes.len() - 8).find(|&at| entry(at) == (at + 8 * blocks) as u64).unwrap();
         (0..blocks).map(|i| entry(start + 8 * i)).collect()
     }
 
@@ -435,14 +389,8 @@ mod tests {
         metadata.capture.make = Some("Make".into());
         metadata.capture.date = Some("2009:07:11 12:34:56".into());
         let (bytes, _, _, back) = written(&picture(3, 3), &metadata, &Options::default(), 3);
-        assert_eq!(
-            (back.time_s, back.f_number, back.iso),
-            (Some(0.125), Some(8.0), Some(100.0))
-        );
-        assert_eq!(
-            (back.cd_m2_per_unit, back.capture.date),
-            (Some(150.0), metadata.capture.date)
-        );
+        assert_eq!((back.time_s, back.f_number, back.iso), (Some(0.125), Some(8.0), Some(100.0)));
+        assert_eq!((back.cd_m2_per_unit, back.capture.date), (Some(150.0), metadata.capture.date));
         assert_eq!(back.comments, ["a; b"]);
         let has = |text: &[u8]| bytes.windows(text.len()).any(|w| w == text);
         assert!(has(b"cameraMake\0string\0\x04\0\0\0Make") && has(b"lin_rec709_scene") && has(b"software\0string\0"));

@@ -30,11 +30,7 @@ impl Writer {
     /// [`Error::Write`].
     pub fn new(mut file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
         file.put(header(size, metadata).as_bytes())?;
-        Ok(Writer {
-            file,
-            bands: Bands::new(size),
-            over: 0,
-        })
+        Ok(Writer { file, bands: Bands::new(size), over: 0 })
     }
 }
 
@@ -55,10 +51,7 @@ impl RowWriter<[f32; 3]> for Writer {
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
         let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were written as that");
-        Ok(Written {
-            file: self.file,
-            warnings,
-        })
+        Ok(Written { file: self.file, warnings })
     }
 }
 
@@ -88,12 +81,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata) -> String {
     lines.extend(date.map(|d| format!("CAPDATE= {d}")));
     // At column 0 and once: evalglare exits on a tab before it, and every further one would multiply.
     lines.push(format!("EXPOSURE={:e}", exposure(metadata)));
-    let Primaries {
-        red,
-        green,
-        blue,
-        white,
-    } = metadata.primaries;
+    let Primaries { red, green, blue, white } = metadata.primaries;
     let xy = [red, green, blue, white].map(|[x, y]| format!(" {x:.4} {y:.4}"));
     lines.push(format!("PRIMARIES={}", xy.concat()));
     lines.push("FORMAT=32-bit_rle_rgbe".into());
@@ -112,15 +100,8 @@ fn exposure(metadata: &Metadata) -> f64 {
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for what is no such file, is cut short, or holds XYZE or turned pixels.
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Read {
-        path: path.to_owned(),
-        source,
-    })?;
-    parse(&bytes).map_err(|reason| Error::Decode {
-        path: path.to_owned(),
-        format: "Radiance HDR",
-        reason,
-    })
+    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    parse(&bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "Radiance HDR", reason })
 }
 
 fn parse(bytes: &[u8]) -> std::result::Result<(RadianceMap, Metadata), String> {
@@ -152,9 +133,7 @@ fn parse(bytes: &[u8]) -> std::result::Result<(RadianceMap, Metadata), String> {
             "CAPDATE" => metadata.capture.date = Some(value.into()),
             "SOFTWARE" => metadata.software = value.into(),
             "FORMAT" if value != "32-bit_rle_rgbe" => {
-                return Err(format!(
-                    "its format is {value}; make it RGB first, as with `ra_xyze -r`"
-                ));
+                return Err(format!("its format is {value}; make it RGB first, as with `ra_xyze -r`"));
             }
             _ => {}
         }
@@ -172,10 +151,7 @@ fn parse(bytes: &[u8]) -> std::result::Result<(RadianceMap, Metadata), String> {
         rgbe::take_row(&mut rest, &mut row).ok_or_else(|| format!("it is damaged or cut short at row {y}"))?;
         pixels.extend(row.iter().map(|&p| rgbe::decode(p)));
     }
-    let map = RadianceMap {
-        pixels: Plane::from_vec(width, height, pixels),
-        primaries: metadata.primaries,
-    };
+    let map = RadianceMap { pixels: Plane::from_vec(width, height, pixels), primaries: metadata.primaries };
     Ok((map, metadata))
 }
 
@@ -188,20 +164,11 @@ fn take_line(bytes: &mut &[u8]) -> Option<String> {
 }
 
 fn primaries(text: &str) -> Option<Primaries> {
-    let numbers: Vec<f64> = text
-        .split_whitespace()
-        .map(str::parse)
-        .collect::<std::result::Result<_, _>>()
-        .ok()?;
+    let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
     let &[rx, ry, gx, gy, bx, by, wx, wy] = numbers.as_slice() else {
         return None;
     };
-    Some(Primaries {
-        red: [rx, ry],
-        green: [gx, gy],
-        blue: [bx, by],
-        white: [wx, wy],
-    })
+    Some(Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] })
 }
 
 fn resolution(line: &str) -> Option<(usize, usize)> {
@@ -222,11 +189,7 @@ mod tests {
         Plane::from_rows(width, height, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
                 let v = ((x * 7919 + y * 104_729) % 1000) as f32 + 0.25;
-                *p = if x / 40 % 2 == 0 {
-                    [1.5, 0.75, 0.1]
-                } else {
-                    [v, v * v / 50.0, 1.0 / v]
-                };
+                *p = if x / 40 % 2 == 0 { [1.5, 0.75, 0.1] } else { [v, v * v / 50.0, 1.0 / v] };
             }
         })
     }
@@ -249,6 +212,7 @@ mod tests {
                 make: Some("Canon".into()),
                 model: Some("Canon EOS 5D".into()),
                 date: Some("2009:07:11 12:34:56".into()),
+                ..Capture::default()
             },
             exposure_scale: 0.5,
             ..Metadata::default()
@@ -288,12 +252,7 @@ mod tests {
             let mut theirs = vec![0; decoder.total_bytes() as usize];
             decoder.read_image(&mut theirs).unwrap();
             let ours = parse(&bytes).unwrap().0.pixels;
-            for ((p, q), t) in picture
-                .as_slice()
-                .iter()
-                .zip(ours.as_slice())
-                .zip(theirs.chunks_exact(12))
-            {
+            for ((p, q), t) in picture.as_slice().iter().zip(ours.as_slice()).zip(theirs.chunks_exact(12)) {
                 let (rgbe, _) = rgbe::encode(*p);
                 let step = libm::ldexpf(1.0, i32::from(rgbe[3]) - 136);
                 for c in 0..3 {
@@ -325,13 +284,7 @@ mod tests {
         let (bytes, _) = written(&picture(50, 9), &Metadata::default());
         let text = String::from_utf8_lossy(&bytes[..250]).into_owned();
         let with = |from: &str, to: &str| {
-            let mut changed = text
-                .replace(from, to)
-                .split("+X 50\n")
-                .next()
-                .unwrap()
-                .as_bytes()
-                .to_vec();
+            let mut changed = text.replace(from, to).split("+X 50\n").next().unwrap().as_bytes().to_vec();
             changed.extend_from_slice(b"+X 50\n");
             changed.extend_from_slice(&bytes[header((50, 9), &Metadata::default()).len()..]);
             parse(&changed).map(|_| ()).unwrap_err()

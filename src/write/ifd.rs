@@ -91,11 +91,7 @@ impl Directory {
     pub(super) fn bytes(&self, place: u64) -> Vec<u8> {
         let word = if self.big { 8 } else { 4 };
         let count = self.entries.len() as u64;
-        let count_bytes = if self.big {
-            count.to_le_bytes().to_vec()
-        } else {
-            (count as u16).to_le_bytes().to_vec()
-        };
+        let count_bytes = if self.big { count.to_le_bytes().to_vec() } else { (count as u16).to_le_bytes().to_vec() };
         let length = count_bytes.len() + self.entries.len() * (4 + 2 * word) + word;
         let (mut out, mut behind) = (count_bytes, Vec::new());
         for (tag, (kind, count, bytes)) in &self.entries {

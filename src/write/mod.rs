@@ -4,8 +4,8 @@
 //! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
 //! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
 
-mod bands;
 pub mod aligned;
+mod bands;
 pub mod display;
 pub mod exr;
 mod half;
@@ -54,10 +54,7 @@ impl Format {
             "hdr" | "pic" => Ok(Format::Hdr),
             "tif" | "tiff" => Ok(Format::Tiff),
             "png" => Ok(Format::Png),
-            _ => Err(Error::UnknownExtension {
-                path: path.to_owned(),
-                known: Format::KNOWN,
-            }),
+            _ => Err(Error::UnknownExtension { path: path.to_owned(), known: Format::KNOWN }),
         }
     }
 
@@ -275,10 +272,7 @@ pub fn push_all<P>(mut writer: Box<dyn RowWriter<P> + '_>, plane: &Plane<P>) -> 
 
 /// The warning that `count` values of `file` were beyond what `format` holds, if any were.
 fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
-    let warning = Warning::OutOfRange {
-        path: file.target().to_owned(),
-        detail: format!("{count} values {what}"),
-    };
+    let warning = Warning::OutOfRange { path: file.target().to_owned(), detail: format!("{count} values {what}") };
     if count > 0 { vec![warning] } else { Vec::new() }
 }
 
@@ -304,11 +298,7 @@ mod tests {
         let camera = |make: &str, model: &str| {
             let text = |t: &str| (!t.is_empty()).then(|| t.to_owned());
             Metadata {
-                capture: Capture {
-                    make: text(make),
-                    model: text(model),
-                    date: None,
-                },
+                capture: Capture { make: text(make), model: text(model), ..Capture::default() },
                 ..Metadata::default()
             }
             .camera()

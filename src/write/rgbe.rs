@@ -37,11 +37,7 @@ pub(super) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
 
 /// 2^n, for n from -149 to 127: exact.
 fn pow2(n: i32) -> f32 {
-    if n >= -126 {
-        f32::from_bits(((n + 127) as u32) << 23)
-    } else {
-        f32::from_bits(1 << (n + 149))
-    }
+    if n >= -126 { f32::from_bits(((n + 127) as u32) << 23) } else { f32::from_bits(1 << (n + 149)) }
 }
 
 /// Widths that can be run-length encoded: others are written flat.

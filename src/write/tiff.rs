@@ -119,25 +119,13 @@ impl<T: Sample> Writer<T> {
         }
         let start = directory.file_header(0);
         file.put(&start)?;
-        Ok(Writer {
-            file,
-            bands: Bands::new(size),
-            directory,
-            at: start.len() as u64,
-            strips: Vec::new(),
-        })
+        Ok(Writer { file, bands: Bands::new(size), directory, at: start.len() as u64, strips: Vec::new() })
     }
 }
 
 impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
-        let Writer {
-            file,
-            bands,
-            at,
-            strips,
-            ..
-        } = self;
+        let Writer { file, bands, at, strips, .. } = self;
         let width = bands.width;
         bands.push(
             rows,
@@ -169,10 +157,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
             file.write_all(&start)
         };
         put().map_err(|e| self.file.error(e))?;
-        Ok(Written {
-            file: self.file,
-            warnings: Vec::new(),
-        })
+        Ok(Written { file: self.file, warnings: Vec::new() })
     }
 }
 
@@ -217,11 +202,7 @@ mod tests {
             // As if it were huge: start over with the other kind of header.
             writer.file.seek(SeekFrom::Start(0)).unwrap();
             writer.directory.big = true;
-            for (tag, value) in [
-                (tag::WIDTH, size.0),
-                (tag::HEIGHT, size.1),
-                (tag::ROWS_PER_STRIP, BAND_ROWS),
-            ] {
+            for (tag, value) in [(tag::WIDTH, size.0), (tag::HEIGHT, size.1), (tag::ROWS_PER_STRIP, BAND_ROWS)] {
                 writer.directory.long(tag, &[value as u64]);
             }
             let start = writer.directory.file_header(0);
@@ -243,19 +224,13 @@ mod tests {
             for big in [false, true] {
                 let metadata = Metadata::default();
                 let eight = picture(width, height, |n| n as u8);
-                let DecodingResult::U8(v) = decoded(&written(&eight, &metadata, big)) else {
-                    panic!("8 bits")
-                };
+                let DecodingResult::U8(v) = decoded(&written(&eight, &metadata, big)) else { panic!("8 bits") };
                 assert_eq!(v, eight.as_slice().as_flattened());
                 let sixteen = picture(width, height, |n| n as u16);
-                let DecodingResult::U16(v) = decoded(&written(&sixteen, &metadata, big)) else {
-                    panic!("16 bits")
-                };
+                let DecodingResult::U16(v) = decoded(&written(&sixteen, &metadata, big)) else { panic!("16 bits") };
                 assert_eq!(v, sixteen.as_slice().as_flattened());
                 let floats = picture(width, height, |n| (n as f32 - 3.7) * 1e-3);
-                let DecodingResult::F32(v) = decoded(&written(&floats, &metadata, big)) else {
-                    panic!("floats")
-                };
+                let DecodingResult::F32(v) = decoded(&written(&floats, &metadata, big)) else { panic!("floats") };
                 assert_eq!(v, floats.as_slice().as_flattened());
             }
         }
@@ -264,30 +239,21 @@ mod tests {
     #[test]
     fn tags_say_what_is_known() {
         let mut metadata = Metadata {
-            profile: Some(Profile {
-                icc: (0..=99).collect(),
-                description: String::new(),
-            }),
+            profile: Some(Profile { icc: (0..=99).collect(), description: String::new() }),
             ..Metadata::default()
         };
         metadata.capture.make = Some("Make\0".into());
         metadata.capture.model = Some("M".into());
         let bytes = written(&picture(5, 5, |n| n as u8), &metadata, false);
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
-        assert_eq!(
-            decoder.get_tag_u8_vec(Tag::IccProfile).unwrap(),
-            (0..=99).collect::<Vec<u8>>()
-        );
+        assert_eq!(decoder.get_tag_u8_vec(Tag::IccProfile).unwrap(), (0..=99).collect::<Vec<u8>>());
         assert_eq!(decoder.get_tag_ascii_string(Tag::Make).unwrap(), "Make");
         assert_eq!(decoder.get_tag_ascii_string(Tag::Model).unwrap(), "M");
         assert_eq!(decoder.get_tag_ascii_string(Tag::Software).unwrap(), metadata.software);
         assert_eq!(decoder.get_tag_u32(Tag::RowsPerStrip).unwrap(), 64);
         let bytes = written(&picture(5, 5, |n| n as f32), &metadata, false);
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
-        assert!(
-            decoder.get_tag_u8_vec(Tag::IccProfile).is_err(),
-            "a display profile says nothing of radiance"
-        );
+        assert!(decoder.get_tag_u8_vec(Tag::IccProfile).is_err(), "a display profile says nothing of radiance");
     }
 
     #[test]
@@ -305,10 +271,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let kind = |width: usize, height: usize| {
             let pending = Pending::create(&dir.path().join("x.tif")).unwrap();
-            Writer::<f32>::new(pending, (width, height), &Metadata::default())
-                .unwrap()
-                .directory
-                .big
+            Writer::<f32>::new(pending, (width, height), &Metadata::default()).unwrap().directory.big
         };
         assert!(!kind(15_000, 20_000) && kind(20_000, 20_000));
     }

@@ -59,18 +59,10 @@ impl Bvh {
             .iter()
             .map(|t| {
                 let [a, b, c] = t.corners;
-                Face {
-                    at: a.at,
-                    e1: b.at - a.at,
-                    e2: c.at - a.at,
-                }
+                Face { at: a.at, e1: b.at - a.at, e2: c.at - a.at }
             })
             .collect();
-        Bvh {
-            nodes,
-            faces,
-            triangles,
-        }
+        Bvh { nodes, faces, triangles }
     }
 
     /// The nearest triangle along `o + t d` with `t` in 0.0001..`limit` that `keep` (its number) lets count.
@@ -115,10 +107,8 @@ impl Bvh {
             }
             if node.count == 0 {
                 let (a, b) = (index + 1, node.next);
-                let (ta, tb) = (
-                    entry(&self.nodes[a as usize], o, inv, limit),
-                    entry(&self.nodes[b as usize], o, inv, limit),
-                );
+                let (ta, tb) =
+                    (entry(&self.nodes[a as usize], o, inv, limit), entry(&self.nodes[b as usize], o, inv, limit));
                 match (ta, tb) {
                     (Some(x), Some(y)) => {
                         (stack[top], stack[top + 1]) = if x < y { (b, a) } else { (a, b) };
@@ -186,12 +176,7 @@ fn split(triangles: &mut [Triangle], from: usize, to: usize, nodes: &mut Vec<Nod
         (clo, chi) = (clo.min(a + b), chi.max(a + b));
     }
     let me = nodes.len();
-    nodes.push(Node {
-        lo,
-        hi,
-        next: from as u32,
-        count: (to - from) as u32,
-    });
+    nodes.push(Node { lo, hi, next: from as u32, count: (to - from) as u32 });
     if to - from <= LEAF {
         return;
     }
@@ -212,19 +197,10 @@ fn split(triangles: &mut [Triangle], from: usize, to: usize, nodes: &mut Vec<Nod
         }
         for cut in 1..BINS {
             let side = |part: &[(V3, V3, usize)]| {
-                let s = part
-                    .iter()
-                    .fold((V3::ONE * f32::INFINITY, V3::ONE * f32::NEG_INFINITY, 0), |s, b| {
-                        (s.0.min(b.0), s.1.max(b.1), s.2 + b.2)
-                    });
-                (
-                    if s.2 == 0 {
-                        0.0
-                    } else {
-                        half_area(s.0, s.1) * s.2 as f32
-                    },
-                    s.2,
-                )
+                let s = part.iter().fold((V3::ONE * f32::INFINITY, V3::ONE * f32::NEG_INFINITY, 0), |s, b| {
+                    (s.0.min(b.0), s.1.max(b.1), s.2 + b.2)
+                });
+                (if s.2 == 0 { 0.0 } else { half_area(s.0, s.1) * s.2 as f32 }, s.2)
             };
             let ((a, na), (b, nb)) = (side(&bins[..cut]), side(&bins[cut..]));
             if na > 0 && nb > 0 && a + b < best.0 {

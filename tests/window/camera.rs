@@ -63,11 +63,7 @@ pub fn expose(radiance: &[V3], i: usize) -> Vec<u8> {
         let noise = f64::from(gaussian(pixel as u32, 7 + i as u32, channel as u32));
         (255.0 * response((electrons + sigma * noise) / FULL_WELL)).round() as u8
     };
-    radiance
-        .iter()
-        .enumerate()
-        .flat_map(|(k, p)| [one(p.x, k, 0), one(p.y, k, 1), one(p.z, k, 2)])
-        .collect()
+    radiance.iter().enumerate().flat_map(|(k, p)| [one(p.x, k, 0), one(p.y, k, 1), one(p.z, k, 2)]).collect()
 }
 
 /// Encodes code values as a JPEG with the EXIF of frame `i`.
@@ -90,11 +86,7 @@ pub fn file_name(i: usize) -> String {
 
 /// The fields that every frame carries, and its own time.
 pub fn exif_fields(i: usize) -> Vec<Field> {
-    let field = |tag, value| Field {
-        tag,
-        ifd_num: In::PRIMARY,
-        value,
-    };
+    let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
     let text = |s: &str| Value::Ascii(vec![s.as_bytes().to_vec()]);
     let ratio = |num, denom| Value::Rational(vec![Rational { num, denom }]);
     // A second's pause between frames, as the hands move.

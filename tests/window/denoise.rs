@@ -20,12 +20,7 @@ pub fn develop(scene: &Scene, pixels: &[Pixel], width: usize) -> Vec<V3> {
         _ => false,
     };
     let mirror = smooth(pixels, mirror, width, 3, soft);
-    pixels
-        .iter()
-        .zip(rest)
-        .zip(mirror)
-        .map(|((p, r), m)| p.direct + m + p.albedo * (p.sun + r))
-        .collect()
+    pixels.iter().zip(rest).zip(mirror).map(|((p, r), m)| p.direct + m + p.albedo * (p.sun + r)).collect()
 }
 
 /// One layer without its noise, over pixels that `may` take part.
@@ -43,10 +38,7 @@ fn smooth(
     let excess = layer.iter().zip(&calm).map(|(a, b)| (a.0 - b.0, 0.0)).collect();
     let calm = wavelet(pixels, calm, width, levels, true, &may);
     let excess = wavelet(pixels, excess, width, levels, false, &may);
-    calm.into_iter()
-        .zip(excess)
-        .map(|(a, b)| (a.0 + b.0).max(V3::ZERO))
-        .collect()
+    calm.into_iter().zip(excess).map(|(a, b)| (a.0 + b.0).max(V3::ZERO)).collect()
 }
 
 /// `levels` passes of a 5 x 5 filter with holes; `ranged` ones keep edges that stand out from the noise.
@@ -70,11 +62,7 @@ fn wavelet(
             if p.material == u16::MAX || !may(p) {
                 return (value, variance);
             }
-            let range = if ranged {
-                4.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4
-            } else {
-                f32::INFINITY
-            };
+            let range = if ranged { 4.0 * spread[k].sqrt() + 1e-3 * value.luminance() + 1e-4 } else { f32::INFINITY };
             let (mut sum, mut sum_variance, mut total) = (V3::ZERO, 0.0, 0.0);
             for j in -2..=2 {
                 for i in -2..=2 {
@@ -98,11 +86,7 @@ fn wavelet(
                     total += w;
                 }
             }
-            if total < 1e-6 {
-                (value, variance)
-            } else {
-                (sum / total, sum_variance / (total * total))
-            }
+            if total < 1e-6 { (value, variance) } else { (sum / total, sum_variance / (total * total)) }
         });
         layer = filtered.collect();
     }

@@ -42,11 +42,7 @@ fn books(b: &mut Builder, x: f32, end: f32, y: f32, z: f32, tall: f32, seed: u32
         if run == 0 {
             run = 1 + (unit(seed, k, 1) * 4.5) as u32 * u32::from(unit(seed, k, 2) < 0.45);
             let dye = dyes[(unit(seed, k, 3) * 10.0) as usize % 10];
-            look = (
-                0.018 + 0.034 * unit(seed, k, 4),
-                tall * (0.68 + 0.30 * unit(seed, k, 5)),
-                dye,
-            );
+            look = (0.018 + 0.034 * unit(seed, k, 4), tall * (0.68 + 0.30 * unit(seed, k, 5)), dye);
         }
         run -= 1;
         let (w, h, dye) = look;
@@ -58,8 +54,7 @@ fn books(b: &mut Builder, x: f32, end: f32, y: f32, z: f32, tall: f32, seed: u32
             let m = b.material(Paint::Book(dye, seed * 100 + k - run), Finish::Coat(0.3));
             let lean = if unit(seed, k, 7) < 0.08 { 0.05 } else { 0.0 };
             let back = 0.012 * unit(seed, k, 8);
-            b.mesh
-                .block_turned(v3(x, y, z + back), v3(w - 0.0015, h, 0.17), v3(x, y, z), lean, m);
+            b.mesh.block_turned(v3(x, y, z + back), v3(w - 0.0015, h, 0.17), v3(x, y, z), lean, m);
         }
         x += w + if gap { 0.03 } else { 0.0 };
         k += 1;
@@ -74,8 +69,7 @@ fn bookcase(b: &mut Builder) {
         b.mesh.block(v3(x, 0.0, z0), v3(0.03, top, 0.30), wood);
     }
     b.mesh.block(v3(x0, 0.0, FRONT - 0.02), v3(x1 - x0, top, 0.02), wood);
-    b.mesh
-        .block(v3(x0 - 0.03, top, z0 - 0.03), v3(x1 - x0 + 0.06, 0.04, 0.33), board);
+    b.mesh.block(v3(x0 - 0.03, top, z0 - 0.03), v3(x1 - x0 + 0.06, 0.04, 0.33), board);
     for (i, y) in [0.08, 0.50, 0.88, 1.24, 1.59, 1.93].into_iter().enumerate() {
         b.mesh.block(v3(x0, y, z0 + 0.006), v3(x1 - x0, 0.024, 0.29), board);
         let room = [0.37, 0.33, 0.31, 0.30, 0.29, 0.30][i];
@@ -87,30 +81,14 @@ fn bookcase(b: &mut Builder) {
         };
         books(b, from, to, y + 0.024, z0 + 0.04, room * 0.92, i as u32 + 1);
     }
-    let glaze = b.material(
-        Paint::Pottery(v3(0.10, 0.22, 0.34), v3(0.70, 0.66, 0.55)),
-        Finish::Coat(0.06),
-    );
+    let glaze = b.material(Paint::Pottery(v3(0.10, 0.22, 0.34), v3(0.70, 0.66, 0.55)), Finish::Coat(0.06));
     b.mesh.lathe(
         v3(x0 + 0.14, 0.904, FRONT - 0.17),
-        &[
-            (0.04, 0.0),
-            (0.075, 0.05),
-            (0.085, 0.11),
-            (0.05, 0.17),
-            (0.03, 0.2),
-            (0.045, 0.23),
-        ],
+        &[(0.04, 0.0), (0.075, 0.05), (0.085, 0.11), (0.05, 0.17), (0.03, 0.2), (0.045, 0.23)],
         glaze,
     );
     let brass = b.material(Paint::Plain(v3(0.80, 0.58, 0.25)), Finish::Metal(0.15));
-    b.mesh.cushion(
-        v3(x1 - 0.18, 1.614 + 0.115, FRONT - 0.17),
-        V3::ONE * 0.085,
-        1.0,
-        0.0,
-        glaze,
-    );
+    b.mesh.cushion(v3(x1 - 0.18, 1.614 + 0.115, FRONT - 0.17), V3::ONE * 0.085, 1.0, 0.0, glaze);
     b.mesh.lathe(
         v3(x1 - 0.18, 1.614, FRONT - 0.17),
         &[(0.06, 0.0), (0.05, 0.012), (0.012, 0.02), (0.010, 0.035)],
@@ -128,18 +106,9 @@ fn bookcase(b: &mut Builder) {
 
 /// A wing chair with a cushion and a throw, facing its own -z before the turn.
 fn armchair(b: &mut Builder, at: V3, turn: f32) {
-    let cloth = b.material(
-        Paint::Cloth(v3(0.13, 0.20, 0.22), v3(0.30, 0.33, 0.27), 30.0),
-        Finish::Matt,
-    );
-    let linen = b.material(
-        Paint::Cloth(v3(0.62, 0.30, 0.10), v3(0.70, 0.60, 0.40), 11.0),
-        Finish::Matt,
-    );
-    let wool = b.material(
-        Paint::Cloth(v3(0.60, 0.54, 0.42), v3(0.36, 0.07, 0.05), 5.0),
-        Finish::Matt,
-    );
+    let cloth = b.material(Paint::Cloth(v3(0.13, 0.20, 0.22), v3(0.30, 0.33, 0.27), 30.0), Finish::Matt);
+    let linen = b.material(Paint::Cloth(v3(0.62, 0.30, 0.10), v3(0.70, 0.60, 0.40), 11.0), Finish::Matt);
+    let wool = b.material(Paint::Cloth(v3(0.60, 0.54, 0.42), v3(0.36, 0.07, 0.05), 5.0), Finish::Matt);
     let wood = b.material(Paint::Wood(v3(0.18, 0.09, 0.045), 1), Finish::Coat(0.15));
     let place = |x: f32, y: f32, z: f32| at + v3(x, y, z).turned(turn);
     let mut soft = |x: f32, y: f32, z: f32, hx: f32, hy: f32, hz: f32, power: f32, m: u16| {
@@ -157,8 +126,7 @@ fn armchair(b: &mut Builder, at: V3, turn: f32) {
     soft(0.37, 0.685, -0.08, 0.125, 0.03, 0.20, 0.5, wool);
     soft(0.475, 0.50, -0.08, 0.018, 0.20, 0.20, 0.4, wool);
     for (x, z) in [(-0.32, -0.32), (0.32, -0.32), (-0.32, 0.32), (0.32, 0.32)] {
-        b.mesh
-            .lathe(place(x, 0.0, z), &[(0.018, 0.0), (0.028, 0.08), (0.035, 0.18)], wood);
+        b.mesh.lathe(place(x, 0.0, z), &[(0.018, 0.0), (0.028, 0.08), (0.035, 0.18)], wood);
     }
 }
 
@@ -166,17 +134,13 @@ fn armchair(b: &mut Builder, at: V3, turn: f32) {
 fn seat(b: &mut Builder) {
     let wood = b.material(Paint::Wood(v3(0.30, 0.165, 0.08), 0), Finish::Coat(0.15));
     let leg = b.material(Paint::Wood(v3(0.30, 0.165, 0.08), 1), Finish::Coat(0.15));
-    let pad = b.material(
-        Paint::Cloth(v3(0.55, 0.49, 0.38), v3(0.12, 0.18, 0.30), 26.0),
-        Finish::Matt,
-    );
+    let pad = b.material(Paint::Cloth(v3(0.55, 0.49, 0.38), v3(0.12, 0.18, 0.30), 26.0), Finish::Matt);
     b.mesh.block(v3(-1.2, 0.38, 4.42), v3(2.2, 0.035, 0.45), wood);
     b.mesh.block(v3(-1.15, 0.30, 4.46), v3(2.1, 0.08, 0.03), wood);
     for (x, z) in [(-1.17, 4.45), (0.91, 4.45), (-1.17, 4.78), (0.91, 4.78), (-0.13, 4.45)] {
         b.mesh.block(v3(x, 0.0, z), v3(0.06, 0.38, 0.06), leg);
     }
-    b.mesh
-        .cushion(v3(-0.1, 0.445, 4.64), v3(1.08, 0.035, 0.22), 0.25, 0.0, pad);
+    b.mesh.cushion(v3(-0.1, 0.445, 4.64), v3(1.08, 0.035, 0.22), 0.25, 0.0, pad);
     let dyes = [
         (v3(0.42, 0.06, 0.05), v3(0.66, 0.56, 0.38)),
         (v3(0.10, 0.20, 0.30), v3(0.60, 0.58, 0.50)),
@@ -189,11 +153,7 @@ fn seat(b: &mut Builder) {
     // Two baskets below.
     let weave = b.material(Paint::Weave(v3(0.46, 0.30, 0.14)), Finish::Matt);
     for x in [-0.75, 0.42] {
-        b.mesh.lathe(
-            v3(x, 0.0, 4.66),
-            &[(0.13, 0.0), (0.16, 0.06), (0.175, 0.15), (0.165, 0.24)],
-            weave,
-        );
+        b.mesh.lathe(v3(x, 0.0, 4.66), &[(0.13, 0.0), (0.16, 0.06), (0.175, 0.15), (0.165, 0.24)], weave);
     }
 }
 
@@ -244,20 +204,13 @@ fn chest(b: &mut Builder) {
     let brass = b.material(Paint::Plain(v3(0.80, 0.58, 0.25)), Finish::Metal(0.15));
     let (x, z0, z1) = (RIGHT - 0.48, 2.75, 3.95);
     b.mesh.block(v3(x, 0.08, z0), v3(0.46, 0.80, z1 - z0), dark);
-    b.mesh
-        .block(v3(x - 0.03, 0.88, z0 - 0.03), v3(0.50, 0.03, z1 - z0 + 0.06), wood);
+    b.mesh.block(v3(x - 0.03, 0.88, z0 - 0.03), v3(0.50, 0.03, z1 - z0 + 0.06), wood);
     for (i, y) in [0.11, 0.37, 0.63].into_iter().enumerate() {
         for k in 0..2 {
             let z = z0 + 0.03 + 0.58 * k as f32;
             b.mesh.block(v3(x - 0.014, y, z), v3(0.02, 0.235, 0.55), wood);
             for q in [0.14, 0.41] {
-                b.mesh.cushion(
-                    v3(x - 0.03, y + 0.12 + 0.001 * i as f32, z + q),
-                    V3::ONE * 0.017,
-                    1.0,
-                    0.0,
-                    brass,
-                );
+                b.mesh.cushion(v3(x - 0.03, y + 0.12 + 0.001 * i as f32, z + q), V3::ONE * 0.017, 1.0, 0.0, brass);
             }
         }
     }
@@ -267,11 +220,7 @@ fn chest(b: &mut Builder) {
 fn framed(b: &mut Builder, at: V3, right: V3, w: f32, h: f32, n: u32, gilt: bool) {
     let up = v3(0.0, 1.0, 0.0);
     let out = up.cross(right) * -1.0;
-    let out = if out.dot(at - v3(0.0, at.y, 1.0)) > 0.0 {
-        -out
-    } else {
-        out
-    };
+    let out = if out.dot(at - v3(0.0, at.y, 1.0)) > 0.0 { -out } else { out };
     let rim = if gilt {
         b.material(Paint::Speckle(v3(0.52, 0.34, 0.11), 0.25), Finish::Coat(0.2))
     } else {
@@ -280,12 +229,7 @@ fn framed(b: &mut Builder, at: V3, right: V3, w: f32, h: f32, n: u32, gilt: bool
     let mount = b.material(Paint::Speckle(v3(0.74, 0.70, 0.60), 0.05), Finish::Matt);
     let art = b.material(Paint::Picture(n), Finish::Matt);
     let mut sheet = |w: f32, h: f32, lift: f32, m: u16| {
-        b.mesh.quad(
-            at + out * lift - right * (w / 2.0) - up * (h / 2.0),
-            right * w,
-            up * h,
-            m,
-        );
+        b.mesh.quad(at + out * lift - right * (w / 2.0) - up * (h / 2.0), right * w, up * h, m);
     };
     sheet(w, h, 0.012, mount);
     let inset = if gilt { 0.0 } else { 0.10 };
@@ -297,11 +241,7 @@ fn framed(b: &mut Builder, at: V3, right: V3, w: f32, h: f32, n: u32, gilt: bool
         (right * (w / 2.0), bar / 2.0, h / 2.0 + bar / 2.0),
         (right * (-w / 2.0), bar / 2.0, h / 2.0 + bar / 2.0),
     ] {
-        let half = v3(
-            (right * hr).x.abs() + out.x.abs() * 0.014,
-            hu,
-            (right * hr).z.abs() + out.z.abs() * 0.014,
-        );
+        let half = v3((right * hr).x.abs() + out.x.abs() * 0.014, hu, (right * hr).z.abs() + out.z.abs() * 0.014);
         b.mesh.block(at + c + out * 0.014 - half, half * 2.0, rim);
     }
 }

@@ -27,33 +27,16 @@ impl Mesh {
     /// A flat parallelogram from `o` along `u` and `v`; uv runs 0..1 along both.
     pub fn quad(&mut self, o: V3, u: V3, v: V3, material: u16) {
         let normal = u.cross(v).unit();
-        let c = |a: f32, b: f32| Corner {
-            at: o + u * a + v * b,
-            normal,
-            uv: [a, b],
-        };
+        let c = |a: f32, b: f32| Corner { at: o + u * a + v * b, normal, uv: [a, b] };
         let (p, q, r, s) = (c(0.0, 0.0), c(1.0, 0.0), c(1.0, 1.0), c(0.0, 1.0));
-        self.triangles.push(Triangle {
-            corners: [p, q, r],
-            material,
-        });
-        self.triangles.push(Triangle {
-            corners: [p, r, s],
-            material,
-        });
+        self.triangles.push(Triangle { corners: [p, q, r], material });
+        self.triangles.push(Triangle { corners: [p, r, s], material });
     }
 
     /// A box from its lowest corner and size, turned about the vertical through `pivot` by `turn` radians.
     pub fn block_turned(&mut self, lo: V3, size: V3, pivot: V3, turn: f32, material: u16) {
         let (x, y, z) = (v3(size.x, 0.0, 0.0), v3(0.0, size.y, 0.0), v3(0.0, 0.0, size.z));
-        let faces = [
-            (lo, x, y),
-            (lo + z, x, y),
-            (lo, z, y),
-            (lo + x, z, y),
-            (lo, x, z),
-            (lo + y, x, z),
-        ];
+        let faces = [(lo, x, y), (lo + z, x, y), (lo, z, y), (lo + x, z, y), (lo, x, z), (lo + y, x, z)];
         for (o, u, v) in faces {
             let place = |p: V3| pivot + (p - pivot).turned(turn);
             self.quad(place(o), u.turned(turn), v.turned(turn), material);
@@ -71,24 +54,16 @@ impl Mesh {
             let (u, v) = (i as f32 / nu as f32, j as f32 / nv as f32);
             let e = 1e-3;
             let (du, dv) = (f(u + e, v) - f(u - e, v), f(u, v + e) - f(u, v - e));
-            Corner {
-                at: f(u, v),
-                normal: du.cross(dv).unit(),
-                uv: [u, v],
-            }
+            Corner { at: f(u, v), normal: du.cross(dv).unit(), uv: [u, v] }
         };
-        let grid: Vec<Corner> = (0..=nv)
-            .flat_map(|j| (0..=nu).map(move |i| (i, j)))
-            .map(|(i, j)| corner(i, j))
-            .collect();
+        let grid: Vec<Corner> =
+            (0..=nv).flat_map(|j| (0..=nu).map(move |i| (i, j))).map(|(i, j)| corner(i, j)).collect();
         for j in 0..nv {
             for i in 0..nu {
                 let k = j * (nu + 1) + i;
                 let (p, q, r, s) = (grid[k], grid[k + 1], grid[k + nu + 2], grid[k + nu + 1]);
                 for corners in [[p, q, r], [p, r, s]] {
-                    let area = (corners[1].at - corners[0].at)
-                        .cross(corners[2].at - corners[0].at)
-                        .length();
+                    let area = (corners[1].at - corners[0].at).cross(corners[2].at - corners[0].at).length();
                     if area > 1e-12 {
                         self.triangles.push(Triangle { corners, material });
                     }
@@ -122,15 +97,8 @@ impl Mesh {
         let soft = |x: f32| x.signum() * x.abs().powf(power);
         let n = if half.length() > 0.08 { 40 } else { 14 };
         self.surface(n, n / 2, material, |u, v| {
-            let (a, b) = (
-                -std::f32::consts::TAU * u,
-                std::f32::consts::PI * (v.clamp(0.002, 0.998) - 0.5),
-            );
-            let p = v3(
-                soft(b.cos()) * soft(a.cos()),
-                soft(b.sin()),
-                soft(b.cos()) * soft(a.sin()),
-            );
+            let (a, b) = (-std::f32::consts::TAU * u, std::f32::consts::PI * (v.clamp(0.002, 0.998) - 0.5));
+            let p = v3(soft(b.cos()) * soft(a.cos()), soft(b.sin()), soft(b.cos()) * soft(a.sin()));
             centre + (p * half).turned(turn)
         });
     }

@@ -21,36 +21,11 @@ pub struct Motion {
 
 /// The hands: the reference in the middle holds still.
 pub const HANDS: [Motion; 5] = [
-    Motion {
-        pan: 0.62,
-        tilt: -0.35,
-        roll: -0.48,
-        shift: [-6.3, 9.7],
-    },
-    Motion {
-        pan: -0.38,
-        tilt: 0.31,
-        roll: 0.83,
-        shift: [11.6, -4.4],
-    },
-    Motion {
-        pan: 0.0,
-        tilt: 0.0,
-        roll: 0.0,
-        shift: [0.0, 0.0],
-    },
-    Motion {
-        pan: 0.33,
-        tilt: 0.54,
-        roll: -0.71,
-        shift: [7.9, 13.2],
-    },
-    Motion {
-        pan: -0.81,
-        tilt: -0.42,
-        roll: 0.36,
-        shift: [-15.4, -10.8],
-    },
+    Motion { pan: 0.62, tilt: -0.35, roll: -0.48, shift: [-6.3, 9.7] },
+    Motion { pan: -0.38, tilt: 0.31, roll: 0.83, shift: [11.6, -4.4] },
+    Motion { pan: 0.0, tilt: 0.0, roll: 0.0, shift: [0.0, 0.0] },
+    Motion { pan: 0.33, tilt: 0.54, roll: -0.71, shift: [7.9, 13.2] },
+    Motion { pan: -0.81, tilt: -0.42, roll: 0.36, shift: [-15.4, -10.8] },
 ];
 
 pub fn product(a: &Matrix, b: &Matrix) -> Matrix {
@@ -80,11 +55,7 @@ pub fn homography(m: &Motion) -> Matrix {
     let x = [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]];
     let y = [[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]];
     let z = [[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]];
-    let k = [
-        [FOCAL, 0.0, (WIDTH as f64 - 1.0) / 2.0],
-        [0.0, FOCAL, (HEIGHT as f64 - 1.0) / 2.0],
-        [0.0, 0.0, 1.0],
-    ];
+    let k = [[FOCAL, 0.0, (WIDTH as f64 - 1.0) / 2.0], [0.0, FOCAL, (HEIGHT as f64 - 1.0) / 2.0], [0.0, 0.0, 1.0]];
     let t = [[1.0, 0.0, m.shift[0]], [0.0, 1.0, m.shift[1]], [0.0, 0.0, 1.0]];
     let h = product(&product(&t, &k), &product(&product(&product(&x, &y), &z), &inverse(&k)));
     // The scale of a homography is free; the last element is 1 by custom.
@@ -104,19 +75,11 @@ pub struct Plate {
 impl Plate {
     /// Radiance at the reference frame's pixel coordinates: Catmull-Rom, kept within the nearest four (no ringing).
     fn at(&self, x: f64, y: f64) -> V3 {
-        let (u, v) = (
-            (x + 0.5 - self.left) * self.scale - 0.5,
-            (y + 0.5 - self.top) * self.scale - 0.5,
-        );
+        let (u, v) = ((x + 0.5 - self.left) * self.scale - 0.5, (y + 0.5 - self.top) * self.scale - 0.5);
         let (i, j) = (u.floor(), v.floor());
         let weights = |t: f32| {
             let (t2, t3) = (t * t, t * t * t);
-            [
-                -0.5 * t + t2 - 0.5 * t3,
-                1.0 - 2.5 * t2 + 1.5 * t3,
-                0.5 * t + 2.0 * t2 - 1.5 * t3,
-                -0.5 * t2 + 0.5 * t3,
-            ]
+            [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
         };
         let (wx, wy) = (weights((u - i) as f32), weights((v - j) as f32));
         let get = |a: isize, b: isize| {
@@ -131,9 +94,7 @@ impl Plate {
             }
         }
         let near = [get(0, 0), get(1, 0), get(0, 1), get(1, 1)];
-        let (lo, hi) = near
-            .into_iter()
-            .fold((near[0], near[0]), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let (lo, hi) = near.into_iter().fold((near[0], near[0]), |(lo, hi), p| (lo.min(p), hi.max(p)));
         sum.max(lo).min(hi)
     }
 

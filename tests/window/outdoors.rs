@@ -86,10 +86,7 @@ fn hills(c: V3, az: f32, el: f32, haze: V3) -> V3 {
         let depth = base - el;
         // Fields: a warped patchwork in perspective, with hedges between.
         let (x, y) = (az * (26.0 - 4.0 * fi) + 14.0 * depth, (depth + 0.004).ln() * 2.6);
-        let (wx, wy) = (
-            x + 0.9 * fbm(x * 0.6, y * 0.6, s, 2),
-            y + 0.9 * fbm(x * 0.5, y * 0.5, s + 9.0, 2),
-        );
+        let (wx, wy) = (x + 0.9 * fbm(x * 0.6, y * 0.6, s, 2), y + 0.9 * fbm(x * 0.5, y * 0.5, s + 9.0, 2));
         let (px, py) = (wx.floor() as i32 as u32, wy.floor() as i32 as u32);
         let crop = [
             v3(1500.0, 2050.0, 420.0),
@@ -128,10 +125,8 @@ fn canopies(az: f32, el: f32, pitch: f32, seed: f32) -> (bool, f32) {
             if unit(key.0, key.1, key.2 + 1) > 0.6 {
                 continue;
             }
-            let (dx, dy) = (
-                x - cx as f32 - unit(key.0, key.1, key.2 + 2),
-                y - cy as f32 - unit(key.0, key.1, key.2 + 3),
-            );
+            let (dx, dy) =
+                (x - cx as f32 - unit(key.0, key.1, key.2 + 2), y - cy as f32 - unit(key.0, key.1, key.2 + 3));
             let r = 0.26 + 0.2 * unit(key.0, key.1, key.2 + 4) + 0.12 * (value(x * 9.0, y * 9.0, seed) - 0.5);
             if dx * dx + dy * dy * 0.5 < r * r {
                 found = (true, 0.25 * found.1 + 0.45 * (0.6 + (dy * 0.7 - dx * 0.7) / r));
@@ -150,17 +145,10 @@ fn garden(c: V3, az: f32, el: f32) -> V3 {
         let blob = fbm(az * 46.0 - el * 20.0, el * 46.0, 8.0, 3);
         let rim = 1.0 - smooth(0.0, 0.007, bushes - el);
         c = v3(560.0, 900.0, 190.0) * (0.15 + 1.5 * blob * leaf + 1.6 * rim * leaf);
-        let rose = unit(
-            (az * 460.0).floor() as i32 as u32,
-            (el * 460.0).floor() as i32 as u32,
-            12,
-        );
+        let rose = unit((az * 460.0).floor() as i32 as u32, (el * 460.0).floor() as i32 as u32, 12);
         if rose > 0.93 && blob > 0.42 {
-            c = [
-                v3(4200.0, 900.0, 1100.0),
-                v3(4800.0, 4300.0, 3900.0),
-                v3(4300.0, 1900.0, 2100.0),
-            ][(rose * 300.0) as usize % 3];
+            c = [v3(4200.0, 900.0, 1100.0), v3(4800.0, 4300.0, 3900.0), v3(4300.0, 1900.0, 2100.0)]
+                [(rose * 300.0) as usize % 3];
         }
     }
     let picket = (az * 190.0).rem_euclid(1.0);
@@ -172,11 +160,7 @@ fn garden(c: V3, az: f32, el: f32) -> V3 {
     if el < lawn {
         let far = 2.6 / (-el).tan();
         let (x, z) = (far * az.sin(), far * az.cos());
-        let stripe = if ((x * 0.9 + 0.12 * z).floor() as i32) & 1 == 0 {
-            1.0
-        } else {
-            0.72
-        };
+        let stripe = if ((x * 0.9 + 0.12 * z).floor() as i32) & 1 == 0 { 1.0 } else { 0.72 };
         let blades = fbm(x * 30.0, z * 9.0, 5.0, 4);
         c = v3(1750.0, 2650.0, 420.0) * (stripe * (0.45 + 1.1 * blades));
         let path = x + 1.6 + 0.7 * (z * 0.33).sin();
@@ -221,11 +205,7 @@ fn tree(c: V3, az: f32, el: f32) -> V3 {
         line(0.117, 0.05, 0.125, 0.2, 0.006, 0.003),
     ];
     if boughs.into_iter().any(|b| b) {
-        let left = if el < 0.04 {
-            smooth(0.004, -0.012, az - 0.111 - 0.06 * (el + 0.06))
-        } else {
-            0.3
-        };
+        let left = if el < 0.04 { smooth(0.004, -0.012, az - 0.111 - 0.06 * (el + 0.06)) } else { 0.3 };
         c = bark * (0.5 + 2.4 * left);
     }
     let clumps = [

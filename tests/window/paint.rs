@@ -210,11 +210,7 @@ fn rug(uv: [f32; 2], p: V3) -> V3 {
 fn book(c: V3, n: u32, uv: [f32; 2], p: V3) -> V3 {
     let (u, v) = (uv[0], uv[1]);
     let worn = 0.8 + 0.4 * fbm(p.x * 60.0, p.y * 60.0, p.z * 60.0 + 0.01, 3);
-    let gilt = if unit(n, 1, 1) < 0.6 {
-        v3(0.62, 0.44, 0.14)
-    } else {
-        v3(0.7, 0.66, 0.56)
-    };
+    let gilt = if unit(n, 1, 1) < 0.6 { v3(0.62, 0.44, 0.14) } else { v3(0.7, 0.66, 0.56) };
     let band = unit(n, 2, 2) * 0.12 + 0.78;
     let rules = [band, band + 0.05, 0.12, 0.155];
     if rules.iter().any(|r| (v - r).abs() < 0.008) {
@@ -243,10 +239,8 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
             let sky = v3(0.75, 0.45, 0.22).mix(v3(0.16, 0.26, 0.42), smooth(0.45, 1.0, v + 0.1 * brush));
             let sun = ((u - 0.62).powi(2) * 1.8 + (v - 0.56).powi(2)).sqrt();
             let wave = value(u * 18.0, v * 120.0, 2.0);
-            let sea = v3(0.03, 0.10, 0.16).mix(
-                v3(0.55, 0.36, 0.18),
-                smooth(0.55, 0.9, wave) * smooth(0.35, 0.0, (u - 0.62).abs()),
-            );
+            let sea = v3(0.03, 0.10, 0.16)
+                .mix(v3(0.55, 0.36, 0.18), smooth(0.55, 0.9, wave) * smooth(0.35, 0.0, (u - 0.62).abs()));
             let sail = (u - 0.3).abs() < 0.09 * (0.72 - v) / 0.3 && v > 0.44 && v < 0.72 && u > 0.27;
             let hull = (u - 0.31).abs() < 0.10 && v > 0.40 && v < 0.435;
             match () {
@@ -309,12 +303,7 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
         }
         _ => {
             let (i, j) = ((u * 7.0) as u32, (v * 9.0) as u32);
-            vary(
-                v3(unit(i, j, 1 + n), unit(i, j, 2 + n), unit(i, j, 3 + n)) * 0.6,
-                0.2,
-                i,
-                j,
-            )
+            vary(v3(unit(i, j, 1 + n), unit(i, j, 2 + n), unit(i, j, 3 + n)) * 0.6, 0.2, i, j)
         }
     };
     c * k
@@ -322,11 +311,8 @@ fn picture(n: u32, u: f32, v: f32) -> V3 {
 
 fn cloth(a: V3, b: V3, pitch: f32, uv: [f32; 2], p: V3) -> V3 {
     let s = (uv[0] * pitch).fract();
-    let stripe = if (0.42..0.58).contains(&s) || (0.64..0.68).contains(&s) || (0.32..0.36).contains(&s) {
-        b
-    } else {
-        a
-    };
+    let stripe =
+        if (0.42..0.58).contains(&s) || (0.64..0.68).contains(&s) || (0.32..0.36).contains(&s) { b } else { a };
     let weave = value(p.x * 300.0, p.y * 300.0, p.z * 300.0 + 0.01) - 0.5;
     let slub = fbm(p.x * 30.0, p.y * 140.0, p.z * 30.0 + 0.01, 2) - 0.5;
     stripe * (1.0 + 0.3 * weave + 0.25 * slub)
@@ -338,11 +324,7 @@ fn pottery(a: V3, b: V3, uv: [f32; 2]) -> V3 {
     let dots = ((u.fract() - 0.5).powi(2) + ((v - 0.6) * 24.0).powi(2)).sqrt() < 0.3;
     let ring = [0.36, 0.56, 0.64, 0.9].iter().any(|r| (v - r).abs() < 0.008);
     let k = 0.85 + 0.3 * fbm(uv[0] * 40.0, v * 30.0, 3.0, 3);
-    (if (v - zigzag).abs() < 0.022 || dots || ring {
-        b
-    } else {
-        a
-    }) * k
+    (if (v - zigzag).abs() < 0.022 || dots || ring { b } else { a }) * k
 }
 
 fn leaf(c: V3, n: u32, uv: [f32; 2]) -> V3 {

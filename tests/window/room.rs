@@ -29,8 +29,7 @@ fn shell(b: &mut Builder) {
     b.mesh.quad(corner, x, y, wall);
     let [x0, x1, y0, y1] = WINDOW;
     let mut panel = |xa: f32, xb: f32, ya: f32, yb: f32| {
-        b.mesh
-            .quad(v3(xa, ya, FRONT), v3(0.0, yb - ya, 0.0), v3(xb - xa, 0.0, 0.0), sage);
+        b.mesh.quad(v3(xa, ya, FRONT), v3(0.0, yb - ya, 0.0), v3(xb - xa, 0.0, 0.0), sage);
     };
     panel(LEFT, x0, 0.0, CEILING);
     panel(x1, RIGHT, 0.0, CEILING);
@@ -47,8 +46,7 @@ fn shell(b: &mut Builder) {
         b.mesh.quad(o, depth, side, white);
     }
     for x in [-2.0, -0.72, 0.56, 1.84] {
-        b.mesh
-            .block(v3(x - 0.07, CEILING - 0.15, BACK), v3(0.14, 0.15, deep), beam);
+        b.mesh.block(v3(x - 0.07, CEILING - 0.15, BACK), v3(0.14, 0.15, deep), beam);
     }
 }
 
@@ -70,8 +68,7 @@ fn panelling(b: &mut Builder) {
         b.mesh.block(v3(LEFT, y, BACK), v3(d, h, deep), rail);
         b.mesh.block(v3(RIGHT - d, y, BACK), v3(d, h, deep), rail);
     }
-    b.mesh
-        .block(v3(LEFT, 0.0, FRONT - 0.03), v3(RIGHT - LEFT, 0.13, 0.03), rail);
+    b.mesh.block(v3(LEFT, 0.0, FRONT - 0.03), v3(RIGHT - LEFT, 0.13, 0.03), rail);
 }
 
 fn window(b: &mut Builder) {
@@ -102,11 +99,7 @@ fn window(b: &mut Builder) {
     }
     let y = (y0 + transom) / 2.0;
     bar(x0, x1, y - 0.011, y + 0.011, 0.035);
-    b.mesh.block(
-        v3(x0 - 0.10, y0 - 0.035, FRONT - 0.13),
-        v3(x1 - x0 + 0.20, 0.035, 0.37),
-        board,
-    );
+    b.mesh.block(v3(x0 - 0.10, y0 - 0.035, FRONT - 0.13), v3(x1 - x0 + 0.20, 0.035, 0.37), board);
     for i in 1..3 {
         let x = x0 + third * i as f32 + 0.012;
         b.mesh.tube(6, 0.008, brass, |t| v3(x, 1.15 + 0.12 * t, z - 0.06));
@@ -114,45 +107,26 @@ fn window(b: &mut Builder) {
 }
 
 fn curtains(b: &mut Builder) {
-    let cloth = b.material(
-        Paint::Cloth(v3(0.62, 0.40, 0.24), v3(0.42, 0.13, 0.07), 9.0),
-        Finish::Sheet(0.32),
-    );
+    let cloth = b.material(Paint::Cloth(v3(0.62, 0.40, 0.24), v3(0.42, 0.13, 0.07), 9.0), Finish::Sheet(0.32));
     let pole = b.material(Paint::Wood(v3(0.25, 0.13, 0.06), 0), Finish::Coat(0.15));
     let brass = b.material(Paint::Plain(v3(0.80, 0.58, 0.25)), Finish::Metal(0.2));
     let [x0, x1, _, _] = WINDOW;
     let top = 2.56;
-    b.mesh.tube(8, 0.018, pole, |t| {
-        v3(x0 - 0.42 + (x1 - x0 + 0.62) * t, top + 0.02, FRONT - 0.14)
-    });
+    b.mesh.tube(8, 0.018, pole, |t| v3(x0 - 0.42 + (x1 - x0 + 0.62) * t, top + 0.02, FRONT - 0.14));
     for x in [x0 - 0.44, x1 + 0.22] {
-        b.mesh
-            .cushion(v3(x, top + 0.02, FRONT - 0.14), V3::ONE * 0.036, 1.0, 0.0, brass);
+        b.mesh.cushion(v3(x, top + 0.02, FRONT - 0.14), V3::ONE * 0.036, 1.0, 0.0, brass);
     }
     for (from, to, seed, tied) in [(x0 - 0.36, x0 + 0.42, 3.0, -0.02), (x1 - 0.22, x1 + 0.13, 8.0, 0.08)] {
         b.mesh.surface(220, 60, cloth, |u, v| {
             let y = top - (top - 0.06) * v;
             // Gathered at the tie, a third of the way up; folds fan out from there.
             let waist = (-((y - 1.05) / 0.42).powi(2)).exp();
-            let (middle, half) = (
-                (from + to) / 2.0 + (tied - 0.12) * waist,
-                (to - from) / 2.0 * (1.0 - 0.52 * waist),
-            );
+            let (middle, half) = ((from + to) / 2.0 + (tied - 0.12) * waist, (to - from) / 2.0 * (1.0 - 0.52 * waist));
             let fold = (u * 40.0 + 1.6 * fbm(u * 4.0, v * 1.5, seed, 2)).sin();
             let deep = 0.032 * (1.0 - 0.4 * waist) * (0.5 + fbm(u * 7.0, v * 2.0, seed, 2));
-            v3(
-                middle + half * (2.0 * u - 1.0) + 0.012 * (u * 80.0).cos(),
-                y,
-                FRONT - 0.13 + deep * fold,
-            )
+            v3(middle + half * (2.0 * u - 1.0) + 0.012 * (u * 80.0).cos(), y, FRONT - 0.13 + deep * fold)
         });
         let middle = (from + to) / 2.0 + tied - 0.12;
-        b.mesh.cushion(
-            v3(middle, 1.05, FRONT - 0.13),
-            v3((to - from) * 0.27, 0.035, 0.055),
-            0.7,
-            0.0,
-            brass,
-        );
+        b.mesh.cushion(v3(middle, 1.05, FRONT - 0.13), v3((to - from) * 0.27, 0.035, 0.055), 0.7, 0.0, brass);
     }
 }

@@ -74,11 +74,7 @@ impl Scene {
                 })
             })
             .collect();
-        Scene {
-            bvh: Bvh::new(b.mesh.triangles),
-            materials: b.materials,
-            sky,
-        }
+        Scene { bvh: Bvh::new(b.mesh.triangles), materials: b.materials, sky }
     }
 
     /// The outdoors' radiance, coarsely: what lights a diffuse surface.
@@ -103,9 +99,6 @@ pub fn camera_ray(x: f64, y: f64) -> (V3, V3) {
     let right = v3(ahead.z, 0.0, -ahead.x).unit();
     let down = right.cross(ahead);
     let down = if down.y > 0.0 { -down } else { down };
-    let (u, v) = (
-        (x - (WIDTH as f64 - 1.0) / 2.0) / FOCAL,
-        (y - (HEIGHT as f64 - 1.0) / 2.0) / FOCAL,
-    );
+    let (u, v) = ((x - (WIDTH as f64 - 1.0) / 2.0) / FOCAL, (y - (HEIGHT as f64 - 1.0) / 2.0) / FOCAL);
     (from, (ahead + right * u as f32 + down * v as f32).unit())
 }

@@ -18,43 +18,18 @@ pub fn build(b: &mut Builder) {
 }
 
 fn bouquet(b: &mut Builder, at: V3) {
-    let glaze = b.material(
-        Paint::Pottery(v3(0.66, 0.62, 0.54), v3(0.05, 0.12, 0.30)),
-        Finish::Coat(0.05),
-    );
-    b.mesh.lathe(
-        at,
-        &[
-            (0.05, 0.0),
-            (0.085, 0.05),
-            (0.10, 0.12),
-            (0.075, 0.19),
-            (0.042, 0.235),
-            (0.055, 0.27),
-        ],
-        glaze,
-    );
-    let dyes = [
-        v3(0.68, 0.05, 0.04),
-        v3(0.80, 0.40, 0.04),
-        v3(0.72, 0.16, 0.24),
-        v3(0.82, 0.66, 0.20),
-        v3(0.75, 0.70, 0.62),
-    ];
+    let glaze = b.material(Paint::Pottery(v3(0.66, 0.62, 0.54), v3(0.05, 0.12, 0.30)), Finish::Coat(0.05));
+    b.mesh.lathe(at, &[(0.05, 0.0), (0.085, 0.05), (0.10, 0.12), (0.075, 0.19), (0.042, 0.235), (0.055, 0.27)], glaze);
+    let dyes =
+        [v3(0.68, 0.05, 0.04), v3(0.80, 0.40, 0.04), v3(0.72, 0.16, 0.24), v3(0.82, 0.66, 0.20), v3(0.75, 0.70, 0.62)];
     for i in 0..17u32 {
         let a = i as f32 * 2.4;
         let reach = 0.05 + 0.17 * (i as f32 / 17.0).sqrt();
-        let top = at
-            + v3(
-                reach * a.cos(),
-                0.66 - 0.9 * reach + 0.06 * unit(i, 1, 1),
-                reach * a.sin(),
-            );
+        let top = at + v3(reach * a.cos(), 0.66 - 0.9 * reach + 0.06 * unit(i, 1, 1), reach * a.sin());
         let neck = at + v3(0.02 * a.cos(), 0.25, 0.02 * a.sin());
         let stem = b.material(Paint::Leaf(v3(0.12, 0.25, 0.05), i), Finish::Matt);
         let bend = v3(0.0, 0.05, 0.0);
-        b.mesh
-            .tube(10, 0.0035, stem, |t| neck.mix(top, t) + bend * (4.0 * t * (1.0 - t)));
+        b.mesh.tube(10, 0.0035, stem, |t| neck.mix(top, t) + bend * (4.0 * t * (1.0 - t)));
         let dye = dyes[(unit(i, 2, 2) * 5.0) as usize % 5];
         let axis = (top - neck).unit();
         let (side, other) = axis.frame();
@@ -146,27 +121,12 @@ fn fruit(b: &mut Builder, at: V3) {
 
 /// A cup, a book left open, a glass globe.
 fn tea(b: &mut Builder) {
-    let china = b.material(
-        Paint::Pottery(v3(0.80, 0.78, 0.72), v3(0.40, 0.06, 0.05)),
-        Finish::Coat(0.04),
-    );
+    let china = b.material(Paint::Pottery(v3(0.80, 0.78, 0.72), v3(0.40, 0.06, 0.05)), Finish::Coat(0.04));
     let cup = TABLE + v3(0.12, 0.0, -0.30);
-    b.mesh.lathe(
-        cup,
-        &[(0.03, 0.0), (0.05, 0.004), (0.075, 0.012), (0.078, 0.014)],
-        china,
-    );
+    b.mesh.lathe(cup, &[(0.03, 0.0), (0.05, 0.004), (0.075, 0.012), (0.078, 0.014)], china);
     b.mesh.lathe(
         cup + v3(0.0, 0.012, 0.0),
-        &[
-            (0.022, 0.0),
-            (0.034, 0.02),
-            (0.040, 0.045),
-            (0.043, 0.062),
-            (0.040, 0.062),
-            (0.03, 0.02),
-            (0.0, 0.012),
-        ],
+        &[(0.022, 0.0), (0.034, 0.02), (0.040, 0.045), (0.043, 0.062), (0.040, 0.062), (0.03, 0.02), (0.0, 0.012)],
         china,
     );
     b.mesh.tube(12, 0.004, china, |t| {
@@ -174,24 +134,15 @@ fn tea(b: &mut Builder) {
         cup + v3(0.040 + 0.022 * a.cos(), 0.046 + 0.018 * a.sin(), 0.0)
     });
     let glass = b.material(Paint::Plain(v3(0.97, 0.985, 0.98)), Finish::Glass);
-    b.mesh
-        .cushion(TABLE + v3(0.34, 0.072, -0.12), V3::ONE * 0.07, 1.0, 0.0, glass);
-    let page = b.material(
-        Paint::Cloth(v3(0.78, 0.74, 0.64), v3(0.50, 0.46, 0.38), 2.0),
-        Finish::Matt,
-    );
+    b.mesh.cushion(TABLE + v3(0.34, 0.072, -0.12), V3::ONE * 0.07, 1.0, 0.0, glass);
+    let page = b.material(Paint::Cloth(v3(0.78, 0.74, 0.64), v3(0.50, 0.46, 0.38), 2.0), Finish::Matt);
     let cover = b.material(Paint::Plain(v3(0.22, 0.05, 0.04)), Finish::Coat(0.3));
     let (o, turn) = (TABLE + v3(-0.09, 0.0, -0.36), 0.35);
-    b.mesh
-        .block_turned(o + v3(-0.15, 0.001, -0.10), v3(0.30, 0.004, 0.20), o, turn, cover);
+    b.mesh.block_turned(o + v3(-0.15, 0.001, -0.10), v3(0.30, 0.004, 0.20), o, turn, cover);
     for s in [-1.0f32, 1.0] {
         b.mesh.surface(14, 6, page, |u, v| {
-            o + v3(
-                s * 0.142 * u,
-                0.008 + 0.022 * (u * 2.6).sin().max(0.0) * (1.0 - 0.5 * u),
-                0.19 * v - 0.095,
-            )
-            .turned(turn)
+            o + v3(s * 0.142 * u, 0.008 + 0.022 * (u * 2.6).sin().max(0.0) * (1.0 - 0.5 * u), 0.19 * v - 0.095)
+                .turned(turn)
         });
     }
 }
@@ -204,15 +155,7 @@ fn sill(b: &mut Builder) {
         let at = v3(x, y, FRONT + 0.02);
         b.mesh.lathe(
             at,
-            &[
-                (0.05, 0.0),
-                (0.062, 0.06),
-                (0.072, 0.105),
-                (0.08, 0.106),
-                (0.08, 0.13),
-                (0.066, 0.128),
-                (0.0, 0.11),
-            ],
+            &[(0.05, 0.0), (0.062, 0.06), (0.072, 0.105), (0.08, 0.106), (0.08, 0.13), (0.066, 0.128), (0.0, 0.11)],
             pot,
         );
         for i in 0..34u32 {
@@ -256,36 +199,17 @@ fn cat(b: &mut Builder, at: V3) {
     let white = b.material(Paint::Speckle(v3(0.62, 0.54, 0.44), 0.3), Finish::Matt);
     b.mesh.lathe(
         at,
-        &[
-            (0.085, 0.0),
-            (0.118, 0.045),
-            (0.112, 0.12),
-            (0.088, 0.20),
-            (0.062, 0.26),
-            (0.035, 0.30),
-            (0.0, 0.31),
-        ],
+        &[(0.085, 0.0), (0.118, 0.045), (0.112, 0.12), (0.088, 0.20), (0.062, 0.26), (0.035, 0.30), (0.0, 0.31)],
         fur,
     );
     let head = at + v3(-0.012, 0.335, 0.015);
     b.mesh.cushion(head, v3(0.068, 0.058, 0.064), 1.0, 0.4, fur);
-    b.mesh.cushion(
-        head + v3(-0.035, -0.016, 0.052),
-        v3(0.028, 0.022, 0.026),
-        1.0,
-        0.4,
-        white,
-    );
+    b.mesh.cushion(head + v3(-0.035, -0.016, 0.052), v3(0.028, 0.022, 0.026), 1.0, 0.4, white);
     for s in [-1.0f32, 1.0] {
-        b.mesh.lathe(
-            head + v3(s * 0.040, 0.032, s * 0.010),
-            &[(0.026, 0.0), (0.015, 0.028), (0.001, 0.056)],
-            fur,
-        );
+        b.mesh.lathe(head + v3(s * 0.040, 0.032, s * 0.010), &[(0.026, 0.0), (0.015, 0.028), (0.001, 0.056)], fur);
     }
     for s in [-1.0f32, 1.0] {
-        b.mesh
-            .cushion(at + v3(s * 0.075, 0.055, -0.03), v3(0.055, 0.065, 0.075), 1.0, 0.0, fur);
+        b.mesh.cushion(at + v3(s * 0.075, 0.055, -0.03), v3(0.055, 0.065, 0.075), 1.0, 0.0, fur);
     }
     b.mesh.tube(24, 0.019, fur, |t| {
         at + v3(
@@ -299,37 +223,15 @@ fn cat(b: &mut Builder, at: V3) {
 /// A tall plant in the corner, its leaves against the light.
 fn tall_plant(b: &mut Builder, at: V3) {
     let weave = b.material(Paint::Weave(v3(0.50, 0.34, 0.17)), Finish::Matt);
-    b.mesh.lathe(
-        at,
-        &[
-            (0.15, 0.0),
-            (0.175, 0.10),
-            (0.185, 0.24),
-            (0.17, 0.34),
-            (0.155, 0.34),
-            (0.0, 0.30),
-        ],
-        weave,
-    );
+    b.mesh.lathe(at, &[(0.15, 0.0), (0.175, 0.10), (0.185, 0.24), (0.17, 0.34), (0.155, 0.34), (0.0, 0.30)], weave);
     let bark = b.material(Paint::Speckle(v3(0.22, 0.15, 0.09), 0.3), Finish::Matt);
-    for (k, (dx, dz, h)) in [(0.05, -0.06, 1.45), (0.16, 0.04, 1.05), (-0.10, -0.02, 1.25)]
-        .into_iter()
-        .enumerate()
-    {
+    for (k, (dx, dz, h)) in [(0.05, -0.06, 1.45), (0.16, 0.04, 1.05), (-0.10, -0.02, 1.25)].into_iter().enumerate() {
         let path = move |t: f32| at + v3(dx * t * t * 1.6, 0.3 + (h - 0.3) * t, dz * t * 1.5);
         b.mesh.tube(14, 0.011, bark, path);
         for i in 0..13u32 {
             let (t, a) = (0.32 + 0.68 * i as f32 / 12.0, i as f32 * 2.4 + k as f32);
             let d = v3(a.cos(), 0.55 + 0.5 * t, a.sin()).unit();
-            blade(
-                b,
-                path(t),
-                d,
-                0.30 + 0.08 * unit(i, k as u32, 3),
-                0.075,
-                v3(0.11, 0.27, 0.055),
-                i + 20 * k as u32,
-            );
+            blade(b, path(t), d, 0.30 + 0.08 * unit(i, k as u32, 3), 0.075, v3(0.11, 0.27, 0.055), i + 20 * k as u32);
         }
     }
 }
@@ -339,11 +241,7 @@ fn on_the_chest(b: &mut Builder) {
     let brass = b.material(Paint::Plain(v3(0.85, 0.62, 0.28)), Finish::Metal(0.10));
     let globe = b.material(Paint::Picture(4), Finish::Coat(0.06));
     let wood = b.material(Paint::Wood(v3(0.24, 0.12, 0.06), 1), Finish::Coat(0.1));
-    b.mesh.lathe(
-        v3(x, y, 3.1),
-        &[(0.09, 0.0), (0.085, 0.02), (0.02, 0.035), (0.015, 0.08), (0.03, 0.10)],
-        wood,
-    );
+    b.mesh.lathe(v3(x, y, 3.1), &[(0.09, 0.0), (0.085, 0.02), (0.02, 0.035), (0.015, 0.08), (0.03, 0.10)], wood);
     b.mesh.cushion(v3(x, y + 0.235, 3.1), V3::ONE * 0.135, 1.0, 0.5, globe);
     b.mesh.tube(40, 0.006, brass, |t| {
         let a = t * std::f32::consts::TAU;
@@ -364,10 +262,6 @@ fn on_the_chest(b: &mut Builder) {
             brass,
         );
         let wax = b.plain(0.78, 0.72, 0.58);
-        b.mesh.lathe(
-            v3(x, y + h, z),
-            &[(0.011, 0.0), (0.011, 0.12), (0.009, 0.14), (0.0, 0.141)],
-            wax,
-        );
+        b.mesh.lathe(v3(x, y + h, z), &[(0.011, 0.0), (0.011, 0.12), (0.009, 0.14), (0.0, 0.141)], wax);
     }
 }

@@ -75,27 +75,18 @@ struct Sample {
 
 /// Renders `view`, row by row; each pixel depends only on its own number.
 pub fn render(scene: &Scene, view: View) -> Vec<Pixel> {
-    (0..view.height)
-        .into_par_iter()
-        .flat_map_iter(|y| (0..view.width).map(move |x| pixel(scene, view, x, y)))
-        .collect()
+    (0..view.height).into_par_iter().flat_map_iter(|y| (0..view.width).map(move |x| pixel(scene, view, x, y))).collect()
 }
 
 fn pixel(scene: &Scene, view: View, x: usize, y: usize) -> Pixel {
-    let mut sums = Pixel {
-        material: u16::MAX,
-        ..Pixel::default()
-    };
+    let mut sums = Pixel { material: u16::MAX, ..Pixel::default() };
     let (mut rest_lit, mut rest2, mut mirror2, mut seen) = (V3::ZERO, 0.0f32, 0.0f32, 0u32);
     let mut sun_lit = V3::ZERO;
     let mut taken = 0;
     while taken < view.samples {
         let mut s = Sampler::new((y * view.width + x) as u32, taken);
         let (jx, jy) = (f64::from(s.draw()), f64::from(s.draw()));
-        let (fx, fy) = (
-            view.left + (x as f64 + jx) / view.scale - 0.5,
-            view.top + (y as f64 + jy) / view.scale - 0.5,
-        );
+        let (fx, fy) = (view.left + (x as f64 + jx) / view.scale - 0.5, view.top + (y as f64 + jy) / view.scale - 0.5);
         let (o, d) = camera_ray(fx, fy);
         let one = sample(scene, o, d, &mut s);
         taken += 1;
@@ -147,19 +138,9 @@ fn point(scene: &Scene, o: V3, d: V3, hit: Hit, exact: bool) -> Point {
     let smooth = if smooth.dot(flat) < 0.0 { -smooth } else { smooth };
     let normal = if smooth.dot(d) < 0.0 { smooth } else { flat };
     let m = &scene.materials[t.material as usize];
-    let colour = if exact {
-        m.paint.colour(at, [uv(0), uv(1)])
-    } else {
-        m.paint.mean()
-    };
+    let colour = if exact { m.paint.colour(at, [uv(0), uv(1)]) } else { m.paint.mean() };
     let colour = colour.max(V3::ZERO).min(V3::ONE * 0.95);
-    Point {
-        at,
-        normal,
-        colour,
-        finish: m.finish,
-        material: t.material,
-    }
+    Point { at, normal, colour, finish: m.finish, material: t.material }
 }
 
 /// Follows mirrors and glass until something matt or the outdoors.
@@ -196,11 +177,7 @@ fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
                 let outward = a.normal * (1.0 - hit.u - hit.v) + b.normal * hit.u + c.normal * hit.v;
                 let eta = if outward.dot(d) < 0.0 { 1.0 / 1.5 } else { 1.5 };
                 let k = 1.0 - eta * eta * (1.0 - cos * cos);
-                let f = if k <= 0.0 {
-                    1.0
-                } else {
-                    fresnel(if eta > 1.0 { k.sqrt() } else { cos })
-                };
+                let f = if k <= 0.0 { 1.0 } else { fresnel(if eta > 1.0 { k.sqrt() } else { cos }) };
                 if s.draw() < f {
                     d = bounce.unit();
                 } else {
@@ -249,11 +226,7 @@ fn fresnel(cos: f32) -> f32 {
 
 fn above(d: V3, n: V3) -> V3 {
     let k = d.dot(n);
-    if k > 0.01 {
-        d
-    } else {
-        (d + n * (0.02 - 2.0 * k.min(0.0))).unit()
-    }
+    if k > 0.01 { d } else { (d + n * (0.02 - 2.0 * k.min(0.0))).unit() }
 }
 
 /// The sun's reflection in a lobe of width `rough`, as radiance.
@@ -302,11 +275,7 @@ fn lights(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
     let pi = std::f32::consts::PI;
     let l = s.cone(outdoors::sun(), outdoors::SUN_SPREAD);
     let k = share(p, l);
-    let sun = if k > 0.0 {
-        sunlight(scene, p.at, l) * (k / pi)
-    } else {
-        V3::ZERO
-    };
+    let sun = if k > 0.0 { sunlight(scene, p.at, l) * (k / pi) } else { V3::ZERO };
     let [x0, x1, y0, y1] = WINDOW;
     let q = v3(x0 + (x1 - x0) * s.draw(), y0 + (y1 - y0) * s.draw(), OUTSIDE);
     let to = q - p.at;
@@ -325,13 +294,7 @@ fn lights(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
 fn gather(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
     let (sun, mut rest) = lights(scene, p, s);
     let mut weight = V3::ONE;
-    let mut here = Point {
-        at: p.at,
-        normal: p.normal,
-        colour: p.colour,
-        finish: p.finish,
-        material: p.material,
-    };
+    let mut here = Point { at: p.at, normal: p.normal, colour: p.colour, finish: p.finish, material: p.material };
     for bounce in 0..BOUNCES {
         let side = match here.finish {
             Finish::Sheet(through) if s.draw() < through => -here.normal,

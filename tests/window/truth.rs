@@ -20,9 +20,7 @@ pub fn folder() -> PathBuf {
 
 /// The whole of `truth.json`.
 pub fn describe() -> Value {
-    let inverse: Vec<f64> = (0..256)
-        .map(|v| camera::inverse_response(f64::from(v) / 255.0))
-        .collect();
+    let inverse: Vec<f64> = (0..256).map(|v| camera::inverse_response(f64::from(v) / 255.0)).collect();
     let frames: Vec<Value> = (0..camera::TIMES.len())
         .map(|i| {
             json!({
@@ -124,20 +122,9 @@ fn rgbe(p: V3) -> [u8; 4] {
 
 /// Reads what [`write_hdr`] writes: pixels and width.
 pub fn read_hdr(bytes: &[u8]) -> (Vec<V3>, usize) {
-    let end = bytes
-        .windows(2)
-        .position(|w| w == b"\n\n")
-        .expect("the end of the header")
-        + 2;
-    let line = end
-        + bytes[end..]
-            .iter()
-            .position(|&b| b == b'\n')
-            .expect("a resolution line");
-    let words: Vec<&str> = std::str::from_utf8(&bytes[end..line])
-        .expect("ASCII")
-        .split(' ')
-        .collect();
+    let end = bytes.windows(2).position(|w| w == b"\n\n").expect("the end of the header") + 2;
+    let line = end + bytes[end..].iter().position(|&b| b == b'\n').expect("a resolution line");
+    let words: Vec<&str> = std::str::from_utf8(&bytes[end..line]).expect("ASCII").split(' ').collect();
     let (height, width): (usize, usize) = (words[1].parse().expect("height"), words[3].parse().expect("width"));
     let mut rest = bytes[line + 1..].iter().copied();
     let mut take = || rest.next().expect("more of the picture");

@@ -24,11 +24,7 @@ impl V3 {
     }
 
     pub fn cross(self, o: V3) -> V3 {
-        v3(
-            self.y * o.z - self.z * o.y,
-            self.z * o.x - self.x * o.z,
-            self.x * o.y - self.y * o.x,
-        )
+        v3(self.y * o.z - self.z * o.y, self.z * o.x - self.x * o.z, self.x * o.y - self.y * o.x)
     }
 
     pub fn length(self) -> f32 {
@@ -69,11 +65,7 @@ impl V3 {
 
     /// Two directions that make an orthonormal frame with this unit vector.
     pub fn frame(self) -> (V3, V3) {
-        let side = if self.x.abs() > 0.9 {
-            v3(0.0, 1.0, 0.0)
-        } else {
-            v3(1.0, 0.0, 0.0)
-        };
+        let side = if self.x.abs() > 0.9 { v3(0.0, 1.0, 0.0) } else { v3(1.0, 0.0, 0.0) };
         let t = self.cross(side).unit();
         (t, self.cross(t))
     }

@@ -20,10 +20,7 @@ const LENGTH: f32 = 512.0;
 /// The descriptor of `extremum` seen along `angle`.
 pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> Descriptor {
     let cell = CELL * extremum.sigma;
-    let (sin, cos) = (
-        (libm::sin(angle.into()) / cell) as f32,
-        (libm::cos(angle.into()) / cell) as f32,
-    );
+    let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
     // The outermost cells are filled by samples up to half a cell beyond them, at the corners sqrt(2) times as far.
     let reach = libm::ceil(cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5) as isize;
     let (cx, cy) = ((extremum.x + 0.5).floor() as isize, (extremum.y + 0.5).floor() as isize);

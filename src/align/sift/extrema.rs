@@ -97,12 +97,7 @@ fn localise(
                 .into()
         };
         let v = d(0, 0, 0);
-        let gradient = 0.5
-            * Vector3::new(
-                d(1, 0, 0) - d(-1, 0, 0),
-                d(0, 1, 0) - d(0, -1, 0),
-                d(0, 0, 1) - d(0, 0, -1),
-            );
+        let gradient = 0.5 * Vector3::new(d(1, 0, 0) - d(-1, 0, 0), d(0, 1, 0) - d(0, -1, 0), d(0, 0, 1) - d(0, 0, -1));
         let cross = |a: f64, b: f64, c: f64, e: f64| 0.25 * (a - b - c + e);
         let xy = cross(d(1, 1, 0), d(-1, 1, 0), d(1, -1, 0), d(-1, -1, 0));
         let xs = cross(d(1, 0, 1), d(-1, 0, 1), d(1, 0, -1), d(-1, 0, -1));
@@ -139,11 +134,8 @@ fn localise(
 
 /// Whether the principal curvatures differ by more than r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
 fn is_edge(difference: &Plane<f32>, x: usize, y: usize, r: f64) -> bool {
-    let d = |dx: isize, dy: isize| -> f64 {
-        difference
-            .at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
-            .into()
-    };
+    let d =
+        |dx: isize, dy: isize| -> f64 { difference.at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)).into() };
     let v = d(0, 0);
     let (xx, yy) = (d(1, 0) + d(-1, 0) - 2.0 * v, d(0, 1) + d(0, -1) - 2.0 * v);
     let xy = 0.25 * (d(1, 1) - d(-1, 1) - d(1, -1) + d(-1, -1));

@@ -31,11 +31,8 @@ pub(super) fn atan2(y: f32, x: f32) -> f32 {
 
 /// Steps of the table of exp(-t) for each unit of t.
 const STEPS: f32 = 256.0;
-static EXP: LazyLock<Vec<f32>> = LazyLock::new(|| {
-    (0..=(16.0 * STEPS) as usize)
-        .map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32)
-        .collect()
-});
+static EXP: LazyLock<Vec<f32>> =
+    LazyLock::new(|| (0..=(16.0 * STEPS) as usize).map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32).collect());
 
 /// exp(-t) for t >= 0 to within 1/512 of itself; 0 from 16 on.
 #[inline]

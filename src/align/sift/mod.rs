@@ -34,14 +34,7 @@ pub struct SiftOptions {
 
 impl Default for SiftOptions {
     fn default() -> Self {
-        SiftOptions {
-            intervals: 3,
-            sigma: 1.6,
-            double: true,
-            contrast: 0.03,
-            edge_ratio: 10.0,
-            max_keypoints: 5000,
-        }
+        SiftOptions { intervals: 3, sigma: 1.6, double: true, contrast: 0.03, edge_ratio: 10.0, max_keypoints: 5000 }
     }
 }
 
@@ -54,21 +47,14 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     });
     let space = ScaleSpace::new(&base, options);
     let mut found = extrema::find(&space, options);
-    spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| {
-        space.keypoint(e, 0.0)
-    });
+    spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| space.keypoint(e, 0.0));
     let described: Vec<Vec<(Keypoint, super::features::Descriptor)>> = found
         .par_iter()
         .map(|extremum| {
             let level = space.level_of(extremum);
             orientation::assign(level, extremum)
                 .into_iter()
-                .map(|angle| {
-                    (
-                        space.keypoint(extremum, angle),
-                        descriptor::describe(level, extremum, angle),
-                    )
-                })
+                .map(|angle| (space.keypoint(extremum, angle), descriptor::describe(level, extremum, angle)))
                 .collect()
         })
         .collect();
@@ -105,11 +91,7 @@ fn spread<T>(found: &mut Vec<T>, width: usize, height: usize, most: usize, keypo
     let mut order: Vec<(usize, f32, usize)> = Vec::with_capacity(found.len());
     for cell in &mut cells {
         cell.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        order.extend(
-            cell.iter()
-                .enumerate()
-                .map(|(rank, &(response, i))| (rank, response, i)),
-        );
+        order.extend(cell.iter().enumerate().map(|(rank, &(response, i))| (rank, response, i)));
     }
     order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
     let mut keep = vec![false; found.len()];

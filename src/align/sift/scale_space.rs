@@ -29,11 +29,8 @@ pub(super) struct ScaleSpace {
 impl ScaleSpace {
     pub(super) fn new(picture: &Plane<f32>, options: &SiftOptions) -> Self {
         let (s, sigma) = (options.intervals, options.sigma);
-        let (mut base, blur) = if options.double {
-            (double(picture), 2.0 * CAMERA_SIGMA)
-        } else {
-            (picture.clone(), CAMERA_SIGMA)
-        };
+        let (mut base, blur) =
+            if options.double { (double(picture), 2.0 * CAMERA_SIGMA) } else { (picture.clone(), CAMERA_SIGMA) };
         base = gaussian(&base, (sigma * sigma - blur * blur).max(0.01).sqrt());
         let k = libm::exp2(1.0 / s as f64);
         let mut octaves = Vec::new();
@@ -50,12 +47,7 @@ impl ScaleSpace {
             base = every_second(&gaussians[s]);
             octaves.push(Octave { gaussians, differences });
         }
-        ScaleSpace {
-            octaves,
-            intervals: s,
-            sigma,
-            first_step: if options.double { 0.5 } else { 1.0 },
-        }
+        ScaleSpace { octaves, intervals: s, sigma, first_step: if options.double { 0.5 } else { 1.0 } }
     }
 
     /// Pixels of the picture for a pixel of octave `octave`.

@@ -57,11 +57,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reas
     let mut pixels = vec![0; size];
     decoder.decode_into(&mut pixels).map_err(damaged)?;
     let icc = decoder.icc_profile();
-    let samples = if plain_cmyk {
-        cmyk_to_rgb(&pixels, 4, 255)
-    } else {
-        pixels
-    };
+    let samples = if plain_cmyk { cmyk_to_rgb(&pixels, 4, 255) } else { pixels };
     Ok(Stored {
         width,
         height,
@@ -72,12 +68,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reas
 }
 
 fn one_line(message: &str) -> String {
-    message
-        .split_whitespace()
-        .collect::<Vec<_>>()
-        .join(" ")
-        .trim_end_matches('.')
-        .to_string()
+    message.split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_string()
 }
 
 /// What the walk through the markers of the first image finds.
@@ -107,10 +98,7 @@ impl Layout {
         loop {
             let marker = next_marker(bytes, at).ok_or_else(truncated)?;
             // next_marker gives the index of the marker's code, one past its last 0xFF.
-            let first_ff = bytes[at..marker]
-                .iter()
-                .rposition(|&b| b != 0xFF)
-                .map_or(at, |i| at + i + 1);
+            let first_ff = bytes[at..marker].iter().rposition(|&b| b != 0xFF).map_or(at, |i| at + i + 1);
             if first_ff > at {
                 layout.junk.push(at..first_ff);
             }
@@ -149,16 +137,11 @@ impl Layout {
             0xC0..=0xC2 => {
                 let depth = content.first().copied().unwrap_or(0);
                 if depth != 8 {
-                    return Err(format!(
-                        "its samples are of {depth} bit, which is not supported; save it with 8 bit"
-                    ));
+                    return Err(format!("its samples are of {depth} bit, which is not supported; save it with 8 bit"));
                 }
                 self.progressive = code == 0xC2;
                 self.components = content.get(5).copied().unwrap_or(0).into();
-                self.sent = content[6.min(content.len())..]
-                    .chunks_exact(3)
-                    .map(|c| (c[0], [0; 64]))
-                    .collect();
+                self.sent = content[6.min(content.len())..].chunks_exact(3).map(|c| (c[0], [0; 64])).collect();
             }
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
                 return Err("it is lossless, hierarchical or arithmetic-coded JPEG, which is not supported; save it as plain JPEG".into());
@@ -174,11 +157,7 @@ impl Layout {
                 for id in of.iter().step_by(2) {
                     for (_, coefficients) in self.sent.iter_mut().filter(|(own, _)| own == id) {
                         let band = usize::from(first.min(63))..=usize::from(last.min(63));
-                        coefficients
-                            .get_mut(band)
-                            .into_iter()
-                            .flatten()
-                            .for_each(|c| *c = 1 + (bits & 15));
+                        coefficients.get_mut(band).into_iter().flatten().for_each(|c| *c = 1 + (bits & 15));
                     }
                 }
             }
@@ -190,11 +169,7 @@ impl Layout {
     /// Whether every component was sent, and in a progressive file every coefficient to its last bit.
     fn check_complete(&self) -> Result<(), Reason> {
         let whole = |sent: &[u8; 64]| {
-            if self.progressive {
-                sent.iter().all(|&c| c == 1)
-            } else {
-                sent[0] > 0
-            }
+            if self.progressive { sent.iter().all(|&c| c == 1) } else { sent[0] > 0 }
         };
         if self.sent.is_empty() || !self.sent.iter().all(|(_, sent)| whole(sent)) {
             return Err("scans are missing, it was cut off; copy the file again".into());

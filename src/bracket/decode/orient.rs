@@ -10,11 +10,7 @@ pub(super) fn apply(samples: Samples, width: usize, height: usize, orientation: 
     if !(2..=8).contains(&orientation) {
         return (samples, width, height);
     }
-    let (seen_width, seen_height) = if orientation >= 5 {
-        (height, width)
-    } else {
-        (width, height)
-    };
+    let (seen_width, seen_height) = if orientation >= 5 { (height, width) } else { (width, height) };
     let turned = match samples {
         Samples::Eight(v) => Samples::Eight(turn(&v, width, height, orientation)),
         Samples::Sixteen(v) => Samples::Sixteen(turn(&v, width, height, orientation)),
@@ -26,11 +22,7 @@ fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) ->
     let (pixels, _) = stored.as_chunks::<3>();
     let (right, bottom) = (width - 1, height - 1);
     let mut seen = Vec::with_capacity(stored.len());
-    let (seen_width, seen_height) = if orientation >= 5 {
-        (height, width)
-    } else {
-        (width, height)
-    };
+    let (seen_width, seen_height) = if orientation >= 5 { (height, width) } else { (width, height) };
     for y in 0..seen_height {
         for x in 0..seen_width {
             // The stored column and row of what is seen at (x, y).
@@ -74,9 +66,7 @@ mod tests {
             .collect();
         for (orientation, row_0, column_0) in STANDARD {
             let (seen, w, h) = apply(Samples::Eight(stored.clone()), width, height, orientation);
-            let Samples::Eight(seen) = seen else {
-                panic!("the depth is kept")
-            };
+            let Samples::Eight(seen) = seen else { panic!("the depth is kept") };
             let on = |side: &str, x: usize, y: usize| match side {
                 "top" => y == 0,
                 "bottom" => y == h - 1,

@@ -31,12 +31,7 @@ pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Stored, Reason> {
     };
     let samples = match frame.bit_depth {
         BitDepth::Sixteen => {
-            let words = values
-                .as_chunks::<2>()
-                .0
-                .iter()
-                .map(|&b| u16::from_be_bytes(b))
-                .collect();
+            let words = values.as_chunks::<2>().0.iter().map(|&b| u16::from_be_bytes(b)).collect();
             Samples::Sixteen(to_rgb(words, channels))
         }
         _ => Samples::Eight(to_rgb(values, channels)),

@@ -55,16 +55,10 @@ pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
     if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
         return Ok(Format::Png);
     }
-    let tiff = [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"]
-        .iter()
-        .any(|magic| bytes.starts_with(*magic));
+    let tiff = [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| bytes.starts_with(*magic));
     if tiff {
         // Canon's CR2 marks itself in the header; the other raws are known only by their tags.
-        return if bytes.get(8..10) == Some(b"CR") {
-            Err("camera raw (Canon CR2)".into())
-        } else {
-            Ok(Format::Tiff)
-        };
+        return if bytes.get(8..10) == Some(b"CR") { Err("camera raw (Canon CR2)".into()) } else { Ok(Format::Tiff) };
     }
     Err(other(bytes).into())
 }
@@ -94,11 +88,7 @@ fn other(bytes: &[u8]) -> &'static str {
         Ok(_) => true,
         Err(e) => e.error_len().is_none(),
     };
-    if utf8 && head.iter().copied().all(printable) {
-        "text"
-    } else {
-        "unknown data"
-    }
+    if utf8 && head.iter().copied().all(printable) { "text" } else { "unknown data" }
 }
 
 #[cfg(test)]

@@ -31,11 +31,7 @@ pub(in crate::bracket) fn jpeg(rgb: &[u8], width: usize) -> Vec<u8> {
 pub(in crate::bracket) fn exif_bytes(fields: &[(Tag, exif::Value)]) -> Vec<u8> {
     let fields: Vec<exif::Field> = fields
         .iter()
-        .map(|(tag, value)| exif::Field {
-            tag: *tag,
-            ifd_num: In::PRIMARY,
-            value: value.clone(),
-        })
+        .map(|(tag, value)| exif::Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() })
         .collect();
     let mut writer = exif::experimental::Writer::new();
     fields.iter().for_each(|f| writer.push_field(f));
@@ -87,46 +83,16 @@ fn is_damage(decoded: Result<Decoded>) -> bool {
 #[test]
 fn png_of_every_kind() {
     use ::png::{BitDepth::*, ColorType::*};
-    assert_eq!(
-        eight(read(&png_of(&[1, 2, 3, 4, 5, 6], 2, 1, Rgb, Eight))),
-        [1, 2, 3, 4, 5, 6]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1, Rgba, Eight))),
-        [1, 2, 3, 4, 5, 6]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[7, 9], 2, 1, Grayscale, Eight))),
-        [7, 7, 7, 9, 9, 9]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[7, 0, 9, 255], 2, 1, GrayscaleAlpha, Eight))),
-        [7, 7, 7, 9, 9, 9]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[0b0100_0000], 2, 1, Indexed, One))),
-        [1, 2, 3, 40, 50, 60]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[0b0100_0000], 2, 1, Grayscale, One))),
-        [0, 0, 0, 255, 255, 255]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[0b0110_0000], 2, 1, Grayscale, Two))),
-        [85, 85, 85, 170, 170, 170]
-    );
-    assert_eq!(
-        eight(read(&png_of(&[0x2F], 2, 1, Grayscale, Four))),
-        [34, 34, 34, 255, 255, 255]
-    );
-    assert_eq!(
-        sixteen(read(&png_of(&[1, 2, 3, 4, 5, 6], 1, 1, Rgb, Sixteen))),
-        [258, 772, 1286]
-    );
-    assert_eq!(
-        sixteen(read(&png_of(&[1, 2, 3, 4], 1, 1, GrayscaleAlpha, Sixteen))),
-        [258, 258, 258]
-    );
+    assert_eq!(eight(read(&png_of(&[1, 2, 3, 4, 5, 6], 2, 1, Rgb, Eight))), [1, 2, 3, 4, 5, 6]);
+    assert_eq!(eight(read(&png_of(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1, Rgba, Eight))), [1, 2, 3, 4, 5, 6]);
+    assert_eq!(eight(read(&png_of(&[7, 9], 2, 1, Grayscale, Eight))), [7, 7, 7, 9, 9, 9]);
+    assert_eq!(eight(read(&png_of(&[7, 0, 9, 255], 2, 1, GrayscaleAlpha, Eight))), [7, 7, 7, 9, 9, 9]);
+    assert_eq!(eight(read(&png_of(&[0b0100_0000], 2, 1, Indexed, One))), [1, 2, 3, 40, 50, 60]);
+    assert_eq!(eight(read(&png_of(&[0b0100_0000], 2, 1, Grayscale, One))), [0, 0, 0, 255, 255, 255]);
+    assert_eq!(eight(read(&png_of(&[0b0110_0000], 2, 1, Grayscale, Two))), [85, 85, 85, 170, 170, 170]);
+    assert_eq!(eight(read(&png_of(&[0x2F], 2, 1, Grayscale, Four))), [34, 34, 34, 255, 255, 255]);
+    assert_eq!(sixteen(read(&png_of(&[1, 2, 3, 4, 5, 6], 1, 1, Rgb, Sixteen))), [258, 772, 1286]);
+    assert_eq!(sixteen(read(&png_of(&[1, 2, 3, 4], 1, 1, GrayscaleAlpha, Sixteen))), [258, 258, 258]);
 }
 
 #[test]
@@ -154,25 +120,13 @@ where
 #[test]
 fn tiff_of_every_kind() {
     use ::tiff::encoder::colortype::*;
-    assert_eq!(
-        eight(read(&tiff_of::<RGB8>(&[1, 2, 3, 4, 5, 6], 2, 1))),
-        [1, 2, 3, 4, 5, 6]
-    );
-    assert_eq!(
-        eight(read(&tiff_of::<RGBA8>(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1))),
-        [1, 2, 3, 4, 5, 6]
-    );
+    assert_eq!(eight(read(&tiff_of::<RGB8>(&[1, 2, 3, 4, 5, 6], 2, 1))), [1, 2, 3, 4, 5, 6]);
+    assert_eq!(eight(read(&tiff_of::<RGBA8>(&[1, 2, 3, 0, 4, 5, 6, 9], 2, 1))), [1, 2, 3, 4, 5, 6]);
     assert_eq!(eight(read(&tiff_of::<Gray8>(&[7, 9], 2, 1))), [7, 7, 7, 9, 9, 9]);
-    assert_eq!(
-        eight(read(&tiff_of::<CMYK8>(&[255, 0, 0, 0, 0, 0, 0, 155], 2, 1))),
-        [0, 255, 255, 100, 100, 100]
-    );
+    assert_eq!(eight(read(&tiff_of::<CMYK8>(&[255, 0, 0, 0, 0, 0, 0, 155], 2, 1))), [0, 255, 255, 100, 100, 100]);
     assert_eq!(sixteen(read(&tiff_of::<RGB16>(&[1, 2, 60000], 1, 1))), [1, 2, 60000]);
     assert_eq!(sixteen(read(&tiff_of::<Gray16>(&[300], 1, 1))), [300; 3]);
-    assert_eq!(
-        sixteen(read(&tiff_of::<CMYK16>(&[0, 65535, 0, 0], 1, 1))),
-        [65535, 0, 65535]
-    );
+    assert_eq!(sixteen(read(&tiff_of::<CMYK16>(&[0, 65535, 0, 0], 1, 1))), [65535, 0, 65535]);
     let Err(Error::Decode { reason, .. }) = read(&tiff_of::<RGB32Float>(&[0.5, 1.0, 2.0], 1, 1)) else {
         panic!("float must be refused")
     };
@@ -196,34 +150,23 @@ fn jpeg_in_colour_and_grey() {
     assert!((mean(&eight(Ok(decoded))) - mean(&rgb)).abs() < 1.0);
 
     let mut grey = Vec::new();
-    codecs::jpeg::JpegEncoder::new(&mut grey)
-        .write_image(&[100; 256], 16, 16, ExtendedColorType::L8)
-        .unwrap();
+    codecs::jpeg::JpegEncoder::new(&mut grey).write_image(&[100; 256], 16, 16, ExtendedColorType::L8).unwrap();
     assert!(eight(read(&grey)).iter().all(|&v| v.abs_diff(100) <= 1));
 }
 
 #[test]
 fn jpeg_of_inks() {
     for (name, bytes) in [
-        (
-            "Adobe CMYK",
-            &include_bytes!("../../../tests/fixtures/cmyk-adobe.jpg")[..],
-        ),
+        ("Adobe CMYK", &include_bytes!("../../../tests/fixtures/cmyk-adobe.jpg")[..]),
         ("plain CMYK", include_bytes!("../../../tests/fixtures/cmyk-plain.jpg")),
         ("YCCK", include_bytes!("../../../tests/fixtures/ycck.jpg")),
     ] {
         let v = eight(read(bytes));
-        for (x, y, wanted) in [
-            (8, 8, [255u8, 0, 0]),
-            (24, 8, [0, 255, 0]),
-            (8, 24, [0, 0, 255]),
-            (24, 24, [64, 64, 64]),
-        ] {
+        for (x, y, wanted) in
+            [(8, 8, [255u8, 0, 0]), (24, 8, [0, 255, 0]), (8, 24, [0, 0, 255]), (24, 24, [64, 64, 64])]
+        {
             let p = &v[3 * (32 * y + x)..][..3];
-            assert!(
-                p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 4),
-                "{name} at {x},{y}: {p:?}, not {wanted:?}"
-            );
+            assert!(p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 4), "{name} at {x},{y}: {p:?}, not {wanted:?}");
         }
     }
 }
@@ -237,12 +180,7 @@ fn progressive_jpeg() {
     // The fixture is a ramp in x.
     let v = eight(Ok(decoded));
     let at = |x: usize| i32::from(v[3 * (48 * 16 + x) + 1]);
-    assert!(
-        (at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8,
-        "{} {}",
-        at(4),
-        at(40)
-    );
+    assert!((at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8, "{} {}", at(4), at(40));
 }
 
 #[test]
@@ -253,11 +191,7 @@ fn a_cut_jpeg_is_an_error_wherever_it_is_cut() {
         for cut in cuts.into_iter().chain([whole.len() - 1, whole.len() - 2]) {
             assert!(is_damage(read(&whole[..cut])), "cut at {cut} of {}", whole.len());
             let zeros = [&whole[..cut], &[0; 5000]].concat();
-            assert!(
-                is_damage(read(&zeros)),
-                "cut at {cut} of {} and filled with zeros",
-                whole.len()
-            );
+            assert!(is_damage(read(&zeros)), "cut at {cut} of {} and filled with zeros", whole.len());
         }
     }
 }
@@ -269,10 +203,7 @@ fn a_cut_jpeg_that_was_closed_again_is_an_error() {
         let mut cut = (whole.len() as f64 * part) as usize;
         // Not between 0xFF and its zero.
         cut -= usize::from(whole[cut - 1] == 0xFF);
-        assert!(
-            is_damage(read(&[&whole[..cut], &[0xFF, 0xD9]].concat())),
-            "cut at {part}"
-        );
+        assert!(is_damage(read(&[&whole[..cut], &[0xFF, 0xD9]].concat())), "cut at {part}");
     }
     let cut = PROGRESSIVE.len() / 2;
     assert!(is_damage(read(&[&PROGRESSIVE[..cut], &[0xFF, 0xD9]].concat())));
@@ -283,27 +214,11 @@ fn what_follows_or_pads_a_whole_jpeg_does_no_harm() {
     let whole = jpeg(&scene(64, 48), 64);
     let plain = eight(read(&whole));
     let second = jpeg(&scene(16, 16), 16);
-    assert_eq!(
-        eight(read(&[&whole[..], &second].concat())),
-        plain,
-        "a second image, as in MPF"
-    );
-    assert_eq!(
-        eight(read(&[&whole[..], &second[..40]].concat())),
-        plain,
-        "half a second image"
-    );
+    assert_eq!(eight(read(&[&whole[..], &second].concat())), plain, "a second image, as in MPF");
+    assert_eq!(eight(read(&[&whole[..], &second[..40]].concat())), plain, "half a second image");
     assert_eq!(eight(read(&[&whole[..], &[0; 999]].concat())), plain, "zeros");
-    assert_eq!(
-        eight(read(&[&whole[..20], &[0; 9], &whole[20..]].concat())),
-        plain,
-        "bytes between segments"
-    );
-    assert_eq!(
-        eight(read(&[&whole[..2], &[0xFF; 9], &whole[2..]].concat())),
-        plain,
-        "fill bytes"
-    );
+    assert_eq!(eight(read(&[&whole[..20], &[0; 9], &whole[20..]].concat())), plain, "bytes between segments");
+    assert_eq!(eight(read(&[&whole[..2], &[0xFF; 9], &whole[2..]].concat())), plain, "fill bytes");
     let thumbnail = with_segment(&whole, 0xE1, &second);
     assert_eq!(eight(read(&thumbnail)), plain, "a picture within a segment");
     assert!(is_damage(read(&thumbnail[..second.len() + 20])));
@@ -338,10 +253,7 @@ fn exif_turns_jpeg_png_and_tiff() {
     let mut tiff = Cursor::new(Vec::new());
     let mut encoder = ::tiff::encoder::TiffEncoder::new(&mut tiff).unwrap();
     let mut picture = encoder.new_image::<::tiff::encoder::colortype::RGB8>(32, 16).unwrap();
-    picture
-        .encoder()
-        .write_tag(::tiff::tags::Tag::Orientation, 6u16)
-        .unwrap();
+    picture.encoder().write_tag(::tiff::tags::Tag::Orientation, 6u16).unwrap();
     picture.write_data(&rgb).unwrap();
     let decoded = read(&tiff.into_inner()).unwrap();
     // Seen upright, the stored bottom left corner is at the top left.
@@ -353,10 +265,9 @@ fn exif_turns_jpeg_png_and_tiff() {
 
 #[test]
 fn sizes_beyond_the_limit_are_refused_before_decoding() {
-    for bytes in [
-        jpeg(&scene(64, 48), 64),
-        png_of(&scene(64, 48), 64, 48, ::png::ColorType::Rgb, ::png::BitDepth::Eight),
-    ] {
+    for bytes in
+        [jpeg(&scene(64, 48), 64), png_of(&scene(64, 48), 64, 48, ::png::ColorType::Rgb, ::png::BitDepth::Eight)]
+    {
         assert!(decode(Path::new("a"), bytes.clone(), 64 * 48).is_ok());
         assert!(is_damage(decode(Path::new("a"), bytes, 64 * 48 - 1)));
     }

@@ -39,11 +39,9 @@ pub(super) fn decode(bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> 
         DecodingResult::U8(v) => Samples::Eight(rgb(v, kind, layout.planes)?),
         DecodingResult::U16(v) if kind.bit_depth() == 16 => Samples::Sixteen(rgb(v, kind, layout.planes)?),
         DecodingResult::F16(_) | DecodingResult::F32(_) | DecodingResult::F64(_) => {
-            return Err(
-                "it holds floating-point values, which no camera writes and which are linear already; \
+            return Err("it holds floating-point values, which no camera writes and which are linear already; \
                         give the camera's own 8- or 16-bit pictures"
-                    .into(),
-            );
+                .into());
         }
         _ => {
             return Err(format!(
@@ -102,11 +100,7 @@ fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(
     kind: ColorType,
     planes: usize,
 ) -> Result<Vec<T>, Reason> {
-    let values = if planes > 1 {
-        interleave(&values, planes)
-    } else {
-        values
-    };
+    let values = if planes > 1 { interleave(&values, planes) } else { values };
     Ok(match kind {
         ColorType::Gray(_) => to_rgb(values, 1),
         ColorType::GrayA(8 | 16) => to_rgb(values, 2),
@@ -115,18 +109,14 @@ fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(
         ColorType::CMYK(8 | 16) => cmyk_to_rgb(&values, 4, T::MAX),
         ColorType::CMYKA(8 | 16) => cmyk_to_rgb(&values, 5, T::MAX),
         other => {
-            return Err(format!(
-                "its samples are of a kind that is not supported ({other:?}); save it as RGB"
-            ));
+            return Err(format!("its samples are of a kind that is not supported ({other:?}); save it as RGB"));
         }
     })
 }
 
 fn interleave<T: Copy>(values: &[T], planes: usize) -> Vec<T> {
     let size = values.len() / planes;
-    (0..size)
-        .flat_map(|i| (0..planes).map(move |p| values[p * size + i]))
-        .collect()
+    (0..size).flat_map(|i| (0..planes).map(move |p| values[p * size + i])).collect()
 }
 
 /// The largest code value of a sample type.

@@ -14,9 +14,7 @@ struct Files {
 
 impl Files {
     fn new() -> Self {
-        Files {
-            folder: TempDir::new().unwrap(),
-        }
+        Files { folder: TempDir::new().unwrap() }
     }
 
     fn add(&self, name: &str, bytes: &[u8]) -> PathBuf {
@@ -35,11 +33,7 @@ fn exposed(ev: f64) -> Vec<u8> {
             let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
             let scene = 2.5 * (x / 23.0).sin() + 2.0 * (y / 19.0).cos();
             let light = 2f64.powf(1.4 * (scene + ev - 2.5));
-            let v = if light <= 0.0031308 {
-                12.92 * light
-            } else {
-                1.055 * light.powf(1.0 / 2.4) - 0.055
-            };
+            let v = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
             [(v.min(1.0) * 255.0) as u8; 3]
         })
         .collect()
@@ -50,19 +44,12 @@ fn time(num: u32, denom: u32) -> (Tag, Value) {
 }
 
 fn f_number(tenths: u32) -> (Tag, Value) {
-    (
-        Tag::FNumber,
-        Value::Rational(vec![exif::Rational { num: tenths, denom: 10 }]),
-    )
+    (Tag::FNumber, Value::Rational(vec![exif::Rational { num: tenths, denom: 10 }]))
 }
 
 fn shot(ev: f64, fields: &[(Tag, Value)]) -> Vec<u8> {
     let plain = jpeg(&exposed(ev), WIDTH);
-    if fields.is_empty() {
-        plain
-    } else {
-        with_exif(&plain, fields)
-    }
+    if fields.is_empty() { plain } else { with_exif(&plain, fields) }
 }
 
 fn evs(bracket: &Bracket) -> Vec<f64> {
@@ -90,10 +77,7 @@ fn a_bracket_is_the_same_in_any_order() {
         let turned: Vec<PathBuf> = [2, 0, 3, 1].iter().map(|&i: &usize| paths[i].clone()).collect();
         let (other, other_warnings) = load(&turned, &options).unwrap();
         assert_eq!(bracket.frames(), other.frames());
-        assert_eq!(
-            (bracket.reference_index(), &warnings),
-            (other.reference_index(), &other_warnings)
-        );
+        assert_eq!((bracket.reference_index(), &warnings), (other.reference_index(), &other_warnings));
         let names: Vec<_> = bracket
             .frames()
             .iter()
@@ -112,33 +96,15 @@ fn exif_gives_exposure_and_capture() {
         (Tag::Make, text("Acme ")),
         (Tag::LensModel, text("50 mm")),
         (Tag::DateTimeOriginal, text("2026:11:20 08:00:00")),
-        (
-            Tag::FocalLength,
-            Value::Rational(vec![exif::Rational { num: 50, denom: 1 }]),
-        ),
+        (Tag::FocalLength, Value::Rational(vec![exif::Rational { num: 50, denom: 1 }])),
     ];
-    let dark = files.add(
-        "a.jpg",
-        &shot(-1.0, &[&[time(1, 100), f_number(80)], &more[..]].concat()),
-    );
-    let bright = files.add(
-        "b.jpg",
-        &shot(
-            1.0,
-            &[
-                time(4, 100),
-                f_number(80),
-                (Tag::DateTimeOriginal, text("0000:00:00 00:00:00")),
-            ],
-        ),
-    );
+    let dark = files.add("a.jpg", &shot(-1.0, &[&[time(1, 100), f_number(80)], &more[..]].concat()));
+    let bright = files
+        .add("b.jpg", &shot(1.0, &[time(4, 100), f_number(80), (Tag::DateTimeOriginal, text("0000:00:00 00:00:00"))]));
     let (bracket, warnings) = load(&[bright, dark], &LoadOptions::default()).unwrap();
     assert_eq!(warnings, []);
     let frame = &bracket.frames()[0];
-    assert_eq!(
-        (frame.exposure.time_s, frame.exposure.f_number, frame.exposure.iso),
-        (Some(0.01), Some(8.0), None)
-    );
+    assert_eq!((frame.exposure.time_s, frame.exposure.f_number, frame.exposure.iso), (Some(0.01), Some(8.0), None));
     assert_eq!(frame.exposure.relative(), 0.01 / 64.0);
     assert_eq!(frame.exposure.tags, "ExposureTime, FNumber");
     let wanted = Capture {
@@ -157,47 +123,22 @@ fn the_users_exposures_win_and_go_by_the_order_given() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(0.0, &[time(1, 100)]));
     let b = files.add("b.jpg", &shot(0.0, &[time(1, 50)]));
-    let with = |ev: &[f64]| {
-        load(
-            &[a.clone(), b.clone()],
-            &LoadOptions {
-                ev: Some(ev.into()),
-                ..Default::default()
-            },
-        )
-    };
+    let with = |ev: &[f64]| load(&[a.clone(), b.clone()], &LoadOptions { ev: Some(ev.into()), ..Default::default() });
     let (bracket, warnings) = with(&[2.0, -1.0]).unwrap();
-    assert_eq!(
-        (evs(&bracket), bracket.frames()[0].path()),
-        (vec![-1.0, 2.0], b.as_path())
-    );
+    assert_eq!((evs(&bracket), bracket.frames()[0].path()), (vec![-1.0, 2.0], b.as_path()));
     assert_eq!((sources(&bracket), warnings.len()), (vec![ExposureSource::Given; 2], 0));
-    for wrong in [
-        &[1.0][..],
-        &[1.0, 2.0, 3.0],
-        &[1.0, f64::NAN],
-        &[f64::INFINITY, 0.0],
-        &[1e9, 0.0],
-    ] {
-        assert!(
-            matches!(with(wrong), Err(Error::Option { option: "-e", .. })),
-            "{wrong:?}"
-        );
+    for wrong in [&[1.0][..], &[1.0, 2.0, 3.0], &[1.0, f64::NAN], &[f64::INFINITY, 0.0], &[1e9, 0.0]] {
+        assert!(matches!(with(wrong), Err(Error::Option { option: "-e", .. })), "{wrong:?}");
     }
 }
 
 #[test]
 fn missing_exposures_are_estimated_and_said_to_be() {
     let files = Files::new();
-    let paths: Vec<_> = (0..3)
-        .map(|i| files.add(&format!("{i}.jpg"), &shot(2.0 * f64::from(i) - 2.0, &[])))
-        .collect();
+    let paths: Vec<_> = (0..3).map(|i| files.add(&format!("{i}.jpg"), &shot(2.0 * f64::from(i) - 2.0, &[]))).collect();
     let (bracket, warnings) = load(&paths, &LoadOptions::default()).unwrap();
     let evs = evs(&bracket);
-    assert!(
-        (evs[1] - evs[0] - 2.0).abs() < 0.3 && (evs[2] - evs[1] - 2.0).abs() < 0.3 && evs[1] == 0.0,
-        "{evs:?}"
-    );
+    assert!((evs[1] - evs[0] - 2.0).abs() < 0.3 && (evs[2] - evs[1] - 2.0).abs() < 0.3 && evs[1] == 0.0, "{evs:?}");
     assert_eq!(sources(&bracket), [ExposureSource::Estimated; 3]);
     assert!(matches!(warnings[..], [Warning::ExposureEstimated { .. }]) && warnings[0].degrades());
 }
@@ -210,10 +151,7 @@ fn one_missing_exposure_is_anchored_by_the_others() {
     let c = files.add("c.jpg", &shot(2.0, &[]));
     let (bracket, _) = load(&[a, b, c], &LoadOptions::default()).unwrap();
     let evs = evs(&bracket);
-    assert!(
-        (evs[0] - libm::log2(1.0 / 400.0)).abs() < 0.4 && (evs[2] - libm::log2(0.04)).abs() < 0.6,
-        "{evs:?}"
-    );
+    assert!((evs[0] - libm::log2(1.0 / 400.0)).abs() < 0.4 && (evs[2] - libm::log2(0.04)).abs() < 0.6, "{evs:?}");
 }
 
 #[test]
@@ -223,18 +161,9 @@ fn exif_that_contradicts_the_pixels_is_not_believed() {
     let a = files.add("a.jpg", &shot(-1.0, &same));
     let b = files.add("b.jpg", &shot(1.0, &same));
     let (bracket, warnings) = load(&[b.clone(), a], &LoadOptions::default()).unwrap();
-    assert!(
-        matches!(warnings[..], [Warning::ExposureContradicted { .. }]),
-        "{warnings:?}"
-    );
+    assert!(matches!(warnings[..], [Warning::ExposureContradicted { .. }]), "{warnings:?}");
     assert_eq!(bracket.frames()[1].path(), b);
-    assert_eq!(
-        (
-            bracket.frames()[0].exposure.time_s,
-            bracket.frames()[0].exposure.f_number
-        ),
-        (None, Some(8.0))
-    );
+    assert_eq!((bracket.frames()[0].exposure.time_s, bracket.frames()[0].exposure.f_number), (None, Some(8.0)));
 
     let c = files.add("c.jpg", &shot(1.02, &same));
     let (_, warnings) = load(&[b, c], &LoadOptions::default()).unwrap();
@@ -247,10 +176,7 @@ fn equal_pictures_without_exposures_are_refused() {
     let a = files.add("a.jpg", &shot(0.0, &[]));
     let b = files.add("b.jpg", &shot(0.01, &[]));
     let error = load(&[a, b], &LoadOptions::default()).unwrap_err();
-    assert!(
-        matches!(error, Error::NoExposure { .. }) && error.to_string().contains("-e"),
-        "{error}"
-    );
+    assert!(matches!(error, Error::NoExposure { .. }) && error.to_string().contains("-e"), "{error}");
 }
 
 #[test]
@@ -260,10 +186,7 @@ fn a_missing_f_number_is_assumed_aloud() {
     let b = files.add("b.jpg", &shot(1.0, &[time(1, 25)]));
     let (bracket, warnings) = load(&[a, b.clone()], &LoadOptions::default()).unwrap();
     assert_eq!(evs(&bracket)[1] - evs(&bracket)[0], 2.0);
-    assert!(
-        matches!(&warnings[..], [Warning::ExposureIncomplete { path, .. }] if *path == b),
-        "{warnings:?}"
-    );
+    assert!(matches!(&warnings[..], [Warning::ExposureIncomplete { path, .. }] if *path == b), "{warnings:?}");
 }
 
 #[test]
@@ -282,11 +205,7 @@ fn what_is_no_bracket_is_refused() {
     assert!(matches!(error(&[&a]), Error::TooFewFrames { given: 1 }));
     assert!(matches!(error(&[&a, &a]), Error::SameFile { .. }));
     assert!(matches!(error(&[&a, &gone]), Error::Read { path, .. } if path == gone));
-    assert!(
-        error(&[&a, &files.folder.path().to_path_buf()])
-            .to_string()
-            .contains("folder")
-    );
+    assert!(error(&[&a, &files.folder.path().to_path_buf()]).to_string().contains("folder"));
     assert!(matches!(error(&[&a, &text, &empty]), Error::UnknownFormat { found, .. } if found == "text"));
     assert!(matches!(error(&[&empty, &text, &a]), Error::UnknownFormat { found, .. } if found == "empty file"));
     assert!(matches!(error(&[&a, &small]), Error::SizeMismatch { path, size: (16, 16), .. } if path == small));
@@ -316,10 +235,7 @@ fn the_extension_does_not_matter() {
     image::ImageEncoder::write_image(encoder, &rgb, WIDTH as u32, 96, image::ExtendedColorType::Rgb8).unwrap();
     let a = files.add("a.jpg", &png);
     let b = files.add("b.txt", &shot(2.0, &[]));
-    let options = LoadOptions {
-        ev: Some(vec![0.0, 2.0]),
-        ..Default::default()
-    };
+    let options = LoadOptions { ev: Some(vec![0.0, 2.0]), ..Default::default() };
     let (bracket, _) = load(&[a, b], &options).unwrap();
     assert_eq!(bracket.frames()[0].samples(), &Samples::Eight(rgb));
 }
@@ -333,21 +249,10 @@ fn profiles_that_differ_are_reported() {
     };
     let a = files.add("a.jpg", &adobe(&shot(-1.0, &[time(1, 100)])));
     let b = files.add("b.jpg", &shot(1.0, &[time(1, 25)]));
-    let options = LoadOptions {
-        reference: ReferenceChoice::Number(1),
-        ..Default::default()
-    };
+    let options = LoadOptions { reference: ReferenceChoice::Number(1), ..Default::default() };
     let (bracket, warnings) = load(&[a.clone(), b.clone()], &options).unwrap();
-    assert!(
-        bracket
-            .reference()
-            .primaries()
-            .is_close(&crate::bracket::colour::Primaries::ADOBE_RGB, 0.002)
-    );
-    assert!(
-        matches!(&warnings[..], [Warning::ProfilesDiffer { path, .. }] if *path == b),
-        "{warnings:?}"
-    );
+    assert!(bracket.reference().primaries().is_close(&crate::bracket::colour::Primaries::ADOBE_RGB, 0.002));
+    assert!(matches!(&warnings[..], [Warning::ProfilesDiffer { path, .. }] if *path == b), "{warnings:?}");
 }
 
 #[test]

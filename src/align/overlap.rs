@@ -1,0 +1,153 @@
+//! The overlap: the largest rectangle of the reference that all placed frames cover.
+//!
+//! In: warps. Out: a [`Rect`]. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of its four
+//! edges, which a homography keeps straight; so for a left and a right edge the best upper and lower ones are known, and the logarithm of
+//! the area is concave in the other two: it has one top, found by halving.
+
+use super::Rect;
+use super::warp::Warp;
+use nalgebra::Vector3;
+
+/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; a single pixel where
+/// the frames have nothing in common.
+pub(super) fn largest(warps: &[Warp], width: usize, height: usize) -> Rect {
+    let whole = Rect { x0: 0, y0: 0, x1: width, y1: height };
+    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
+    // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is positive.
+    let edges: Vec<Vector3<f64>> = warps
+        .iter()
+        .filter(|w| **w != Warp::Identity)
+        .flat_map(|w| {
+            let h = w.matrix(width, height);
+            let row = |i: usize| Vector3::new(h[(i, 0)], h[(i, 1)], h[(i, 2)]);
+            [row(0), row(1), right * row(2) - row(0), bottom * row(2) - row(1)]
+        })
+        .collect();
+    if edges.is_empty() {
+        return whole;
+    }
+    let span = |x0: f64, x1: f64| vertical_span(&edges, x0, x1, bottom);
+    let area = |x0: f64, x1: f64| {
+        let (y0, y1) = span(x0, x1);
+        // Below nothing, how far from something: so that the search is led back.
+        if y1 < y0 { y1 - y0 } else { (x1 - x0 + 1.0) * (y1 - y0 + 1.0) }
+    };
+    let best_right = |x0: f64| top_of(|x1| area(x0, x1), x0, right);
+    let x0 = top_of(|x0| area(x0, best_right(x0)), 0.0, right);
+    let x1 = best_right(x0);
+    let (x0, x1) = (inwards_up(x0), inwards_down(x1));
+    let (y0, y1) = span(x0, x1);
+    let (y0, y1) = (inwards_up(y0), inwards_down(y1));
+    if x1 < x0 || y1 < y0 {
+        let (x, y) = (width / 2, height / 2);
+        return Rect { x0: x, y0: y, x1: x + 1, y1: y + 1 };
+    }
+    Rect { x0: x0 as usize, y0: y0 as usize, x1: x1 as usize + 1, y1: y1 as usize + 1 }
+}
+
+/// A place that is whole but for rounding is whole.
+const WHOLE: f64 = 1e-6;
+
+fn inwards_up(v: f64) -> f64 {
+    (v - WHOLE).ceil().max(0.0)
+}
+
+fn inwards_down(v: f64) -> f64 {
+    (v + WHOLE).floor()
+}
+
+/// The lowest and the highest row for which columns `x0` to `x1` are within all edges.
+fn vertical_span(edges: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f64, f64) {
+    let (mut y0, mut y1) = (0.0f64, bottom);
+    for n in edges {
+        // The corner that is nearest to the edge decides.
+        let across = (n.x * x0).min(n.x * x1) + n.z;
+        if n.y > 0.0 {
+            y0 = y0.max(-across / n.y);
+        } else if n.y < 0.0 {
+            y1 = y1.min(-across / n.y);
+        } else if across < 0.0 {
+            y1 = -1.0;
+        }
+    }
+    (y0, y1)
+}
+
+/// Where on `low..=high` a function with one top has it.
+fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
+    for _ in 0..60 {
+        let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+        if f(a) < f(b) { low = a } else { high = b }
+    }
+    (low + high) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::warp::map;
+    use super::*;
+    use nalgebra::Matrix3;
+
+    /// Every rectangle with sides on a coarse grid: the largest that is covered.
+    fn by_trial(warps: &[Warp], width: usize, height: usize, step: usize) -> usize {
+        let covered = |x: usize, y: usize| {
+            warps.iter().all(|w| {
+                let (u, v) = map(&w.matrix(width, height), x as f64, y as f64);
+                u >= 0.0 && v >= 0.0 && u <= width as f64 - 1.0 && v <= height as f64 - 1.0
+            })
+        };
+        let mut best = 0;
+        for x0 in (0..width).step_by(step) {
+            for y0 in (0..height).step_by(step).filter(|&y0| covered(x0, y0)) {
+                for x1 in (x0 + 1..=width).rev().step_by(step).filter(|&x1| covered(x1 - 1, y0)) {
+                    for y1 in (y0 + 1..=height).rev().step_by(step) {
+                        if covered(x0, y1 - 1) && covered(x1 - 1, y1 - 1) {
+                            best = best.max((x1 - x0) * (y1 - y0));
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    #[test]
+    fn is_covered_and_as_large_as_trial_finds() {
+        let tilted = Warp::Homography(Matrix3::new(1.01, 0.02, -3.0, -0.015, 0.99, 4.0, 1e-4, -5e-5, 1.0));
+        for warps in [
+            vec![Warp::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 }],
+            vec![Warp::Rigid { dx: 2.5, dy: 1.5, angle: 0.06 }, Warp::Rigid { dx: -4.0, dy: 0.0, angle: -0.02 }],
+            vec![Warp::Identity, tilted],
+        ] {
+            let (width, height) = (120, 80);
+            let rect = largest(&warps, width, height);
+            for w in &warps {
+                let h = w.matrix(width, height);
+                for (x, y) in
+                    [(rect.x0, rect.y0), (rect.x1 - 1, rect.y0), (rect.x1 - 1, rect.y1 - 1), (rect.x0, rect.y1 - 1)]
+                {
+                    let (u, v) = map(&h, x as f64, y as f64);
+                    assert!(u >= -1e-5 && v >= -1e-5 && u <= 119.0 + 1e-5 && v <= 79.0 + 1e-5, "{rect:?}");
+                }
+            }
+            // Rounding inwards costs up to a row and a column on each side.
+            let trial = by_trial(&warps, width, height, 2);
+            assert!(rect.width() * rect.height() + 2 * (width + height) >= trial, "{rect:?} against {trial}");
+        }
+    }
+
+    #[test]
+    fn a_whole_shift_cuts_just_that_off() {
+        let shift = Warp::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 };
+        assert_eq!(largest(&[shift], 100, 50), Rect { x0: 0, y0: 3, x1: 93, y1: 50 });
+        assert_eq!(largest(&[Warp::Identity], 100, 50), Rect { x0: 0, y0: 0, x1: 100, y1: 50 });
+    }
+
+    #[test]
+    fn nothing_in_common_is_a_pixel() {
+        let away = Warp::Rigid { dx: 500.0, dy: 0.0, angle: 0.0 };
+        let rect = largest(&[away], 100, 50);
+        assert_eq!((rect.width(), rect.height()), (1, 1));
+    }
+}
