@@ -30,6 +30,8 @@ pub struct Agreement {
     pub contradict: usize,
     /// Tiles too plain, too dark, too bright, or outside the frame.
     pub silent: usize,
+    /// Of the nine parts of the picture (three by three), those in which a tile confirms.
+    pub parts: usize,
     /// The median distance by which the confirming tiles are off, in pixels of the planes.
     pub offset: f64,
     /// The mean correlation of those that are not silent, -1..=1.
@@ -37,11 +39,19 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// The share of the outspoken tiles that confirm, drawn towards one half as long as few speak (Laplace's rule with weight 4).
+    /// The share of the outspoken tiles that confirm, as if five more had spoken of which one and a half confirm: few voices are little.
     pub fn share(&self) -> f64 {
-        (self.confirm as f64 + 2.0) / ((self.confirm + self.contradict) as f64 + 4.0)
+        (self.confirm as f64 + 1.5) / ((self.confirm + self.contradict) as f64 + 5.0)
+    }
+
+    /// How far the confirming tiles stand for the whole picture, 1/2..=1.
+    pub fn coverage(&self) -> f64 {
+        0.5 + 0.5 * self.parts.min(ENOUGH_PARTS) as f64 / ENOUGH_PARTS as f64
     }
 }
+
+/// Where tiles confirm in fewer parts of the picture than this, what lies in the others is only inferred.
+const ENOUGH_PARTS: usize = 4;
 
 /// How far the two frames agree under `h`, reference -> frame, in pixels of the planes.
 pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
@@ -62,11 +72,13 @@ pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
     let mut sum = Agreement::default();
     let mut offsets = Vec::new();
     let mut correlations = 0.0;
-    for tile in &tiles {
+    let mut parts = [false; 9];
+    for (i, tile) in tiles.iter().enumerate() {
         match *tile {
             Tile::Silent => sum.silent += 1,
             Tile::Confirms { offset, correlation } => {
                 sum.confirm += 1;
+                parts[i / columns * 3 / rows * 3 + i % columns * 3 / columns] = true;
                 offsets.push(offset);
                 correlations += f64::from(correlation);
             }
@@ -76,6 +88,7 @@ pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
             }
         }
     }
+    sum.parts = parts.iter().filter(|&&p| p).count();
     offsets.sort_by(f32::total_cmp);
     sum.offset = offsets.get(offsets.len() / 2).copied().map_or(0.0, f64::from);
     sum.correlation = correlations / (sum.confirm + sum.contradict).max(1) as f64;

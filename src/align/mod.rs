@@ -3,10 +3,10 @@
 //! In: a [`Bracket`]. Out: an [`Alignment`]: a [`Verdict`] for each frame, by the smallest [`Model`] that explains its motion, each
 //! straight to the reference. Cost: for a frame of 12 MP about what its decoding costs.
 //!
-//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]);
-//! features ([`sift`] on the plain picture and on its bitmap) where that leaves a doubt; the bitmaps' other minima; the way by a
-//! neighbour in exposure. What a stage finds is only ever a start for [`refine`] against the reference, and only [`agreement`], which no
-//! stage optimises, says whether it is right.
+//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]); the
+//! same against a neighbour in exposure, laid on the reference's grid, where the reference itself shows too little of what the frame
+//! shows; features ([`sift`] on the plain picture and on its bitmap); the bitmaps' other minima. What a stage finds is only ever a start
+//! for [`refine`], and only [`agreement`], which no stage optimises, says whether it is right.
 
 pub mod agreement;
 pub mod bitmap;
@@ -19,16 +19,16 @@ mod place;
 pub mod ransac;
 pub mod refine;
 pub mod resample;
+mod search;
 pub mod sift;
 pub mod warp;
 
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 use mtb::{GreyPyramid, MtbOptions};
-use nalgebra::Matrix3;
-use place::{Candidate, FeatureSets};
 use ransac::RansacOptions;
 use rayon::prelude::*;
+use search::Search;
 use sift::SiftOptions;
 use warp::Warp;
 
@@ -210,12 +210,8 @@ impl Alignment {
     }
 }
 
-/// A candidate with less confidence is no place at all.
-const LEAST_CONFIDENCE: f64 = 0.35;
 /// A place with less confidence is told to the user.
 const DOUBT: f64 = 0.5;
-/// Confidence in a frame that says nothing itself, where all the others are unmoved.
-const BY_COMPANY: f64 = 0.6;
 
 /// Places every frame of `bracket`.
 ///
@@ -230,7 +226,7 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let search = Search { pyramids: &pyramids, reference: bracket.reference_index(), options };
     let verdicts = match options.mode {
         AlignMode::Auto | AlignMode::None => search.auto(),
-        AlignMode::Mtb => search.each(|i| search.by_bitmaps_alone(i)),
+        AlignMode::Mtb => search.by_bitmaps_alone(),
         AlignMode::Sift => search.by_features_alone(),
     };
     let warnings = warn(bracket, &verdicts);
@@ -255,251 +251,4 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
         }
     }
     warnings
-}
-
-/// One run over a bracket.
-struct Search<'a> {
-    pyramids: &'a [GreyPyramid],
-    reference: usize,
-    options: &'a AlignOptions,
-}
-
-/// What features found for a frame.
-#[derive(Debug, Clone, Default)]
-struct Found {
-    inliers: Option<usize>,
-    keypoints: Option<KeypointCounts>,
-}
-
-impl Search<'_> {
-    fn base(&self) -> &GreyPyramid {
-        &self.pyramids[self.reference]
-    }
-
-    fn others(&self) -> Vec<usize> {
-        (0..self.pyramids.len()).filter(|&i| i != self.reference).collect()
-    }
-
-    /// `verdict` of every frame but the reference, in parallel.
-    fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
-        let place = |i| {
-            if i == self.reference { Verdict::by_definition(Status::Reference) } else { verdict(i) }
-        };
-        (0..self.pyramids.len()).into_par_iter().map(place).collect()
-    }
-
-    fn by_bitmaps_alone(&self, i: usize) -> Verdict {
-        let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
-        let (model, warp) = match found.warp() {
-            Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 } => (Model::Unmoved, Warp::Identity),
-            warp @ Warp::Rigid { angle: 0.0, .. } => (Model::Shift, warp),
-            warp => (Model::Rigid, warp),
-        };
-        placed(model, &place::judge(self.base(), &self.pyramids[i], warp, 0.0), &Found::default())
-    }
-
-    fn by_features_alone(&self) -> Vec<Verdict> {
-        let sets: Vec<FeatureSets> = (0..self.pyramids.len()).into_par_iter().map(|i| self.features(i)).collect();
-        let to_full = place::level_to_full(place::features_level(self.base()));
-        self.each(|i| {
-            let keypoints = Some(sets[i].counts);
-            let consensus = place::by_matches(
-                &sets[self.reference],
-                &sets[i],
-                &to_full,
-                self.options.ratio,
-                None,
-                &self.options.ransac,
-            );
-            match consensus {
-                Some(c) if c.inliers.len() >= LEAST_INLIERS => {
-                    let warp = Warp::Homography(c.homography);
-                    let found = Found { inliers: Some(c.inliers.len()), keypoints };
-                    placed(Model::Homography, &place::judge(self.base(), &self.pyramids[i], warp, 0.0), &found)
-                }
-                other => {
-                    let inliers = other.map_or(0, |c| c.inliers.len());
-                    let reason =
-                        format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
-                    rejected(reason, 0.0, &Found { inliers: Some(inliers), keypoints })
-                }
-            }
-        })
-    }
-
-    fn features(&self, i: usize) -> FeatureSets {
-        place::features(&self.pyramids[i], &self.options.sift, &self.options.mtb)
-    }
-
-    fn auto(&self) -> Vec<Verdict> {
-        let mut best: Vec<Option<Candidate>> = (0..self.pyramids.len())
-            .into_par_iter()
-            .map(|i| {
-                if i == self.reference {
-                    return None;
-                }
-                place::by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb)
-            })
-            .collect();
-        let mut found = vec![Found::default(); self.pyramids.len()];
-        self.try_features(&mut best, &mut found);
-        self.try_rivals(&mut best);
-        self.try_neighbours(&mut best);
-        let mut verdicts = self.each(|i| {
-            let Some(candidate) = best[i].clone().filter(|c| c.confidence() >= LEAST_CONFIDENCE) else {
-                let confidence = best[i].as_ref().map_or(0.0, Candidate::confidence);
-                return rejected(why(best[i].as_ref()), confidence, &found[i]);
-            };
-            let (model, candidate) = place::reduce(self.base(), &self.pyramids[i], candidate);
-            placed(model, &candidate, &found[i])
-        });
-        self.keep_company(&mut verdicts, &best, &found);
-        verdicts
-    }
-
-    /// The frames whose place is still in doubt.
-    fn unsettled(&self, best: &[Option<Candidate>]) -> Vec<usize> {
-        self.others().into_iter().filter(|&i| best[i].as_ref().is_none_or(|c| !c.is_settled())).collect()
-    }
-
-    fn try_features(&self, best: &mut [Option<Candidate>], found: &mut [Found]) {
-        let doubtful = self.unsettled(best);
-        if doubtful.is_empty() {
-            return;
-        }
-        let wanted: Vec<usize> = std::iter::once(self.reference).chain(doubtful.iter().copied()).collect();
-        let sets: Vec<FeatureSets> = wanted.par_iter().map(|&i| self.features(i)).collect();
-        let to_full = place::level_to_full(place::features_level(self.base()));
-        let results: Vec<(Option<usize>, Option<Candidate>)> = (1..wanted.len())
-            .into_par_iter()
-            .map(|k| {
-                let consensus =
-                    place::by_matches(&sets[0], &sets[k], &to_full, self.options.ratio, None, &self.options.ransac);
-                let Some(consensus) = consensus else {
-                    return (None, None);
-                };
-                let start = Warp::Homography(consensus.homography);
-                let candidate = place::by_start(self.base(), &self.pyramids[wanted[k]], &start, 1);
-                (Some(consensus.inliers.len()), candidate)
-            })
-            .collect();
-        for (k, (inliers, candidate)) in results.into_iter().enumerate() {
-            let i = wanted[k + 1];
-            found[i] = Found { inliers, keypoints: Some(sets[k + 1].counts) };
-            keep_better(&mut best[i], candidate);
-        }
-        found[self.reference].keypoints = Some(sets[0].counts);
-    }
-
-    fn try_rivals(&self, best: &mut [Option<Candidate>]) {
-        let doubtful = self.unsettled(best);
-        let (width, height) = (self.base().level(0).width(), self.base().level(0).height());
-        let results: Vec<Vec<Candidate>> = doubtful
-            .par_iter()
-            .map(|&i| {
-                let angle = best[i].as_ref().map_or(0.0, |c| c.warp.rotation_deg(width, height).to_radians());
-                place::by_rivals(self.base(), &self.pyramids[i], angle, &self.options.mtb)
-            })
-            .collect();
-        for (i, rivals) in doubtful.into_iter().zip(results) {
-            for rival in rivals {
-                keep_better(&mut best[i], Some(rival));
-            }
-        }
-    }
-
-    /// From the reference outwards: a frame in doubt is placed against the next one, and starts from there.
-    fn try_neighbours(&self, best: &mut [Option<Candidate>]) {
-        let (width, height) = (self.base().level(0).width(), self.base().level(0).height());
-        let mut outwards = self.unsettled(best);
-        outwards.sort_by_key(|&i| (i.abs_diff(self.reference), i));
-        for i in outwards {
-            let neighbour = if i < self.reference { i + 1 } else { i - 1 };
-            if neighbour == self.reference {
-                continue;
-            }
-            let Some(first) = best[neighbour].as_ref().filter(|c| c.confidence() >= DOUBT) else {
-                continue;
-            };
-            let Some(second) = place::by_bitmaps(&self.pyramids[neighbour], &self.pyramids[i], &self.options.mtb)
-            else {
-                continue;
-            };
-            let h: Matrix3<f64> = second.warp.matrix(width, height) * first.warp.matrix(width, height);
-            let start = Warp::Homography(h / h[(2, 2)]);
-            keep_better(&mut best[i], place::by_start(self.base(), &self.pyramids[i], &start, 0));
-        }
-    }
-
-    /// A frame too dark or too bright to say anything is unmoved where all the others are: it stood on the same tripod.
-    fn keep_company(&self, verdicts: &mut [Verdict], best: &[Option<Candidate>], found: &[Found]) {
-        let others = self.others();
-        let still = others.iter().filter(|&&i| verdicts[i].status == Status::Unmoved).count();
-        let moved = others.iter().any(|&i| verdicts[i].status == Status::Aligned);
-        if still == 0 || moved {
-            return;
-        }
-        for i in others {
-            if verdicts[i].status == Status::Rejected {
-                let here = place::judge(self.base(), &self.pyramids[i], Warp::Identity, 0.0);
-                let says_otherwise = here.agreement.contradict > here.agreement.confirm
-                    || best[i].as_ref().is_some_and(|c| c.agreement.confirm > here.agreement.confirm + 3);
-                if !says_otherwise {
-                    verdicts[i] = placed(Model::Unmoved, &here, &found[i]);
-                    verdicts[i].confidence = verdicts[i].confidence.max(BY_COMPANY);
-                }
-            }
-        }
-    }
-}
-
-/// Fewest matches that make a motion: a homography needs four, chance may add as many.
-const LEAST_INLIERS: usize = 10;
-
-fn keep_better(best: &mut Option<Candidate>, other: Option<Candidate>) {
-    if let Some(other) = other
-        && best.as_ref().is_none_or(|b| other.confidence() > b.confidence() + 0.005)
-    {
-        *best = Some(other);
-    }
-}
-
-fn why(candidate: Option<&Candidate>) -> String {
-    match candidate {
-        None => "it has too little in common with the reference to tell how it moved".into(),
-        Some(c) if c.agreement.confirm + c.agreement.contradict < 8 => {
-            "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
-        }
-        Some(c) => format!(
-            "no motion makes it agree with the reference: {} of {} parts contradict the best one",
-            c.agreement.contradict,
-            c.agreement.confirm + c.agreement.contradict
-        ),
-    }
-}
-
-fn placed(model: Model, candidate: &Candidate, found: &Found) -> Verdict {
-    Verdict {
-        status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
-        model: Some(model),
-        warp: Some(candidate.warp),
-        inliers: found.inliers,
-        keypoints: found.keypoints,
-        error_px: (candidate.agreement.confirm > 0).then_some(candidate.error_px),
-        confidence: candidate.confidence(),
-        reason: None,
-    }
-}
-
-fn rejected(reason: String, confidence: f64, found: &Found) -> Verdict {
-    Verdict {
-        status: Status::Rejected,
-        model: None,
-        warp: None,
-        inliers: found.inliers,
-        keypoints: found.keypoints,
-        error_px: None,
-        confidence: confidence.min(LEAST_CONFIDENCE),
-        reason: Some(reason),
-    }
 }

@@ -4,12 +4,12 @@
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
 use super::agreement::{self, Agreement};
-use super::features::{Features, Guide, Keypoint, match_mutual};
+use super::features::{Features, Keypoint, match_mutual};
 use super::homography::Pair;
 use super::intensity_map::CommonExposure;
 use super::mtb::{self, GreyPyramid, MtbOptions};
 use super::ransac::{self, Consensus, RansacOptions};
-use super::refine::refine;
+use super::refine::{refine, restrict};
 use super::sift::{self, SiftOptions};
 use super::warp::{Warp, corners, map};
 use super::{KeypointCounts, Model};
@@ -29,6 +29,8 @@ const CAPTURE_LEVELS: usize = 3;
 const NOISE_FACTOR: f64 = 4.0;
 /// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
+/// A smaller model that is so many times farther off, before it is fitted, will not do.
+const HOPELESS: f64 = 5.0;
 /// A frame whose warp is no more than this is unmoved: resampling would cost more than it mends, in pixels.
 const UNMOVED_PX: f64 = 0.2;
 
@@ -41,13 +43,19 @@ pub(super) struct Candidate {
     pub(super) agreement: Agreement,
     /// What noise leaves, and what the tiles see, in pixels of the full size.
     pub(super) error_px: f64,
+    /// How far what it was held against can itself be trusted, 0..=1.
+    pub(super) trust: f64,
+    /// Whether features, by themselves, led to the same place.
+    pub(super) corroborated: bool,
 }
 
 impl Candidate {
     /// 0..=1: how much the tiles speak for it, less where they see it off by half a pixel or more.
     pub(super) fn confidence(&self) -> f64 {
         let off = self.error_px / 1.5;
-        self.agreement.share() / (1.0 + off * off)
+        let tiles = self.agreement.share() * self.agreement.coverage();
+        let word = if self.corroborated { tiles.max(TWO_WITNESSES) } else { tiles };
+        self.trust * word / (1.0 + off * off)
     }
 
     /// Whether nothing more need be tried: nearly all tiles confirm, many of them, and none of them is off.
@@ -56,6 +64,29 @@ impl Candidate {
         self.agreement.confirm >= 12 && self.agreement.contradict * 40 <= spoke && self.error_px < 0.5
     }
 }
+
+/// The frame on the reference's grid, that lies in it by `warp`; its border goes on where it does not reach.
+pub(super) fn laid_on_reference(frame: &GreyPyramid, warp: &Warp) -> GreyPyramid {
+    let grey = frame.level(0);
+    let (width, height) = (grey.width(), grey.height());
+    let h = warp.matrix(width, height);
+    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
+    GreyPyramid::new(Plane::from_rows(width, height, |y, row| {
+        for (x, v) in row.iter_mut().enumerate() {
+            let (u, w) = map(&h, x as f64, y as f64);
+            let (u, w) = (u.clamp(0.0, right), w.clamp(0.0, bottom));
+            let (left, top) = ((u as usize).min(width.max(2) - 2), (w as usize).min(height.max(2) - 2));
+            let (fx, fy) = ((u - left as f64) as f32, (w - top as f64) as f32);
+            let (upper, lower) = (grey.row(top), grey.row((top + 1).min(height - 1)));
+            let next = (left + 1).min(width - 1);
+            let mix = |r: &[u8]| f32::from(r[left]) * (1.0 - fx) + f32::from(r[next]) * fx;
+            *v = (mix(upper) * (1.0 - fy) + mix(lower) * fy + 0.5) as u8;
+        }
+    }))
+}
+
+/// What bitmaps and features that agree are worth where tiles say little.
+const TWO_WITNESSES: f64 = 0.7;
 
 /// The first level of `pyramid` with at most `pixels` pixels.
 pub(super) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
@@ -81,24 +112,30 @@ pub(super) fn by_bitmaps(reference: &GreyPyramid, frame: &GreyPyramid, options: 
     by_start(reference, frame, &found.warp(), CAPTURE_LEVELS)
 }
 
-/// What the bitmaps' other minima lead to: the best of them.
+/// What the bitmaps' other minima lead to: the best few.
 pub(super) fn by_rivals(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
     angle: f64,
     options: &MtbOptions,
 ) -> Vec<Candidate> {
-    mtb::rivals(reference, frame, angle, MOST_RIVALS, options)
+    let coarse = level_within(reference, MEASURED_PIXELS);
+    let mut rough: Vec<Candidate> = mtb::rivals(reference, frame, angle, MOST_RIVALS, options)
         .into_iter()
         .filter_map(|m| {
-            let warp = Warp::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
-            by_start(reference, frame, &warp, CAPTURE_LEVELS)
+            let start = Warp::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
+            let found = refine(reference, frame, &start, Model::Rigid, (coarse + CAPTURE_LEVELS, coarse))?;
+            Some(judge(reference, frame, found.warp, 0.0))
         })
-        .collect()
+        .collect();
+    rough.sort_by(|a, b| b.confidence().total_cmp(&a.confidence()));
+    rough.iter().take(BEST_RIVALS).filter_map(|c| by_start(reference, frame, &c.warp, 1)).collect()
 }
 
 /// Rivals that are looked at.
 const MOST_RIVALS: usize = 8;
+/// ... and of these refined to the end.
+const BEST_RIVALS: usize = 2;
 
 /// Features of a frame on the level of [`features_level`]: of the plain picture, and of its median threshold bitmap.
 #[derive(Debug, Clone, Default)]
@@ -114,12 +151,11 @@ pub(super) fn by_matches(
     frame: &FeatureSets,
     to_full: &Matrix3<f64>,
     ratio: f64,
-    guide: Option<&Guide>,
     options: &RansacOptions,
 ) -> Option<Consensus> {
     let mut pairs = Vec::new();
     for (a, b) in [(&reference.plain, &frame.plain), (&reference.mtb, &frame.mtb)] {
-        for m in match_mutual(a, b, ratio, guide) {
+        for m in match_mutual(a, b, ratio, None) {
             let (p, q) = (&a.keypoints[m.reference], &b.keypoints[m.frame]);
             let full = |x: f32, y: f32| {
                 let (x, y) = map(to_full, x.into(), y.into());
@@ -169,7 +205,7 @@ pub(super) fn judge(reference: &GreyPyramid, frame: &GreyPyramid, warp: Warp, no
     // A tile's own place is known to a few hundredths of a pixel.
     let seen = to_full[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
     let error_px = (noise_px * noise_px + seen * seen).sqrt();
-    Candidate { warp, agreement, error_px }
+    Candidate { warp, agreement, error_px, trust: 1.0, corroborated: false }
 }
 
 /// The median offset of tiles under the true warp, in pixels of the level. Measured on rendered brackets.
@@ -191,7 +227,7 @@ fn is_sane(warp: &Warp, pyramid: &GreyPyramid) -> bool {
 }
 
 /// The root mean square distance over the picture of where two warps put a pixel.
-fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
+pub(super) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
     const GRID: usize = 9;
     let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
     let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
@@ -214,16 +250,22 @@ pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candid
         let unmoved = judge(reference, frame, Warp::Identity, 0.0);
         if unmoved.agreement.share() >= whole.agreement.share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
-            return (Model::Unmoved, Candidate { error_px, ..unmoved });
+            return (Model::Unmoved, Candidate { error_px, corroborated: whole.corroborated, ..unmoved });
         }
     }
     for model in [Model::Shift, Model::Rigid] {
+        // The nearest by far is cheap to tell; the best is what counts.
+        let near = Warp::Homography(restrict(&whole.warp.matrix(width, height), model, width, height));
+        if distance(&whole.warp, &near, width, height) > HOPELESS * SAME_PX.max(whole.error_px) {
+            continue;
+        }
         let Some(smaller) = refine(reference, frame, &whole.warp, model, (finest, finest)) else {
             continue;
         };
         let apart = distance(&whole.warp, &smaller.warp, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
-            let candidate = judge(reference, frame, smaller.warp, NOISE_FACTOR * smaller.error_px);
+            let judged = judge(reference, frame, smaller.warp, NOISE_FACTOR * smaller.error_px);
+            let candidate = Candidate { corroborated: whole.corroborated, ..judged };
             if candidate.agreement.share() >= whole.agreement.share() - 0.02
                 && candidate.agreement.offset <= whole.agreement.offset + 0.01
             {

@@ -15,12 +15,12 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// Standard deviation of the smoothing before pixels are compared, in pixels of the level: enough for cubic interpolation to be exact.
 const SMOOTHING: f64 = 1.0;
-/// About so many cells, of which each gives a point.
-const CELLS: f64 = 25_000.0;
+/// About so many cells, of which each gives a point: at the finest level, and at those that only lead to it.
+const CELLS: (f64, f64) = (20_000.0, 6_000.0);
 /// Steps at each level, at the most.
 const MOST_STEPS: usize = 12;
-/// A step that moves no corner by more than this ends the level, in pixels of the level.
-const STILL: f64 = 0.002;
+/// A step that moves no corner by more than this ends the level, in pixels of the level: the finest, and those that only lead to it.
+const STILL: (f64, f64) = (0.005, 0.05);
 /// Pixels nearest the border that are not used: the reach of the derivative and of the interpolation.
 const BORDER: usize = 3;
 /// Fewer points than this say nothing.
@@ -61,7 +61,7 @@ pub fn refine(
     let mut state = restrict(&h0, model, full.width(), full.height());
     let mut last = None;
     for level in (finest..=coarsest.min(reference.len() - 1)).rev() {
-        let stage = Stage::new(reference.level(level), frame.level(level), level, &state)?;
+        let stage = Stage::new(reference.level(level), frame.level(level), level, level == finest, &state)?;
         let (h, fit) = stage.solve(state, model)?;
         state = h;
         last = Some(fit);
@@ -72,7 +72,7 @@ pub fn refine(
 }
 
 /// The warp of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
-fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
+pub(super) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
     let warp = Warp::Homography(*h);
     let (dx, dy) = warp.shift_px(width, height);
     match model {
@@ -119,19 +119,28 @@ struct Stage {
     to_full: Matrix3<f64>,
     from_full: Matrix3<f64>,
     scale: f64,
+    still: f64,
 }
 
 impl Stage {
-    fn new(reference: &Plane<u8>, frame: &Plane<u8>, level: usize, h_full: &Matrix3<f64>) -> Option<Self> {
+    fn new(
+        reference: &Plane<u8>,
+        frame: &Plane<u8>,
+        level: usize,
+        is_last: bool,
+        h_full: &Matrix3<f64>,
+    ) -> Option<Self> {
         let scale = (1u64 << level) as f64;
         let offset = (scale - 1.0) / 2.0;
         let to_full = Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0);
         let from_full = to_full.try_inverse()?;
         let h = from_full * h_full * to_full;
-        let cell = ((reference.width() * reference.height()) as f64 / CELLS).sqrt().max(1.0) as usize;
+        let cells = if is_last { CELLS.0 } else { CELLS.1 };
+        let cell = ((reference.width() * reference.height()) as f64 / cells).sqrt().max(1.0) as usize;
+        let still = if is_last { STILL.0 } else { STILL.1 };
         let both = CommonExposure::new(reference, frame, &h, SMOOTHING);
         let points = choose_points(&both, cell);
-        (points.len() >= 50).then_some(Stage { frame: both.frame, points, to_full, from_full, scale })
+        (points.len() >= 50).then_some(Stage { frame: both.frame, points, to_full, from_full, scale, still })
     }
 
     /// Steps of Gauss and Newton with Tukey's weights until no corner moves.
@@ -154,7 +163,7 @@ impl Stage {
             if !moved.is_finite() || moved > width as f64 {
                 return None;
             }
-            if moved < STILL {
+            if moved < self.still {
                 break;
             }
         }
