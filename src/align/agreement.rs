@@ -16,8 +16,8 @@ const TILES: usize = 16;
 const REACH: isize = 3;
 /// A tile says something where its trusted pixels' standard deviation is at least so many grey levels.
 const LEAST_CONTRAST: f32 = 2.5;
-/// ... and at least so large a share of its pixels can be trusted.
-const LEAST_TRUSTED: f32 = 0.3;
+/// ... and at least so many can be trusted: a lamp in the night is enough.
+const LEAST_TRUSTED: usize = 64;
 /// Trust below which a pixel does not count.
 const TRUSTED: f32 = 0.01;
 
@@ -114,7 +114,7 @@ fn judge(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, si
             }
         }
     }
-    if (pixels.len() as f32) < LEAST_TRUSTED * (side * side) as f32 {
+    if pixels.len() < LEAST_TRUSTED {
         return Tile::Silent;
     }
     let n = pixels.len() as f32;

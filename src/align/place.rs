@@ -45,6 +45,8 @@ pub(super) struct Candidate {
     pub(super) error_px: f64,
     /// How far what it was held against can itself be trusted, 0..=1.
     pub(super) trust: f64,
+    /// An error at which the warp is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels across, more for a larger.
+    pub(super) tolerance_px: f64,
     /// Whether features, by themselves, led to the same place.
     pub(super) corroborated: bool,
 }
@@ -52,7 +54,7 @@ pub(super) struct Candidate {
 impl Candidate {
     /// 0..=1: how much the tiles speak for it, less where they see it off by half a pixel or more.
     pub(super) fn confidence(&self) -> f64 {
-        let off = self.error_px / 1.5;
+        let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement.share() * self.agreement.coverage();
         let word = if self.corroborated { tiles.max(TWO_WITNESSES) } else { tiles };
         self.trust * word / (1.0 + off * off)
@@ -205,8 +207,13 @@ pub(super) fn judge(reference: &GreyPyramid, frame: &GreyPyramid, warp: Warp, no
     // A tile's own place is known to a few hundredths of a pixel.
     let seen = to_full[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
     let error_px = (noise_px * noise_px + seen * seen).sqrt();
-    Candidate { warp, agreement, error_px, trust: 1.0, corroborated: false }
+    let diagonal = ((full.width() * full.width() + full.height() * full.height()) as f64).sqrt();
+    let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
+    Candidate { warp, agreement, error_px, trust: 1.0, tolerance_px, corroborated: false }
 }
+
+/// See [`Candidate::tolerance_px`].
+const TOLERANCE_PX: f64 = 1.5;
 
 /// The median offset of tiles under the true warp, in pixels of the level. Measured on rendered brackets.
 const TILE_NOISE: f64 = 0.05;

@@ -17,6 +17,8 @@ pub const OUTSIDE: f32 = -1.0;
 const TAPS: usize = 6;
 /// Of these, how many lie before the pixel that the place falls behind.
 const BEFORE: usize = 2;
+/// Values of a row that are summed at once: those of the taps' pixels, and of a part of the next, so that they fill whole vectors.
+const LANES: usize = 20;
 /// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the steepest edge.
 const PHASES: usize = 1024;
 
@@ -78,14 +80,16 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         let (left, wx) = kernel.place(u);
         let (top, wy) = kernel.place(v);
         let (width, height) = self.size;
-        let mut sum = [0.0f32; 3 * TAPS];
-        let inside = left >= 0 && top >= 0 && left as usize + TAPS <= width && top as usize + TAPS <= height;
+        let mut sum = [0.0f32; LANES];
+        let inside = left >= 0 && top >= 0 && left as usize + TAPS < width && top as usize + TAPS <= height;
         if inside {
             let first = 3 * (top as usize * width + left as usize);
             for (j, w) in wy.iter().enumerate() {
-                let row = &self.codes[first + 3 * j * width..][..3 * TAPS];
-                for (s, &code) in sum.iter_mut().zip(row) {
-                    *s += w * code.into();
+                let from = first + 3 * j * width;
+                if let Some(row) = self.codes.get(from..from + LANES).and_then(|r| r.first_chunk::<LANES>()) {
+                    for k in 0..LANES {
+                        sum[k] += w * row[k].into();
+                    }
                 }
             }
         } else {
@@ -131,8 +135,9 @@ impl Kernel {
     /// The first pixel under the kernel at place `u`, and the weights.
     #[inline]
     fn place(&self, u: f64) -> (isize, &[f32; TAPS]) {
-        let whole = u.floor();
-        let phase = ((u - whole) * PHASES as f64 + 0.5) as usize;
+        // u is at least 0: the conversion cuts off as floor does.
+        let whole = u as usize;
+        let phase = ((u - whole as f64) * PHASES as f64 + 0.5) as usize;
         (whole as isize - BEFORE as isize, &self.weights[phase])
     }
 }

@@ -6,12 +6,14 @@
 use super::mtb::{self, GreyPyramid};
 use super::place::{self, Candidate, FeatureSets};
 use super::warp::Warp;
-use super::{AlignOptions, DOUBT, KeypointCounts, Model, Status, Verdict};
+use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// A candidate with less confidence is no place at all.
+/// A candidate with less confidence is no place at all, unless nearly all that speaks speaks for it.
 const LEAST_CONFIDENCE: f64 = 0.35;
+/// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
+const LEAST_VOICES: usize = 3;
 /// Confidence in a frame that says nothing itself, where all the others are unmoved.
 const BY_COMPANY: f64 = 0.6;
 /// Fewest matches that make a motion: a homography needs four, chance may add as many.
@@ -211,7 +213,7 @@ impl Search<'_> {
             }
         }
         match best {
-            Some((b, candidate)) if candidate.confidence() >= LEAST_CONFIDENCE => {
+            Some((b, candidate)) if is_a_place(&candidate) => {
                 let (model, reduced) = place::reduce(&bases[b].pyramid, frame, candidate);
                 placed(model, &bases[b].discount(reduced), found)
             }
@@ -225,7 +227,7 @@ impl Search<'_> {
 
     /// The placed neighbour `n` on the reference's grid: what is measured against it is measured in the reference's pixels.
     fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
-        let warp = verdict.warp.filter(|_| verdict.confidence >= DOUBT)?;
+        let warp = verdict.warp?;
         let pyramid = match warp {
             Warp::Identity => Cow::Borrowed(&self.pyramids[n]),
             warp => Cow::Owned(place::laid_on_reference(&self.pyramids[n], &warp)),
@@ -259,6 +261,13 @@ impl Base<'_> {
         let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
         Candidate { error_px, trust: candidate.trust * self.confidence, ..candidate }
     }
+}
+
+/// Whether a candidate is good enough to merge by.
+fn is_a_place(candidate: &Candidate) -> bool {
+    let agreement = &candidate.agreement;
+    let unopposed = agreement.confirm >= LEAST_VOICES && agreement.contradict * 8 <= agreement.confirm;
+    candidate.confidence() >= LEAST_CONFIDENCE || (unopposed && candidate.error_px < candidate.tolerance_px)
 }
 
 /// Keeps the more confident of the two; of nearly equals the first, which was had more directly.
