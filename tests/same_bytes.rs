@@ -61,6 +61,6 @@ fn neither_threads_nor_the_order_change_what_features_find() {
         frames.iter().filter(|f| inliers(f)).count() >= 3,
         "features found too little for this test to say anything"
     );
-    assert_same("7 threads", &one, &results(&folder, [1, 2, 3, 4, 5], "--align sift --threads 7"));
-    assert_same("another order", &one, &results(&folder, [5, 4, 3, 2, 1], "--align sift"));
+    let other = results(&folder, [5, 4, 1, 3, 2], "--align sift --threads 7");
+    assert_same("7 threads in another order", &one, &other);
 }
