@@ -29,7 +29,7 @@ fn a_missing_file_is_named() {
 fn a_truncated_jpeg_is_named_and_to_be_copied_again() {
     let folder = Folder::with_bracket();
     let whole = small_jpeg(2);
-    // Within the picture, within the tables before it, and a single byte short of its end marker.
+    // Halfway through, near the end of the picture, and in the headers before it.
     for length in [whole.len() / 2, whole.len() * 9 / 10, 300] {
         folder.put("cut.jpg", &whole[..length]);
         refused(&folder, "merge w1.jpg cut.jpg -o a.exr -o a.png", 1, &["cut.jpg", "JPEG", "copy the file again"]);
