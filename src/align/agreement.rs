@@ -160,7 +160,8 @@ fn judge(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, si
             }
         }
     }
-    let away = ((at.0 as f32 - centre as f32).powi(2) + (at.1 as f32 - centre as f32).powi(2)).sqrt();
+    let (dx, dy) = (at.0 as f32 - centre as f32, at.1 as f32 - centre as f32);
+    let away = (dx * dx + dy * dy).sqrt();
     if here < 0.4 || (away > 1.5 && best > here + 0.05) {
         return if best < 0.4 && energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * n {
             Tile::Silent

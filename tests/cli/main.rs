@@ -1,0 +1,9 @@
+//! The contract of the program (docs: exit codes, streams, files, report), held through the binary.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod names;
+mod refusals;
+mod report;
+mod streams;

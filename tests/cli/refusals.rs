@@ -1,0 +1,200 @@
+//! What cannot be done is refused: the file and the remedy on stderr, the right code, nothing on stdout, nothing left behind.
+
+use crate::support::{Folder, jpeg, small, small_jpeg};
+use std::fs;
+
+/// Runs `line` in `folder`, and holds what every refusal has in common; `said` are parts of the message.
+fn refused(folder: &Folder, line: &str, code: i32, said: &[&str]) {
+    let before = folder.listing();
+    let run = folder.line(line);
+    assert_eq!(run.code, code, "{line}\n{}", run.stderr);
+    assert_eq!(run.stdout, "", "{line}");
+    assert_eq!(folder.listing(), before, "{line}: something was left behind, or lost");
+    for part in said {
+        assert!(run.stderr.contains(part), "{line}\n{}does not say {part:?}", run.stderr);
+    }
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    refused(
+        &Folder::with_bracket(),
+        "merge w1.jpg gone.jpg -o a.exr",
+        1,
+        &["gone.jpg", "cannot be read", "check the name"],
+    );
+}
+
+#[test]
+fn a_truncated_jpeg_is_named_and_to_be_copied_again() {
+    let folder = Folder::with_bracket();
+    let whole = small_jpeg(2);
+    // Halfway through, near the end of the picture, and in the headers before it.
+    for length in [whole.len() / 2, whole.len() * 9 / 10, 300] {
+        folder.put("cut.jpg", &whole[..length]);
+        refused(&folder, "merge w1.jpg cut.jpg -o a.exr -o a.png", 1, &["cut.jpg", "JPEG", "copy the file again"]);
+    }
+}
+
+#[test]
+fn a_text_called_jpg_is_named_for_what_it_is() {
+    let folder = Folder::with_bracket();
+    folder.put("notes.jpg", b"Dear diary, today I took no photograph.\n");
+    refused(&folder, "merge w1.jpg notes.jpg -o a.exr", 1, &["notes.jpg", "text", "leave it out"]);
+    folder.put("empty.jpg", b"");
+    refused(&folder, "merge w1.jpg empty.jpg -o a.exr", 1, &["empty.jpg", "empty"]);
+}
+
+#[test]
+fn one_photograph_is_no_bracket() {
+    refused(&Folder::with_bracket(), "merge w1.jpg", 2, &["at least two", "1 given", "hdralign merge IMG_1.jpg"]);
+}
+
+#[test]
+fn two_sizes_are_refused_with_both() {
+    let folder = Folder::with_bracket();
+    let part = image::imageops::crop_imm(&small(2), 0, 0, 280, 200).to_image();
+    folder.put("narrow.jpg", &jpeg(&part, Some(2)));
+    refused(
+        &folder,
+        "merge w1.jpg narrow.jpg -o a.exr",
+        1,
+        &["narrow.jpg", "280x200", "w1.jpg", "300x200", "one size"],
+    );
+}
+
+#[test]
+fn one_file_twice_is_seen_by_any_name() {
+    let folder = Folder::with_bracket();
+    refused(&folder, "merge w1.jpg w2.jpg w1.jpg", 2, &["w1.jpg", "same file", "once"]);
+    refused(&folder, "merge w1.jpg w2.jpg ./w1.jpg", 2, &["./w1.jpg", "same file"]);
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(folder.at("w1.jpg"), folder.at("link.jpg")).expect("a link");
+        refused(&folder, "merge w1.jpg w2.jpg link.jpg", 2, &["link.jpg", "same file", "w1.jpg"]);
+    }
+}
+
+#[test]
+fn an_output_in_no_folder_is_refused_before_any_work() {
+    let folder = Folder::with_bracket();
+    let bad = "merge w1.jpg w2.jpg -o a.exr -o";
+    refused(&folder, &format!("{bad} none/a.png"), 1, &["none/a.png", "does not exist", "mkdir -p none"]);
+    refused(&folder, &format!("{bad} w3.jpg/a.png"), 1, &["w3.jpg/a.png", "not a folder"]);
+    fs::create_dir(folder.at("sub.png")).expect("a folder");
+    refused(&folder, &format!("{bad} sub.png"), 1, &["sub.png", "it is a folder"]);
+    // Work has not begun: the photographs, of which one is missing, have not been looked at.
+    refused(&folder, "merge w1.jpg gone.jpg -o none/a.png", 1, &["none/a.png"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_folder_that_cannot_be_written_is_named() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::with_bracket();
+    let locked = folder.at("locked");
+    fs::create_dir(&locked).expect("a folder");
+    fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).expect("permissions");
+    // For root every folder can be written; then there is nothing to see here, and the test before this one has seen the rest.
+    if fs::write(locked.join("probe"), "").is_err() {
+        refused(&folder, "merge w2.jpg w3.jpg -o a.exr -o locked/a.png", 1, &["locked/a.png", "permissions"]);
+        assert_eq!(fs::read_dir(&locked).expect("the folder").count(), 0);
+    }
+    fs::set_permissions(&locked, fs::Permissions::from_mode(0o755)).expect("permissions");
+}
+
+#[test]
+fn what_exists_is_kept_unless_forced() {
+    let folder = Folder::with_bracket();
+    folder.put("old.png", b"precious");
+    let line = "merge w2.jpg w3.jpg -o new.exr -o old.png";
+    refused(&folder, line, 1, &["old.png", "exists already", "--force"]);
+    assert_eq!(folder.bytes("old.png"), b"precious");
+    folder.put("r.json", b"precious");
+    refused(&folder, "merge w2.jpg w3.jpg -o new.exr --report r.json", 1, &["r.json", "--force"]);
+    refused(&folder, "align w2.jpg w3.jpg --report r.json", 1, &["r.json", "--force"]);
+    refused(&folder, "merge w2.jpg w3.jpg -o new.exr --save-response r.json", 1, &["r.json", "--force"]);
+    folder.line(&format!("{line} --force")).done();
+    let picture = image::load_from_memory(&folder.bytes("old.png")).expect("replaced by a picture");
+    assert!(picture.width() > 200);
+}
+
+#[test]
+fn an_extension_that_is_not_written_is_told_which_are() {
+    let folder = Folder::with_bracket();
+    refused(&folder, "merge w1.jpg w2.jpg -o a.bmp", 2, &["a.bmp", ".exr", ".hdr", ".tif", ".png"]);
+    refused(&folder, "merge w1.jpg w2.jpg -o a.exr -o noextension", 2, &["noextension", ".exr"]);
+}
+
+#[test]
+fn an_output_is_never_an_input() {
+    let folder = Folder::empty();
+    for i in 2..=3 {
+        small(i).save(folder.at(format!("w{i}.png"))).expect("a PNG");
+    }
+    let before = folder.bytes("w3.png");
+    for name in ["w3.png", "./w3.png"] {
+        let line = format!("merge -e=-1,1 w2.png w3.png --force -o {name}");
+        refused(&folder, &line, 2, &[name, "one of the photographs", "another name"]);
+    }
+    assert_eq!(folder.bytes("w3.png"), before);
+    refused(&folder, "merge -e=-1,1 w2.png w3.png -o a.exr -o ./a.exr", 2, &["a.exr", "named twice"]);
+}
+
+#[test]
+fn options_with_values_that_cannot_be_used_are_wrong_usage() {
+    let folder = Folder::with_bracket();
+    for (options, said) in [
+        ("-e 1", &["-e", "1 exposures for 2 photographs", "one for each"][..]),
+        ("-e=0,1,2", &["-e", "3 exposures for 2 photographs"]),
+        ("-e=0,x", &["--ev", "'x'"]),
+        ("--reference 9", &["--reference", "9", "1 to 2"]),
+        ("--reference 0", &["--reference", "0", "1 to 2"]),
+        ("--reference other.jpg", &["--reference", "other.jpg"]),
+        ("--threads 0", &["--threads", "1 or more"]),
+        ("--threads many", &["--threads", "many"]),
+        ("--max-rotation 90", &["--max-rotation", "0..45"]),
+        ("--align best", &["--align", "best", "auto"]),
+        ("--crop all", &["--crop", "all", "common"]),
+        ("--unknown", &["--unknown"]),
+        ("--quiet --verbose", &["--quiet", "--verbose"]),
+    ] {
+        for command in ["merge", "align"] {
+            refused(&folder, &format!("{command} w2.jpg w3.jpg {options}"), 2, said);
+        }
+    }
+    for (line, said) in [
+        ("", &["Usage"][..]),
+        ("melt w2.jpg w3.jpg", &["melt"]),
+        ("merge", &["IMAGES"]),
+        ("merge w2.jpg w3.jpg --weight heavy", &["--weight", "heavy", "hat"]),
+        ("merge w2.jpg w3.jpg --response r.json --response-model srgb", &["--response"]),
+    ] {
+        refused(&folder, line, 2, said);
+    }
+}
+
+#[test]
+fn a_response_file_that_is_none_is_named() {
+    let folder = Folder::with_bracket();
+    folder.put("r.json", b"{\"schema\": \"something/7\"}");
+    refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response r.json", 1, &["r.json", "no usable response file"]);
+    refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response gone.json", 1, &["gone.json"]);
+}
+
+#[test]
+fn without_exif_the_exposures_are_estimated_and_strict_says_so() {
+    let folder = Folder::empty();
+    for i in 2..=4 {
+        folder.put(&format!("w{i}.jpg"), &jpeg(&small(i), None));
+    }
+    let line = "merge w2.jpg w3.jpg w4.jpg -o a.exr";
+    let run = folder.line(line).done();
+    assert!(run.stderr.contains("warning: ") && run.stderr.contains("estimated from the pixels"), "{}", run.stderr);
+    assert!(run.stderr.contains("-e"), "no remedy: {}", run.stderr);
+    let strict = folder.line(&format!("{line} --strict --force"));
+    assert_eq!((strict.code, strict.stdout.as_str()), (3, "a.exr\n"), "{}", strict.stderr);
+    let given = folder.line(&format!("{line} --strict --force -e=-2,0,2"));
+    assert_eq!(given.code, 0, "{}", given.stderr);
+    assert!(!given.stderr.contains("estimated"), "{}", given.stderr);
+}

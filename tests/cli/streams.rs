@@ -1,0 +1,70 @@
+//! stdout carries results alone; stderr everything else, and `-q` nothing but errors.
+
+use crate::support::Folder;
+use serde_json::Value;
+
+#[test]
+fn stdout_is_the_paths_written_one_a_line() {
+    let folder = Folder::with_bracket();
+    let run =
+        folder.line("merge w2.jpg w3.jpg w4.jpg -o b.hdr -o a.exr -o c.png -o d.tif --save-response r.json").done();
+    assert_eq!(run.stdout, "b.hdr\na.exr\nc.png\nd.tif\nr.json\n");
+    for path in run.stdout.lines() {
+        assert!(folder.at(path).is_file(), "{path} is not there");
+    }
+    assert_eq!(folder.line("align w2.jpg w3.jpg").done().stdout, "", "nothing was written");
+}
+
+#[test]
+fn stdout_is_json_alone_when_asked_for() {
+    let folder = Folder::with_bracket();
+    for command in ["align", "merge -o a.exr"] {
+        let run = folder.line(&format!("{command} w2.jpg w3.jpg w4.jpg --json")).done();
+        // A single value, to the last byte: anything before or after it is an error of the parser.
+        let json: Value =
+            serde_json::from_str(&run.stdout).unwrap_or_else(|e| panic!("{command}: {e}\n{}", run.stdout));
+        assert_eq!(json["schema"], "hdralign-report/1");
+        assert_eq!(json["frames"].as_array().map(Vec::len), Some(3));
+    }
+}
+
+#[test]
+fn quiet_leaves_stderr_empty_even_of_warnings() {
+    let folder = Folder::with_bracket();
+    let line = "merge w2.jpg w3.jpg w4.jpg -o a.exr --force";
+    assert_ne!(folder.line(line).done().stderr, "", "a summary");
+    let quiet = folder.line(&format!("{line} -q")).done();
+    assert_eq!((quiet.stderr.as_str(), quiet.stdout.as_str()), ("", "a.exr\n"));
+    let errors = folder.line("merge w2.jpg gone.jpg -q -o b.exr");
+    assert!(errors.code == 1 && errors.stderr.contains("gone.jpg"), "{errors:?}");
+}
+
+#[test]
+fn no_bar_is_drawn_where_stderr_is_no_terminal() {
+    let folder = Folder::with_bracket();
+    for options in ["", "-v"] {
+        let run = folder.line(&format!("merge w2.jpg w3.jpg w4.jpg -o a.exr --force {options}")).done();
+        let drawn = run.stderr.contains(['\r', '\u{1b}', '\u{8}']) || run.stderr.contains("[=");
+        assert!(!drawn, "{:?}", run.stderr);
+        assert!(run.stderr.ends_with('\n'));
+    }
+}
+
+#[test]
+fn verbose_has_a_line_for_each_frame() {
+    let folder = Folder::with_bracket();
+    let run = folder.line("align w2.jpg w3.jpg w4.jpg -v").done();
+    for name in ["w2.jpg: ", "w3.jpg: ", "w4.jpg: "] {
+        assert_eq!(run.stderr.lines().filter(|l| l.starts_with(name)).count(), 1, "{}", run.stderr);
+    }
+}
+
+#[test]
+fn help_and_version_are_results() {
+    let folder = Folder::empty();
+    for line in ["--help", "merge --help", "align --help", "--version"] {
+        let run = folder.line(line).done();
+        assert!(run.stderr.is_empty() && run.stdout.contains("hdralign"), "{line}: {run:?}");
+    }
+    assert!(folder.line("--help").stdout.contains("Exit codes:"));
+}

@@ -1,0 +1,66 @@
+//! The same bytes for the same photographs, on any number of threads and in any order.
+
+mod support;
+
+use serde_json::Value;
+use std::fs;
+use support::{FRAMES, Folder, jpeg, shrink, window};
+
+/// Every format that is written, and the response.
+const OUTPUTS: [&str; 5] = ["a.exr", "a.hdr", "a.tif", "a.png", "response.json"];
+
+/// At half size (600 x 400 pixels: seven bands of rows, the last of them short), so that each run takes about a second.
+fn folder() -> Folder {
+    let folder = Folder::empty();
+    for i in 1..=FRAMES {
+        let picture = image::open(window(i)).expect("a frame of testdata/window").to_rgb8();
+        folder.put(&format!("w{i}.jpg"), &jpeg(&shrink(&picture, 2), Some(i)));
+    }
+    folder
+}
+
+/// The bytes of all outputs, and the report without what is a clock's.
+fn results(folder: &Folder, order: [usize; FRAMES], options: &str) -> (Vec<Vec<u8>>, Value) {
+    let images = order.map(|i| format!("w{i}.jpg")).join(" ");
+    let outputs = "-o a.exr -o a.hdr -o a.tif -o a.png --save-response response.json";
+    folder.line(&format!("merge {images} {outputs} --report r.json --force {options}")).done();
+    let bytes = OUTPUTS.map(|name| folder.bytes(name)).to_vec();
+    assert!(bytes.iter().all(|b| b.len() > 1000));
+    let mut report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
+    report["time_s"].take();
+    OUTPUTS.iter().chain(["r.json"].iter()).for_each(|name| fs::remove_file(folder.at(name)).expect("written anew"));
+    (bytes, report)
+}
+
+fn assert_same(what: &str, (bytes, report): &(Vec<Vec<u8>>, Value), (others, other): &(Vec<Vec<u8>>, Value)) {
+    for (name, (a, b)) in OUTPUTS.iter().zip(bytes.iter().zip(others)) {
+        let first = a.iter().zip(b).position(|(a, b)| a != b);
+        assert!(a == b, "{what}: {name} differs: {} and {} bytes, first at {first:?}", a.len(), b.len());
+    }
+    assert_eq!(report, other, "{what}: the report");
+}
+
+#[test]
+fn neither_threads_nor_the_order_of_the_photographs_change_a_byte() {
+    let folder = folder();
+    let one = results(&folder, [1, 2, 3, 4, 5], "--threads 1");
+    assert_eq!(one.1["frames"].as_array().map(Vec::len), Some(FRAMES));
+    assert_same("2 threads", &one, &results(&folder, [1, 2, 3, 4, 5], "--threads 2"));
+    assert_same("7 threads", &one, &results(&folder, [1, 2, 3, 4, 5], "--threads 7"));
+    assert_same("another order", &one, &results(&folder, [4, 1, 5, 3, 2], "--threads 3"));
+}
+
+/// Features and their matching run only where bitmaps leave a doubt: here they must.
+#[test]
+fn neither_threads_nor_the_order_change_what_features_find() {
+    let folder = folder();
+    let one = results(&folder, [1, 2, 3, 4, 5], "--align sift --threads 1");
+    let inliers = |f: &Value| f["alignment"]["inliers"].as_u64().is_some_and(|n| n > 10);
+    let frames = one.1["frames"].as_array().expect("a list");
+    assert!(
+        frames.iter().filter(|f| inliers(f)).count() >= 3,
+        "features found too little for this test to say anything"
+    );
+    let other = results(&folder, [5, 4, 1, 3, 2], "--align sift --threads 7");
+    assert_same("7 threads in another order", &one, &other);
+}
