@@ -169,7 +169,7 @@ fn trusts(map: &IntensityMap) -> [f32; 256] {
         while darker < 255.0 && map.at(darker) < level as f32 {
             darker += 0.25;
         }
-        let usable = |l: f32| l >= CLIP_MARGIN && l <= 255.0 - CLIP_MARGIN;
+        let usable = |l: f32| (CLIP_MARGIN..=255.0 - CLIP_MARGIN).contains(&l);
         if usable(level as f32) && darker >= DARKEST {
             let slope = map.slope(darker);
             *trust = 1.0 / (1.0 + slope * slope);
