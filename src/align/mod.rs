@@ -19,6 +19,8 @@ mod place;
 pub mod ransac;
 pub mod refine;
 pub mod resample;
+#[cfg(test)]
+pub(crate) mod scene;
 pub mod sift;
 pub mod warp;
 

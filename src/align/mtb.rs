@@ -409,3 +409,6 @@ fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
     let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
     size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))
 }
+
+#[cfg(test)]
+mod tests;

@@ -274,3 +274,6 @@ fn repeated(plain: &Features, mtb: &Features) -> usize {
         })
         .count()
 }
+
+#[cfg(test)]
+mod tests;

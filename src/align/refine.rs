@@ -395,3 +395,6 @@ impl Basis {
         Some((sum / (GRID * GRID) as f64).sqrt())
     }
 }
+
+#[cfg(test)]
+mod tests;
