@@ -348,7 +348,9 @@ impl Search<'_> {
         self.try_rivals(&mut best);
         self.try_neighbours(&mut best);
         let mut verdicts = self.each(|i| {
-            let Some(candidate) = best[i].clone().filter(|c| c.confidence() >= LEAST_CONFIDENCE) else {
+            let Some(candidate) =
+                best[i].clone().filter(|c| c.agreement.confirm > 0 && c.confidence() >= LEAST_CONFIDENCE)
+            else {
                 let confidence = best[i].as_ref().map_or(0.0, Candidate::confidence);
                 return rejected(why(best[i].as_ref()), confidence, &found[i]);
             };
