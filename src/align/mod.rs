@@ -507,3 +507,6 @@ fn rejected(reason: String, confidence: f64, found: &Found) -> Verdict {
         reason: Some(reason),
     }
 }
+
+#[cfg(test)]
+mod tests;
