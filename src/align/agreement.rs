@@ -185,3 +185,6 @@ fn vertex<const N: usize>(c: &[[f32; N]; N], at: (usize, usize), along_x: bool) 
     let bend = a - 2.0 * b + d;
     if bend < 0.0 { (0.5 * (a - d) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests;

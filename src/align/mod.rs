@@ -19,6 +19,8 @@ mod place;
 pub mod ransac;
 pub mod refine;
 pub mod resample;
+#[cfg(test)]
+pub(crate) mod scene;
 mod search;
 pub mod sift;
 pub mod warp;
@@ -115,6 +117,18 @@ pub enum Model {
     Rigid,
     /// Any view of a plane, or any turn of the camera: eight numbers.
     Homography,
+}
+
+impl Model {
+    /// The model that `warp` is of.
+    pub fn of(warp: &Warp) -> Self {
+        match *warp {
+            Warp::Identity => Model::Unmoved,
+            Warp::Rigid { angle: 0.0, .. } => Model::Shift,
+            Warp::Rigid { .. } => Model::Rigid,
+            Warp::Homography(_) => Model::Homography,
+        }
+    }
 }
 
 /// Keypoints found in a frame.
@@ -252,3 +266,6 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     }
     warnings
 }
+
+#[cfg(test)]
+mod tests;

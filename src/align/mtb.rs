@@ -184,8 +184,11 @@ pub struct MtbMatch {
 }
 
 impl MtbMatch {
-    /// The motion as a warp.
+    /// The motion as a warp: the identity where there is none.
     pub fn warp(&self) -> Warp {
+        if self.motion == Motion::default() {
+            return Warp::Identity;
+        }
         Warp::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
     }
 }
@@ -409,3 +412,6 @@ fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
     let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
     size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))
 }
+
+#[cfg(test)]
+mod tests;

@@ -249,7 +249,7 @@ pub(super) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
 }
 
 /// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
-pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candidate) -> (Model, Candidate) {
+pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candidate) -> Candidate {
     let (width, height) = (reference.level(0).width(), reference.level(0).height());
     let finest = level_within(reference, REFINED_PIXELS);
     let still = distance(&whole.warp, &Warp::Identity, width, height);
@@ -257,7 +257,7 @@ pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candid
         let unmoved = judge(reference, frame, Warp::Identity, 0.0);
         if unmoved.agreement.share() >= whole.agreement.share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
-            return (Model::Unmoved, Candidate { error_px, corroborated: whole.corroborated, ..unmoved });
+            return Candidate { error_px, corroborated: whole.corroborated, ..unmoved };
         }
     }
     for model in [Model::Shift, Model::Rigid] {
@@ -276,11 +276,11 @@ pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candid
             if candidate.agreement.share() >= whole.agreement.share() - 0.02
                 && candidate.agreement.offset <= whole.agreement.offset + 0.01
             {
-                return (model, candidate);
+                return candidate;
             }
         }
     }
-    (Model::Homography, whole)
+    whole
 }
 
 /// The features of a frame, on the level of [`features_level`].
@@ -323,3 +323,6 @@ fn repeated(plain: &Features, mtb: &Features) -> usize {
         })
         .count()
 }
+
+#[cfg(test)]
+mod tests;

@@ -228,6 +228,9 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
     let reference = &both.reference;
     let (width, height) = (reference.width(), reference.height());
     let mut points = Vec::new();
+    if width <= 2 * BORDER {
+        return points;
+    }
     for top in (BORDER..height.saturating_sub(BORDER)).step_by(cell) {
         let mut best: Vec<(f32, usize, usize)> = vec![(0.0, 0, 0); (width - 2 * BORDER).div_ceil(cell)];
         for y in top..(top + cell).min(height - BORDER) {
@@ -404,3 +407,6 @@ impl Basis {
         Some((sum / (GRID * GRID) as f64).sqrt())
     }
 }
+
+#[cfg(test)]
+mod tests;

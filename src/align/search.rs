@@ -15,7 +15,7 @@ const LEAST_CONFIDENCE: f64 = 0.35;
 /// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
 const LEAST_VOICES: usize = 3;
 /// Confidence in a frame that says nothing itself, where all the others are unmoved.
-const BY_COMPANY: f64 = 0.6;
+pub(super) const BY_COMPANY: f64 = 0.6;
 /// Fewest matches that make a motion: a homography needs four, chance may add as many.
 const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features that lead to places no farther apart bear each other out, in pixels of the full size for each 1000 of the
@@ -50,12 +50,7 @@ impl Search<'_> {
     pub(super) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
             let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
-            let (model, warp) = match found.warp() {
-                Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 } => (Model::Unmoved, Warp::Identity),
-                warp @ Warp::Rigid { angle: 0.0, .. } => (Model::Shift, warp),
-                warp => (Model::Rigid, warp),
-            };
-            placed(model, &place::judge(self.base(), &self.pyramids[i], warp, 0.0), Found::default())
+            placed(&place::judge(self.base(), &self.pyramids[i], found.warp(), 0.0), Found::default())
         })
     }
 
@@ -67,7 +62,7 @@ impl Search<'_> {
             match self.consensus(&sets[self.reference], &sets[i]) {
                 Some((warp, inliers)) if inliers >= LEAST_INLIERS => {
                     let candidate = place::judge(self.base(), &self.pyramids[i], warp, 0.0);
-                    placed(Model::Homography, &candidate, Found { inliers: Some(inliers), keypoints })
+                    placed(&candidate, Found { inliers: Some(inliers), keypoints })
                 }
                 other => {
                     let inliers = other.map_or(0, |c| c.1);
@@ -94,8 +89,7 @@ impl Search<'_> {
             .into_par_iter()
             .map(|i| {
                 let candidate = first[i].as_ref().filter(|c| c.is_settled())?;
-                let (model, candidate) = place::reduce(self.base(), &self.pyramids[i], candidate.clone());
-                Some(placed(model, &candidate, Found::default()))
+                Some(placed(&place::reduce(self.base(), &self.pyramids[i], candidate.clone()), Found::default()))
             })
             .collect();
         let doubtful = (0..settled.len()).any(|i| i != self.reference && settled[i].is_none());
@@ -214,8 +208,8 @@ impl Search<'_> {
         }
         match best {
             Some((b, candidate)) if is_a_place(&candidate) => {
-                let (model, reduced) = place::reduce(&bases[b].pyramid, frame, candidate);
-                placed(model, &bases[b].discount(reduced), found)
+                let reduced = place::reduce(&bases[b].pyramid, frame, candidate);
+                placed(&bases[b].discount(reduced), found)
             }
             other => {
                 let candidate = other.map(|(_, c)| c);
@@ -247,7 +241,7 @@ impl Search<'_> {
                 let here = place::judge(self.base(), &self.pyramids[i], Warp::Identity, 0.0);
                 if here.agreement.contradict <= here.agreement.confirm {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
-                    *verdict = placed(Model::Unmoved, &here, found);
+                    *verdict = placed(&here, found);
                     verdict.confidence = verdict.confidence.max(BY_COMPANY);
                 }
             }
@@ -293,7 +287,8 @@ fn why(candidate: Option<&Candidate>) -> String {
     }
 }
 
-fn placed(model: Model, candidate: &Candidate, found: Found) -> Verdict {
+fn placed(candidate: &Candidate, found: Found) -> Verdict {
+    let model = Model::of(&candidate.warp);
     Verdict {
         status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
         model: Some(model),

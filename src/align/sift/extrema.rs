@@ -2,6 +2,7 @@
 
 use super::SiftOptions;
 use super::scale_space::{Octave, ScaleSpace};
+use crate::align::features::Keypoint;
 use crate::plane::{Plane, map_bands};
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,6 +16,25 @@ pub(super) struct Extremum {
     pub(super) sigma: f64,
     /// |D| at the extremum.
     pub(super) response: f32,
+}
+
+impl Extremum {
+    /// The picture in which its surroundings are looked at: the Gaussian of its scale.
+    pub(super) fn level<'a>(&self, space: &'a ScaleSpace) -> &'a Plane<f32> {
+        &space.octaves[self.octave].gaussians[self.interval]
+    }
+
+    /// The extremum as a point of the picture.
+    pub(super) fn keypoint(&self, space: &ScaleSpace, angle: f32) -> Keypoint {
+        let step = space.step(self.octave);
+        Keypoint {
+            x: (self.x * step) as f32,
+            y: (self.y * step) as f32,
+            scale: (self.sigma * step) as f32,
+            angle,
+            response: self.response,
+        }
+    }
 }
 
 /// Samples nearest the border that are not looked at.

@@ -47,14 +47,14 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     });
     let space = ScaleSpace::new(&base, options);
     let mut found = extrema::find(&space, options);
-    spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| space.keypoint(e, 0.0));
+    spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| e.keypoint(&space, 0.0));
     let described: Vec<Vec<(Keypoint, super::features::Descriptor)>> = found
         .par_iter()
         .map(|extremum| {
-            let level = space.level_of(extremum);
+            let level = extremum.level(&space);
             orientation::assign(level, extremum)
                 .into_iter()
-                .map(|angle| (space.keypoint(extremum, angle), descriptor::describe(level, extremum, angle)))
+                .map(|angle| (extremum.keypoint(&space, angle), descriptor::describe(level, extremum, angle)))
                 .collect()
         })
         .collect();

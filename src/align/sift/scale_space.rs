@@ -1,8 +1,6 @@
 //! The scale space: octaves of ever smoother pictures, and the differences between neighbours (Lowe 2004, section 3).
 
 use super::SiftOptions;
-use super::extrema::Extremum;
-use crate::align::features::Keypoint;
 use crate::plane::Plane;
 use crate::pyramid::{double, every_second, gaussian};
 
@@ -51,25 +49,8 @@ impl ScaleSpace {
     }
 
     /// Pixels of the picture for a pixel of octave `octave`.
-    fn step(&self, octave: usize) -> f64 {
+    pub(super) fn step(&self, octave: usize) -> f64 {
         self.first_step * (1u64 << octave) as f64
-    }
-
-    /// The picture in which the surroundings of `extremum` are looked at: the Gaussian of its scale.
-    pub(super) fn level_of(&self, extremum: &Extremum) -> &Plane<f32> {
-        &self.octaves[extremum.octave].gaussians[extremum.interval]
-    }
-
-    /// The extremum as a point of the picture.
-    pub(super) fn keypoint(&self, extremum: &Extremum, angle: f32) -> Keypoint {
-        let step = self.step(extremum.octave);
-        Keypoint {
-            x: (extremum.x * step) as f32,
-            y: (extremum.y * step) as f32,
-            scale: (extremum.sigma * step) as f32,
-            angle,
-            response: extremum.response,
-        }
     }
 
     /// sigma at a fractional interval, in pixels of its octave.

@@ -1,0 +1,163 @@
+//! How long each stage takes, in elements (pixels) a second: `cargo bench --bench stages`, with a name to choose one.
+//!
+//! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use hdralign::align::agreement::measure;
+use hdralign::align::features::{Features, match_mutual};
+use hdralign::align::homography::Pair;
+use hdralign::align::intensity_map::CommonExposure;
+use hdralign::align::mtb::{self, GreyPyramid, MtbOptions, Percentile};
+use hdralign::align::ransac::{self, RansacOptions};
+use hdralign::align::refine::refine;
+use hdralign::align::resample::resample_rows;
+use hdralign::align::sift::{SiftOptions, detect};
+use hdralign::align::{AlignOptions, Alignment, Model, align};
+use hdralign::bracket::{Bracket, Frame, LoadOptions, ReferenceChoice, Samples, load};
+use hdralign::merge::{MergeOptions, merge, weight::Weight};
+use hdralign::pipeline;
+use hdralign::response::{ResponseCurve, ResponseModel, recover};
+use hdralign::tonemap::{Operator, tonemap};
+use hdralign::write::{self, Metadata};
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+fn paths() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/window");
+    (1..=5).map(|i| folder.join(format!("window_{i}.jpg"))).collect()
+}
+
+/// The bracket as it is, 0.96 MP.
+fn small() -> Bracket {
+    load(&paths(), &LoadOptions::default()).expect("testdata/window loads").0
+}
+
+/// `frame` with its mirror images to the right and below: four times the pixels.
+fn mirrored(frame: &Frame) -> Frame {
+    let (width, height) = (frame.width(), frame.height());
+    let Samples::Eight(codes) = frame.samples() else { panic!("testdata/window is of 8 bit") };
+    let fold = |i: usize, n: usize| if i < n { i } else { 2 * n - 1 - i };
+    let mut four = Vec::with_capacity(4 * codes.len());
+    for y in 0..2 * height {
+        for x in 0..2 * width {
+            let at = 3 * (fold(y, height) * width + fold(x, width));
+            four.extend_from_slice(&codes[at..at + 3]);
+        }
+    }
+    let mut large =
+        Frame::new(frame.path().into(), 2 * width, 2 * height, Samples::Eight(four), frame.exposure.clone());
+    large.profile.clone_from(&frame.profile);
+    large
+}
+
+fn large() -> Bracket {
+    let frames = small().frames().iter().map(mirrored).collect();
+    Bracket::new(frames, &ReferenceChoice::Number(3)).expect("frames of one size")
+}
+
+fn pixels(bracket: &Bracket) -> u64 {
+    (bracket.width() * bracket.height()) as u64
+}
+
+fn alignment(c: &mut Criterion) {
+    let bracket = large();
+    let [reference, frame] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey()));
+    let all = pixels(&bracket);
+    let mut group = c.benchmark_group("align");
+    group.throughput(Throughput::Elements(all));
+    group.bench_function("grey pyramid", |b| b.iter(|| GreyPyramid::new(black_box(&bracket.frames()[2]).grey())));
+    group.bench_function("bitmaps", |b| b.iter(|| black_box(&reference).bitmaps(0, Percentile::Median, 4)));
+    let options = MtbOptions::default();
+    group.bench_function("mtb search", |b| b.iter(|| mtb::search(black_box(&reference), &frame, 0, &options)));
+    let start = mtb::search(&reference, &frame, 0, &options).warp();
+    for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
+        group.bench_function(name, |b| b.iter(|| refine(&reference, &frame, black_box(&start), model, (3, 0))));
+    }
+    let h = start.matrix(bracket.width(), bracket.height());
+    group.bench_function("common exposure", |b| {
+        b.iter(|| CommonExposure::new(reference.level(0), frame.level(0), black_box(&h), 1.0));
+    });
+    let both = CommonExposure::new(reference.level(0), frame.level(0), &h, 1.0);
+    group.bench_function("agreement", |b| b.iter(|| measure(&both, black_box(&h))));
+    let mut out = vec![[0.0f32; 3]; all as usize];
+    group.bench_function("resample", |b| {
+        b.iter(|| {
+            let (columns, rows) = (0..bracket.width(), 0..bracket.height());
+            resample_rows(&bracket.frames()[3], black_box(&start), columns, rows, &mut out);
+        });
+    });
+    group.throughput(Throughput::Elements(5 * all));
+    group.bench_function("whole bracket", |b| b.iter(|| align(black_box(&bracket), &AlignOptions::default())));
+}
+
+fn features(c: &mut Criterion) {
+    // On the level on which the ladder seeks them.
+    let bracket = small();
+    let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey()));
+    let options = SiftOptions::default();
+    let mut group = c.benchmark_group("features");
+    let level = first.level(1);
+    group.throughput(Throughput::Elements((level.width() * level.height()) as u64));
+    group.bench_function("sift", |b| b.iter(|| detect(black_box(level), &options)));
+    let sets: [Features; 2] = [detect(level, &options), detect(second.level(1), &options)];
+    group.throughput(Throughput::Elements(sets[0].len() as u64));
+    group.bench_function("match", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, None)));
+    let place = |set: &Features, i: usize| [f64::from(set.keypoints[i].x), f64::from(set.keypoints[i].y)];
+    let pairs: Vec<Pair> = match_mutual(&sets[0], &sets[1], 0.8, None)
+        .iter()
+        .map(|m| (place(&sets[0], m.reference), place(&sets[1], m.frame)))
+        .collect();
+    group.throughput(Throughput::Elements(pairs.len() as u64));
+    group.bench_function("ransac", |b| b.iter(|| ransac::search(black_box(&pairs), &RansacOptions::default())));
+}
+
+fn radiance(c: &mut Criterion) {
+    let bracket = large();
+    let placed = Alignment::unmoved(&bracket);
+    let all = pixels(&bracket);
+    let mut group = c.benchmark_group("radiance");
+    group.throughput(Throughput::Elements(5 * all));
+    group.bench_function("response", |b| b.iter(|| recover(black_box(&bracket), &placed, &ResponseModel::default())));
+    let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
+    let curve = ResponseCurve::srgb();
+    group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options)));
+    let (map, _) = merge(&bracket, &placed, &curve, &options).expect("a whole region");
+    group.throughput(Throughput::Elements(all));
+    group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
+    let picture = tonemap(&map, &Operator::default());
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let metadata = Metadata::of(bracket.reference());
+    for name in ["a.exr", "a.hdr", "a.tif", "a.png"] {
+        let path = [folder.path().join(name)];
+        // Dropped, the file is gone: what is measured is the encoding and the system's buffers.
+        group.bench_function(format!("write {}", &name[2..]), |b| {
+            b.iter(|| write::write(&path, black_box(&map), &picture, &metadata, &write::Options::default()));
+        });
+    }
+}
+
+fn line(c: &mut Criterion) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let images = paths();
+    let options = pipeline::Options {
+        outputs: vec![folder.path().join("w.exr"), folder.path().join("w.png")],
+        write: write::Options { overwrite: true, ..write::Options::default() },
+        ..pipeline::Options::default()
+    };
+    let mut group = c.benchmark_group("line");
+    group.throughput(Throughput::Elements(5 * pixels(&small())));
+    group.bench_function("window", |b| {
+        b.iter(|| pipeline::run(black_box(&images), &options, &|_| ()).expect("the window merges"));
+    });
+}
+
+criterion_group! {
+    name = stages;
+    config = Criterion::default()
+        .sample_size(10)
+        .warm_up_time(Duration::from_millis(300))
+        .measurement_time(Duration::from_secs(2));
+    targets = alignment, features, radiance, line
+}
+criterion_main!(stages);

@@ -1,0 +1,166 @@
+//! The percentiles, and the search against motions that are known and against the textbook's loop.
+
+use super::super::scene::{Scene, Shot, photograph, rigid, shift, uniform};
+use super::*;
+
+fn plane(values: &[(u8, usize)]) -> Plane<u8> {
+    let data: Vec<u8> = values.iter().flat_map(|&(v, n)| std::iter::repeat_n(v, n)).collect();
+    Plane::from_vec(data.len(), 1, data)
+}
+
+fn histogram(values: &[(u8, usize)]) -> Histogram {
+    Histogram::of(&plane(values))
+}
+
+#[test]
+fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
+    // 0, 1, ..., 99: of a hundred pixels the 17th, 50th and 83rd in order.
+    let ramp: Vec<(u8, usize)> = (0..100).map(|v| (v, 1)).collect();
+    let levels = [Percentile::Low, Percentile::Median, Percentile::High].map(|p| histogram(&ramp).level(p));
+    assert_eq!(levels, [16, 49, 82]);
+    // A tie goes to the lower level, one pixel more tips it.
+    assert_eq!(histogram(&[(10, 50), (20, 50)]).level(Percentile::Median), 10);
+    assert_eq!(histogram(&[(10, 50), (20, 51)]).level(Percentile::Median), 20);
+    for end in [0, 255] {
+        for p in [Percentile::Low, Percentile::Median, Percentile::High] {
+            assert_eq!(histogram(&[(end, 7)]).level(p), end);
+            assert_eq!(histogram(&[(end, 1)]).level(p), end);
+        }
+    }
+}
+
+#[test]
+fn the_median_gives_way_where_it_is_burnt_out_or_black() {
+    let spread: Vec<(u8, usize)> = (40..140).map(|v| (v, 4)).collect();
+    let normal = histogram(&spread);
+    let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
+    let (burnt, black) = (with(255), with(0));
+    assert_eq!(own_percentile(&normal, 4), Percentile::Median);
+    assert_eq!(own_percentile(&burnt, 4), Percentile::Low);
+    assert_eq!(own_percentile(&black, 4), Percentile::High);
+    // Of a pair both must have something to say, in either order.
+    for (other, expected) in [(&normal, Percentile::Median), (&burnt, Percentile::Low), (&black, Percentile::High)] {
+        assert_eq!(common_percentile(&normal, other, 4), expected);
+        assert_eq!(common_percentile(other, &normal, 4), expected);
+    }
+}
+
+/// The dark and the bright photograph of a scene, the second under `warp`: two stops apart, the second clipped in its lights.
+fn pair(size: (usize, usize), warp: &Warp) -> (GreyPyramid, GreyPyramid) {
+    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(5).photograph(size, warp, Shot::at(ev)));
+    (take(&Warp::Identity, -1.0), take(warp, 1.0))
+}
+
+fn found(size: (usize, usize), warp: &Warp) -> Motion {
+    let (a, b) = pair(size, warp);
+    search(&a, &b, 0, &MtbOptions::default()).motion
+}
+
+#[test]
+fn finds_shift_and_rotation_between_exposures() {
+    for warp in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
+        let Warp::Rigid { dx, dy, angle } = warp else { unreachable!() };
+        let motion = found((768, 512), &warp);
+        // The brief: the rim at 256 px moves by 0.09 px for 0.02 deg, and a third of a pixel is within Ward's whole ones.
+        assert!((motion.angle - angle).to_degrees().abs() < 0.02, "{motion:?} for {warp:?}");
+        assert!((motion.dx - dx).abs() < 0.3 && (motion.dy - dy).abs() < 0.3, "{motion:?} for {warp:?}");
+    }
+}
+
+#[test]
+fn no_motion_is_exactly_none() {
+    let (a, b) = pair((384, 256), &Warp::Identity);
+    let result = search(&a, &b, 0, &MtbOptions::default());
+    assert_eq!(result.motion, Motion::default());
+    assert_eq!(result.difference, result.difference_unmoved);
+}
+
+#[test]
+fn the_reach_follows_the_size() {
+    for (width, height) in [(300, 200), (1200, 800)] {
+        let far = (0.12 * width as f64).round();
+        let motion = found((width, height), &shift(far, -4.0));
+        assert!((motion.dx - far).abs() < 0.5 && (motion.dy + 4.0).abs() < 0.5, "{motion:?} at {width} px");
+    }
+}
+
+#[test]
+fn where_no_rotation_is_allowed_none_is_found() {
+    let (a, b) = pair((384, 256), &rigid(3.0, 2.0, 1.0));
+    let options = MtbOptions { max_rotation_deg: 0.0, ..MtbOptions::default() };
+    assert_eq!(search(&a, &b, 0, &options).motion.angle, 0.0);
+    assert!(search(&a, &b, 0, &MtbOptions::default()).motion.angle > 0.9f64.to_radians());
+}
+
+/// Ward's loop as printed, pixel by pixel: for each shift, the share of the pixels that count which differ; 1 where under a tenth count.
+fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64, i64, i64)> {
+    let median = |p: &Plane<u8>| {
+        let mut sorted = p.as_slice().to_vec();
+        sorted.sort_unstable();
+        sorted[sorted.len().div_ceil(2) - 1]
+    };
+    let (ma, mb) = (median(a), median(b));
+    let (width, height) = (a.width() as i64, a.height() as i64);
+    let mut all = Vec::new();
+    for dy in -reach..=reach {
+        for dx in -reach..=reach {
+            let (mut differing, mut compared) = (0u32, 0u32);
+            for y in 0.max(-dy)..height.min(height - dy) {
+                for x in 0.max(-dx)..width.min(width - dx) {
+                    let (p, q) = (a.at(x as usize, y as usize), b.at((x + dx) as usize, (y + dy) as usize));
+                    if p.abs_diff(ma) > tolerance && q.abs_diff(mb) > tolerance {
+                        compared += 1;
+                        differing += u32::from((p > ma) != (q > mb));
+                    }
+                }
+            }
+            let enough = f64::from(compared) >= 0.1 * (width * height) as f64;
+            all.push((if enough { f64::from(differing) / f64::from(compared) } else { 1.0 }, dx, dy));
+        }
+    }
+    all
+}
+
+#[test]
+fn the_packed_search_is_the_textbooks() {
+    // 75 px: more than a word, and no multiple of one. Too small for a second level.
+    let take = |warp: &Warp, ev| Scene::new(8).photograph((75, 60), warp, Shot::at(ev));
+    for (dx, dy) in [(0.0, 0.0), (4.0, -3.0), (-9.0, 7.0)] {
+        let (a, b) = (take(&Warp::Identity, 0.0), take(&shift(dx, dy), 1.0));
+        let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
+        assert_eq!(pa.len(), 1);
+        let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::Median, 4);
+        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), max_angle: 0.0 };
+        let reach = packed.reach(0.15);
+        assert_eq!(reach, 12);
+        let slow = textbook(&a, &b, reach, 4);
+        let fast: Vec<(f64, i64, i64)> =
+            packed.rate_shifts(0.0, reach).into_iter().map(|(rate, m)| (rate, m.dx as i64, m.dy as i64)).collect();
+        assert_eq!(fast, slow);
+        let best = slow.iter().min_by(|p, q| p.0.total_cmp(&q.0)).unwrap();
+        let first = packed.search_everywhere(0.15)[0];
+        assert_eq!((first.dx as i64, first.dy as i64), (best.1, best.2));
+        assert_eq!((first.dx, first.dy), (dx, dy));
+    }
+}
+
+#[test]
+fn rivals_are_the_periods_of_a_facade() {
+    // Windows 24 px apart from left to right, each darkened a little differently; no two floors alike.
+    let facade = |x: f64, y: f64| {
+        let (column, floor) = ((x / 24.0).floor(), (y / 31.0).floor());
+        let width = 9.0 + 8.0 * uniform(3, floor as i64, 0);
+        let lit = (x - 24.0 * column - 12.0).abs() < width / 2.0 && (y - 31.0 * floor - 15.0).abs() < 9.0;
+        let own = 0.25 * uniform(4, column as i64, floor as i64);
+        if lit { 2.0 + own } else { 0.4 + own + 0.3 * uniform(5, floor as i64, 1) }
+    };
+    let take = |ev| GreyPyramid::new(photograph((300, 220), &Warp::Identity, Shot::at(ev), facade));
+    let found = rivals(&take(-0.5), &take(0.5), 0.0, 8, &MtbOptions::default());
+    assert_eq!((found[0].dx, found[0].dy), (0.0, 0.0), "{found:?}");
+    for period in [-24.0, 24.0] {
+        assert!(found[1..3].iter().any(|m| m.dx == period && m.dy == 0.0), "{found:?}");
+    }
+    for (i, a) in found.iter().enumerate() {
+        assert!(found[..i].iter().all(|b| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5));
+    }
+}

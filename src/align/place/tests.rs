@@ -1,0 +1,99 @@
+//! One frame: the model that is chosen, and what holds a wrong one off.
+
+use super::super::scene::{Scene, Shot, perspective, rigid, shift};
+use super::*;
+
+const SIZE: (usize, usize) = (480, 320);
+
+fn taken(warp: &Warp, ev: f64) -> GreyPyramid {
+    GreyPyramid::new(Scene::new(21).photograph(SIZE, warp, Shot::at(ev)))
+}
+
+#[test]
+fn the_smallest_model_that_explains_is_chosen() {
+    let reference = taken(&Warp::Identity, 0.0);
+    for (truth, expected) in [
+        (Warp::Identity, Model::Unmoved),
+        (shift(6.4, -3.7), Model::Shift),
+        (rigid(2.0, 5.5, 0.7), Model::Rigid),
+        (perspective(), Model::Homography),
+    ] {
+        let frame = taken(&truth, 1.0);
+        // As the ladder does it: the whole homography first.
+        let whole = by_start(&reference, &frame, &truth, 1).unwrap();
+        let chosen = reduce(&reference, &frame, whole);
+        let model = Model::of(&chosen.warp);
+        assert_eq!(model, expected, "{:?}", chosen.warp);
+        // A homography's corners are good to 0.05 px here (see `refine`), and a smaller model is taken where it is as near as the error.
+        let error = chosen.warp.corner_distance(&truth, SIZE.0, SIZE.1);
+        assert!(error < 0.1, "{error} px for {expected:?}");
+        assert!(chosen.confidence() > 0.8, "{chosen:?}");
+    }
+}
+
+#[test]
+fn bitmaps_settle_an_ordinary_pair() {
+    let truth = rigid(-11.3, 7.8, 1.1);
+    for (a, b) in [(-1.0, 1.0), (1.0, -1.0)] {
+        let (reference, frame) = (taken(&Warp::Identity, a), taken(&truth, b));
+        let found = by_bitmaps(&reference, &frame, &MtbOptions::default()).unwrap();
+        assert!(found.is_settled(), "{found:?}");
+        assert!(found.warp.corner_distance(&truth, SIZE.0, SIZE.1) < 0.1, "{found:?}");
+        // The stated error must cover the actual one, within a factor of 3, or 0.03 px.
+        let error = distance(&found.warp, &truth, SIZE.0, SIZE.1);
+        assert!(error < (3.0 * found.error_px).max(SAME_PX), "{error} against {}", found.error_px);
+    }
+}
+
+#[test]
+fn another_scene_never_settles() {
+    let reference = taken(&Warp::Identity, 0.0);
+    let other = GreyPyramid::new(Scene::new(22).photograph(SIZE, &Warp::Identity, Shot::at(1.0)));
+    if let Some(found) = by_bitmaps(&reference, &other, &MtbOptions::default()) {
+        assert!(!found.is_settled() && found.confidence() < 0.35, "{found:?}");
+    }
+}
+
+#[test]
+fn what_no_hand_does_is_refused() {
+    let pyramid = taken(&Warp::Identity, 0.0);
+    let (w, h) = (SIZE.0 as f64 - 1.0, SIZE.1 as f64 - 1.0);
+    let scaled = |sx: f64, sy: f64| {
+        // About the centre.
+        let m = Matrix3::new(sx, 0.0, (1.0 - sx) * w / 2.0, 0.0, sy, (1.0 - sy) * h / 2.0, 0.0, 0.0, 1.0);
+        Warp::Homography(m)
+    };
+    for fine in [Warp::Identity, rigid(60.0, -40.0, 10.0), perspective(), scaled(1.3, 1.3), scaled(0.8, 0.8)] {
+        assert!(is_sane(&fine, &pyramid), "{fine:?}");
+    }
+    for mad in [scaled(-1.0, 1.0), scaled(1.0, -1.0), scaled(2.1, 2.1), scaled(0.45, 0.45), shift(200.0, 0.0)] {
+        assert!(!is_sane(&mad, &pyramid), "{mad:?}");
+    }
+    assert!(!is_sane(&Warp::Homography(Matrix3::from_element(f64::NAN)), &pyramid));
+}
+
+#[test]
+fn points_found_twice_are_counted_once() {
+    let features = |list: &[(f32, f32, f32)]| Features {
+        keypoints: list.iter().map(|&(x, y, scale)| Keypoint { x, y, scale, angle: 0.0, response: 0.1 }).collect(),
+        descriptors: vec![[0; 128]; list.len()],
+    };
+    let plain = features(&[(10.0, 10.0, 2.0), (50.0, 20.0, 3.0), (0.2, 0.1, 2.0)]);
+    let bitmap = features(&[
+        (10.7, 10.6, 2.0), // 0.92 px off: the same
+        (10.8, 10.7, 2.0), // 1.06 px off: another
+        (49.9, 19.5, 3.8), // 1.27 times the scale: the same
+        (49.9, 19.5, 4.0), // 1.33 times
+        (-0.1, 0.0, 2.0),  // across the border between cells: the same
+        (90.0, 90.0, 2.0),
+    ]);
+    assert_eq!(repeated(&plain, &bitmap), 3);
+    assert_eq!((repeated(&plain, &Features::default()), repeated(&Features::default(), &bitmap)), (0, 0));
+}
+
+#[test]
+fn a_level_maps_to_the_full_size_centre_to_centre() {
+    // Pixel 0 of level 2 is the mean of pixels 0 to 3.
+    assert_eq!(map(&level_to_full(2), 0.0, 5.0), (1.5, 21.5));
+    assert_eq!(level_to_full(0), Matrix3::identity());
+}

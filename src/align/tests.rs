@@ -1,0 +1,139 @@
+//! Whole brackets: every frame's verdict.
+
+use super::scene::{Scene, Shot, rigid, shift};
+use super::search::BY_COMPANY;
+use super::*;
+use crate::bracket::exposure::Exposure;
+use crate::bracket::{Frame, ReferenceChoice, Samples};
+use crate::plane::Plane;
+
+const SIZE: (usize, usize) = (384, 256);
+
+/// A grey photograph as a frame.
+fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
+    let codes = grey.as_slice().iter().flat_map(|&v| [v, v, v]).collect();
+    Frame::new(name.into(), grey.width(), grey.height(), Samples::Eight(codes), Exposure::given(ev).unwrap())
+}
+
+/// A bracket of the scene under these warps and exposures; the frame given first is the reference.
+fn bracket(shots: &[(Warp, f64)]) -> Bracket {
+    let frames = shots
+        .iter()
+        .enumerate()
+        .map(|(i, (warp, ev))| frame(&format!("{i}"), &Scene::new(41).photograph(SIZE, warp, Shot::at(*ev)), *ev))
+        .collect();
+    Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap()
+}
+
+fn statuses(alignment: &Alignment) -> Vec<Status> {
+    alignment.verdicts.iter().map(|v| v.status).collect()
+}
+
+#[test]
+fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
+    let (dark, bright) = (rigid(5.5, -3.2, 0.5), shift(-8.3, 4.6));
+    let bracket = bracket(&[(Warp::Identity, 0.0), (bright, 1.5), (dark, -1.5)]);
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| align(&bracket, &AlignOptions::default()).unwrap())
+    };
+    let (alignment, warnings) = run(1);
+    assert_eq!(run(3).0, alignment);
+    assert!(warnings.is_empty(), "{warnings:?}");
+    // By rising exposure, whatever the order given.
+    assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Aligned]);
+    assert_eq!(alignment.verdicts[1].warp, Some(Warp::Identity));
+    assert_eq!(alignment.verdicts[1].error_px, Some(0.0));
+    for (i, truth, model) in [(0, dark, Model::Rigid), (2, bright, Model::Shift)] {
+        let verdict = &alignment.verdicts[i];
+        assert_eq!(verdict.model, Some(model));
+        // As for `refine`'s own tests.
+        let error = verdict.warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        assert!(error < 0.1 && verdict.confidence > 0.8, "{error} {verdict:?}");
+    }
+    let overlap = alignment.overlap;
+    assert!(overlap.x0 >= 8 && overlap.y1 <= 252 && overlap.width() > 350 && overlap.height() > 235, "{overlap:?}");
+}
+
+#[test]
+fn a_frame_of_another_scene_is_rejected_and_told() {
+    let own = Scene::new(41);
+    let take = |scene: &Scene, warp: &Warp, ev| scene.photograph(SIZE, warp, Shot::at(ev));
+    let frames = vec![
+        frame("dark", &take(&own, &shift(3.0, 2.0), -1.0), -1.0),
+        frame("middle", &take(&own, &Warp::Identity, 0.0), 0.0),
+        frame("stranger", &take(&Scene::new(42), &Warp::Identity, 1.0), 1.0),
+    ];
+    let bracket = Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap();
+    let (alignment, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
+    assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Rejected]);
+    let verdict = &alignment.verdicts[2];
+    assert!(verdict.warp.is_none() && verdict.model.is_none() && verdict.reason.is_some(), "{verdict:?}");
+    assert!(
+        matches!(&warnings[..], [Warning::FrameRejected { path, reason }] if path.to_str() == Some("stranger") && !reason.is_empty()),
+        "{warnings:?}"
+    );
+    // What was rejected does not narrow the overlap.
+    assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
+}
+
+/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to go by.
+const NEARLY_BLACK: f64 = -16.0;
+
+#[test]
+fn a_black_frame_goes_with_others_that_did_not_move() {
+    let still = [(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, NEARLY_BLACK)];
+    let (alignment, _) = align(&bracket(&still), &AlignOptions::default()).unwrap();
+    assert_eq!(
+        statuses(&alignment),
+        [Status::Unmoved, Status::Reference, Status::Unmoved],
+        "{:?}",
+        alignment.verdicts[0]
+    );
+    assert!(alignment.verdicts[0].confidence >= BY_COMPANY);
+}
+
+#[test]
+fn a_black_frame_among_others_that_moved_is_rejected() {
+    let moved = [(Warp::Identity, 0.0), (shift(6.0, -4.0), 1.0), (shift(-3.0, 5.0), NEARLY_BLACK)];
+    let (alignment, warnings) = align(&bracket(&moved), &AlignOptions::default()).unwrap();
+    assert_eq!(
+        statuses(&alignment),
+        [Status::Rejected, Status::Reference, Status::Aligned],
+        "{:?}",
+        alignment.verdicts[0]
+    );
+    assert!(warnings.iter().any(|w| matches!(w, Warning::FrameRejected { .. })));
+}
+
+#[test]
+fn without_alignment_frames_lie_as_they_are() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (shift(6.0, -4.0), 1.0)]);
+    let options = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
+    let (alignment, warnings) = align(&bracket, &options).unwrap();
+    assert_eq!(statuses(&alignment), [Status::Reference, Status::Unmoved]);
+    assert!(warnings.is_empty() && alignment.verdicts.iter().all(|v| v.warp == Some(Warp::Identity)));
+    assert_eq!(alignment.overlap, Rect { x0: 0, y0: 0, x1: SIZE.0, y1: SIZE.1 });
+}
+
+#[test]
+fn each_method_by_itself_finds_the_motion() {
+    let truth = rigid(7.0, -5.0, 0.6);
+    let bracket = bracket(&[(Warp::Identity, 0.0), (truth, 1.0)]);
+    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel each.
+    for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5)] {
+        let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
+        let error = alignment.verdicts[1].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        assert!(error < tolerance, "{mode:?}: {error} px");
+    }
+}
+
+#[test]
+fn a_rotation_out_of_range_is_an_error() {
+    for max_rotation_deg in [-0.1, 45.1, f64::NAN] {
+        let mtb = MtbOptions { max_rotation_deg, ..MtbOptions::default() };
+        let options = AlignOptions { mtb, ..AlignOptions::default() };
+        assert!(matches!(options.validate(), Err(Error::Option { option: "--max-rotation", .. })));
+    }
+    assert!(AlignOptions::default().validate().is_ok());
+}
