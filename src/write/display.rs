@@ -121,17 +121,14 @@ fn deflate(raw: &[u8], last: bool) -> io::Result<Vec<u8>> {
         encoder.write_all(raw)?;
         return encoder.finish();
     }
+    // One call with room for the worst, blocks stored as they are: called again, the encoder may end before the flush is complete.
     let mut encoder = Compress::new(Compression::new(LEVEL), false);
-    let mut out = Vec::with_capacity(raw.len() / 2);
-    loop {
-        let taken = encoder.total_in() as usize;
-        out.reserve(raw.len() / 4 + 64);
-        encoder.compress_vec(&raw[taken..], &mut out, FlushCompress::Sync)?;
-        // Room left means that nothing is held back.
-        if encoder.total_in() as usize == raw.len() && out.len() < out.capacity() {
-            return Ok(out);
-        }
+    let mut out = Vec::with_capacity(raw.len() + raw.len() / 8 + 1024);
+    encoder.compress_vec(raw, &mut out, FlushCompress::Sync)?;
+    if encoder.total_in() as usize != raw.len() || out.len() == out.capacity() {
+        return Err(io::Error::other("the deflate encoder stopped short"));
     }
+    Ok(out)
 }
 
 /// Appends the filter's number and the filtered row: Paeth, or Sub where the row above belongs to another band.
@@ -255,6 +252,27 @@ mod tests {
             reader.next_frame(&mut back).unwrap();
             reader.finish().unwrap();
             assert!(back == picture.as_slice().as_flattened(), "{width}x{height}");
+        }
+    }
+
+    /// Whatever the ratio at which a band shrinks, its stream is whole and ends at a byte, so that the next can follow. At the first
+    /// three lengths an encoder that was given too little room ends before its flush is complete.
+    #[test]
+    fn every_band_is_deflated_whole() {
+        let mut state = 1u32;
+        let mut noise = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        };
+        let noise: Vec<u8> = (0..300_000).map(|_| noise()).collect();
+        for (share, length) in [(50, 106_527), (75, 146_299), (100, 158_743), (0, 300_000), (60, 1), (100, 300_000)] {
+            let raw: Vec<u8> = (0..length).map(|i| if i % 100 < share { noise[i] } else { 7 }).collect();
+            let stream = deflate(&raw, false).unwrap();
+            assert!(stream.ends_with(&[0, 0, 0xff, 0xff]), "{share} % noise");
+            let mut back = Vec::with_capacity(length + 1);
+            let mut decoder = flate2::Decompress::new(false);
+            decoder.decompress_vec(&stream, &mut back, flate2::FlushDecompress::Sync).unwrap();
+            assert!(back == raw, "{share} % noise");
         }
     }
 

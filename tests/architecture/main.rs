@@ -32,8 +32,9 @@ fn is_program(source: &Source) -> bool {
     source.path == "src/main.rs" || source.module.first().is_some_and(|m| m == "cli")
 }
 
+/// Modules that are compiled for the tests alone, in files of their own.
 fn is_test(source: &Source) -> bool {
-    source.module.iter().any(|m| m == "tests")
+    source.module.iter().any(|m| m == "tests" || m == "scene")
 }
 
 fn code() -> impl Iterator<Item = Source> {
