@@ -4,7 +4,7 @@
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
 use super::agreement::{self, Agreement};
-use super::features::{Features, Keypoint, match_mutual};
+use super::features::{Features, Guide, Keypoint, match_mutual};
 use super::homography::Pair;
 use super::intensity_map::CommonExposure;
 use super::mtb::{self, GreyPyramid, MtbOptions};
@@ -147,7 +147,8 @@ pub(super) struct FeatureSets {
     pub(super) counts: KeypointCounts,
 }
 
-/// The homography that the matches of both sets agree on, in pixels of the full size, and how many there were.
+/// The homography that the matches of both sets agree on, in pixels of the full size, and those that do; sought once more among the
+/// matches near the places that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
 pub(super) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -155,20 +156,38 @@ pub(super) fn by_matches(
     ratio: f64,
     options: &RansacOptions,
 ) -> Option<Consensus> {
-    let mut pairs = Vec::new();
-    for (a, b) in [(&reference.plain, &frame.plain), (&reference.mtb, &frame.mtb)] {
-        for m in match_mutual(a, b, ratio, None) {
-            let (p, q) = (&a.keypoints[m.reference], &b.keypoints[m.frame]);
-            let full = |x: f32, y: f32| {
-                let (x, y) = map(to_full, x.into(), y.into());
-                [x, y]
-            };
-            pairs.push((full(p.x, p.y), full(q.x, q.y)));
-        }
-    }
-    drop_repeated(&mut pairs, to_full[(0, 0)]);
     let in_full = RansacOptions { threshold: options.threshold * to_full[(0, 0)], ..options.clone() };
-    ransac::search(&pairs, &in_full)
+    let first = ransac::search(&pairs(reference, frame, to_full, ratio, None), &in_full)?;
+    let motion = to_full.try_inverse()? * first.homography * to_full;
+    let guide = Guide { motion, radius: GUIDED_PX };
+    let second = ransac::search(&pairs(reference, frame, to_full, ratio, Some(&guide)), &in_full);
+    Some(second.filter(|s| s.inliers.len() > first.inliers.len()).unwrap_or(first))
+}
+
+/// How far from its place a guided match may lie, in pixels of the level: some times what makes it an inlier.
+const GUIDED_PX: f64 = 10.0;
+
+/// The matches of both sets, in pixels of the full size.
+fn pairs(
+    reference: &FeatureSets,
+    frame: &FeatureSets,
+    to_full: &Matrix3<f64>,
+    ratio: f64,
+    guide: Option<&Guide>,
+) -> Vec<Pair> {
+    let full = |k: &Keypoint| {
+        let (x, y) = map(to_full, k.x.into(), k.y.into());
+        [x, y]
+    };
+    let mut pairs: Vec<Pair> = [(&reference.plain, &frame.plain), (&reference.mtb, &frame.mtb)]
+        .into_iter()
+        .flat_map(|(a, b)| {
+            let matches = match_mutual(a, b, ratio, guide);
+            matches.into_iter().map(|m| (full(&a.keypoints[m.reference]), full(&b.keypoints[m.frame])))
+        })
+        .collect();
+    drop_repeated(&mut pairs, to_full[(0, 0)]);
+    pairs
 }
 
 /// Of pairs that join the same two places, within a pixel of the level, only the first stays: a point found in both pictures, or with two
