@@ -65,40 +65,62 @@ pub struct Guide {
     pub radius: f64,
 }
 
-/// The pairs that are each other's nearest, nearer than `ratio` times the second nearest; with a `guide`, among those near its places.
+/// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a `guide`, among those
+/// near its places.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
     let grid = guide.map(|g| (g, Grid::new(&frame.keypoints, g.radius)));
-    let nearest: Vec<Vec<(u32, u32)>> = (0..reference.len().div_ceil(CHUNK))
+    let chunks: Vec<Chunk> = (0..reference.len().div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
-            let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len());
-            range
-                .map(|i| best_of(&reference.descriptors[i], frame, &candidates(&reference.keypoints[i], &grid), ratio))
-                .collect()
+            let mut found = Chunk { nearest: Vec::with_capacity(CHUNK), suitors: vec![Suitor::default(); frame.len()] };
+            for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len()) {
+                let near = candidates(&reference.keypoints[i], &grid);
+                let best = best_of(i as u32, &reference.descriptors[i], frame, &near, ratio, &mut found.suitors);
+                found.nearest.push(best);
+            }
+            found
         })
         .collect();
-    let nearest: Vec<(u32, u32)> = nearest.concat();
-    // Mutual: of the reference's points that chose one of the frame's, the nearest keeps it (of equals the first), provided that no
-    // other point of the reference is nearer to it, whether that one chose it or not; those that are nearer chose it or failed the ratio.
-    let mut owner: Vec<Option<usize>> = vec![None; frame.len()];
-    for (i, &(j, distance)) in nearest.iter().enumerate() {
-        if j != NONE {
-            let slot = &mut owner[j as usize];
-            if slot.is_none_or(|k| distance < nearest[k].1) {
-                *slot = Some(i);
+    // Of the frame's points, each one's nearest in the reference; of equals the first.
+    let mut suitors = vec![Suitor::default(); frame.len()];
+    for chunk in &chunks {
+        for (best, suitor) in suitors.iter_mut().zip(&chunk.suitors) {
+            if suitor.distance < best.distance {
+                *best = *suitor;
             }
         }
     }
-    let mut matches: Vec<Match> =
-        owner.iter().enumerate().filter_map(|(j, o)| o.map(|i| Match { reference: i, frame: j })).collect();
-    matches.sort_by_key(|m| m.reference);
-    matches
+    let nearest = chunks.iter().flat_map(|c| &c.nearest).enumerate();
+    nearest
+        .filter_map(|(i, best)| best.map(|j| (i, j as usize)))
+        .filter(|&(i, j)| suitors[j].point == i as u32)
+        .map(|(reference, frame)| Match { reference, frame })
+        .collect()
+}
+
+/// What one task finds.
+struct Chunk {
+    /// For each of its points of the reference, the frame's point that is clearly the nearest.
+    nearest: Vec<Option<u32>>,
+    /// For each point of the frame, the nearest among its points of the reference.
+    suitors: Vec<Suitor>,
+}
+
+/// A point of the reference, and how far its descriptor is.
+#[derive(Debug, Clone, Copy)]
+struct Suitor {
+    point: u32,
+    distance: u32,
+}
+
+impl Default for Suitor {
+    fn default() -> Self {
+        Suitor { point: u32::MAX, distance: u32::MAX }
+    }
 }
 
 /// Keypoints of the reference that one task matches.
 const CHUNK: usize = 64;
-/// No partner.
-const NONE: u32 = u32::MAX;
 
 enum Candidates<'a> {
     All,
@@ -115,15 +137,26 @@ fn candidates<'a>(point: &Keypoint, grid: &'a Option<(&Guide, Grid)>) -> Candida
     }
 }
 
-/// The nearest of the candidates and its distance, or [`NONE`] where it is not clearly the nearest.
-fn best_of(descriptor: &Descriptor, frame: &Features, candidates: &Candidates, ratio: f64) -> (u32, u32) {
-    let (mut first, mut second, mut at) = (u32::MAX, u32::MAX, NONE);
+/// The nearest of the candidates to point `i`, if it is clearly the nearest; each candidate hears of `i` as well.
+fn best_of(
+    i: u32,
+    descriptor: &Descriptor,
+    frame: &Features,
+    candidates: &Candidates,
+    ratio: f64,
+    suitors: &mut [Suitor],
+) -> Option<u32> {
+    let (mut first, mut second, mut at) = (u32::MAX, u32::MAX, None);
     let mut consider = |j: u32| {
-        let d = distance_squared(descriptor, &frame.descriptors[j as usize]);
-        if d < first {
-            (second, first, at) = (first, d, j);
-        } else if d < second {
-            second = d;
+        let distance = distance_squared(descriptor, &frame.descriptors[j as usize]);
+        if distance < first {
+            (second, first, at) = (first, distance, Some(j));
+        } else if distance < second {
+            second = distance;
+        }
+        let suitor = &mut suitors[j as usize];
+        if distance < suitor.distance {
+            *suitor = Suitor { point: i, distance };
         }
     };
     match candidates {
@@ -131,7 +164,7 @@ fn best_of(descriptor: &Descriptor, frame: &Features, candidates: &Candidates, r
         Candidates::Some(cells) => cells.iter().flat_map(|c| c.iter().copied()).for_each(&mut consider),
     }
     let clear = second == u32::MAX || f64::from(first) < ratio * ratio * f64::from(second);
-    if at != NONE && clear && first <= FARTHEST { (at, first) } else { (NONE, u32::MAX) }
+    at.filter(|_| clear && first <= FARTHEST)
 }
 
 /// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes: descriptors are 512
@@ -235,6 +268,30 @@ mod tests {
         let a = features(&[1, 2], 0.0);
         let b = features(&[1, 1, 2], 0.0);
         assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 2 }]);
+    }
+
+    #[test]
+    fn agrees_with_the_whole_table_of_distances() {
+        // Descriptors of few values, so that many are alike and nearest ones are often not mutual.
+        let coarse = |seeds: std::ops::Range<u32>| {
+            let mut f = features(&seeds.collect::<Vec<_>>(), 0.0);
+            f.descriptors.iter_mut().for_each(|d| d[6..].fill(0));
+            f
+        };
+        let (a, b) = (coarse(0..150), coarse(100..260));
+        let d = |i: usize, j: usize| distance_squared(&a.descriptors[i], &b.descriptors[j]);
+        let mut expected = Vec::new();
+        for i in 0..a.len() {
+            let mut row: Vec<(u32, usize)> = (0..b.len()).map(|j| (d(i, j), j)).collect();
+            row.sort();
+            let j = row[0].1;
+            let is_clear = f64::from(row[0].0) < 0.64 * f64::from(row[1].0);
+            if is_clear && (0..a.len()).all(|k| (d(k, j), k) >= (row[0].0, i)) {
+                expected.push(Match { reference: i, frame: j });
+            }
+        }
+        assert!(expected.len() > 20 && expected.len() < 140, "{}", expected.len());
+        assert_eq!(match_mutual(&a, &b, 0.8, None), expected);
     }
 
     #[test]
