@@ -76,6 +76,14 @@ pub enum Error {
         /// What was looked for and not found.
         reason: String,
     },
+    /// No frame could be placed beside the reference: there is nothing to merge.
+    #[error("{}: no other photograph could be aligned to it ({reason}); choose another with --reference, or, from a tripod, give --align none", reference.display())]
+    NothingAligned {
+        /// The reference.
+        reference: PathBuf,
+        /// Why one of the others was left out.
+        reason: String,
+    },
     /// An option has a value that cannot be used, by itself or with these inputs.
     #[error("{option}: {reason}")]
     Option {

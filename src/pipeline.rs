@@ -116,6 +116,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
         let alignment = line.align(&bracket, options)?;
+        check_placed(&bracket, &alignment)?;
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
@@ -195,6 +196,9 @@ fn natural(a: &Path, b: &Path) -> Ordering {
     }
 }
 
+/// More threads than this only cost memory, on any machine.
+const MOST_THREADS: usize = 1024;
+
 /// Runs `work` on a pool of `threads` threads, or on the common one.
 fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let Some(threads) = threads else { return work() };
@@ -202,12 +206,18 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
     if threads == 0 {
         return Err(refused("0 threads cannot work; give 1 or more".into()));
     }
+    if threads > MOST_THREADS {
+        return Err(refused(format!(
+            "{threads} threads are more than {MOST_THREADS}; give about as many as there are cores"
+        )));
+    }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)
 }
 
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
+    options.align.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
     }
@@ -218,6 +228,15 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
         files.extend(aligned::names(prefix, images)?);
     }
     write::check_targets(&files, images, options.write.overwrite)
+}
+
+/// Whether there is more to merge than the reference.
+fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
+    if alignment.verdicts.iter().filter(|v| v.warp.is_some()).count() > 1 {
+        return Ok(());
+    }
+    let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();
+    Err(Error::NothingAligned { reference: bracket.reference().path().to_owned(), reason })
 }
 
 /// The stages with a clock, and what they have warned of so far.

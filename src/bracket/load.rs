@@ -111,10 +111,15 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
     }
     ev.iter()
         .map(|&ev| {
-            Exposure::given(ev).ok_or_else(|| wrong(format!("{ev} is no exposure; give stops, as in `-e=-2,0,2`")))
+            let exposure = Exposure::given(ev).filter(|_| ev.abs() <= MOST_EV);
+            exposure
+                .ok_or_else(|| wrong(format!("{ev} is no exposure; give stops within +-{MOST_EV}, as in `-e=-2,0,2`")))
         })
         .collect()
 }
+
+/// No camera goes farther, in stops from t * ISO / N^2 = 1 s: from 2^-40 s on, radiance leaves what a half-float holds.
+const MOST_EV: f64 = 40.0;
 
 /// Finds a file that was given twice, by the same or another name. What does not exist is left to the reading.
 fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
