@@ -51,6 +51,19 @@ fn one_photograph_is_no_bracket() {
 }
 
 #[test]
+fn a_reference_that_nothing_agrees_with_is_named() {
+    let folder = Folder::with_bracket();
+    let mut state = 1u32;
+    let strange = image::RgbImage::from_fn(small(2).width(), small(2).height(), |_, _| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        image::Rgb([(state >> 24) as u8; 3])
+    });
+    folder.put("strange.jpg", &jpeg(&strange, Some(2)));
+    let line = "merge w3.jpg strange.jpg --reference w3.jpg -o a.exr -o a.png";
+    refused(&folder, line, 1, &["w3.jpg", "no other photograph", "--reference", "--align none"]);
+}
+
+#[test]
 fn two_sizes_are_refused_with_both() {
     let folder = Folder::with_bracket();
     let part = image::imageops::crop_imm(&small(2), 0, 0, 280, 200).to_image();
@@ -153,6 +166,8 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
         ("--reference other.jpg", &["--reference", "other.jpg"]),
         ("--threads 0", &["--threads", "1 or more"]),
         ("--threads many", &["--threads", "many"]),
+        ("--threads 100000", &["--threads", "1024"]),
+        ("-e=-1000,0", &["-e", "-1000", "-e=-2,0,2"]),
         ("--max-rotation 90", &["--max-rotation", "0..45"]),
         ("--align best", &["--align", "best", "auto"]),
         ("--crop all", &["--crop", "all", "common"]),
