@@ -4,9 +4,10 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::measure;
+use hdralign::align::common_exposure::{CommonExposure, Tones};
+use hdralign::align::comparison::Comparison;
 use hdralign::align::features::{Features, match_mutual};
 use hdralign::align::homography::Pair;
-use hdralign::align::intensity_map::CommonExposure;
 use hdralign::align::mtb::{self, GreyPyramid, MtbOptions, Percentile};
 use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
@@ -72,13 +73,22 @@ fn alignment(c: &mut Criterion) {
     group.bench_function("mtb search", |b| b.iter(|| mtb::search(black_box(&reference), &frame, 0, &options)));
     let start = mtb::search(&reference, &frame, 0, &options).warp();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
-        group.bench_function(name, |b| b.iter(|| refine(&reference, &frame, black_box(&start), model, (3, 0))));
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                let pair = Comparison::new(&reference, &frame, black_box(&start));
+                refine(&pair, &start, model, (3, 0))
+            })
+        });
     }
     let h = start.matrix(bracket.width(), bracket.height());
     group.bench_function("common exposure", |b| {
-        b.iter(|| CommonExposure::new(reference.level(0), frame.level(0), black_box(&h), 1.0));
+        b.iter(|| {
+            let tones = Tones::between(reference.level(0), frame.level(0), black_box(&h));
+            CommonExposure::new(reference.level(0), frame.level(0), &tones)
+        });
     });
-    let both = CommonExposure::new(reference.level(0), frame.level(0), &h, 1.0);
+    let tones = Tones::between(reference.level(0), frame.level(0), &h);
+    let both = CommonExposure::new(reference.level(0), frame.level(0), &tones);
     group.bench_function("agreement", |b| b.iter(|| measure(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
     group.bench_function("resample", |b| {

@@ -88,6 +88,41 @@ pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     smooth
 }
 
+/// The levels that `table` gives to the plane's codes, smoothed by the binomial kernel (1, 4, 6, 4, 1) / 16 along both axes, whose standard
+/// deviation is 1 pixel; the border pixel stands for those beyond (Burt & Adelson 1983).
+pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
+    let (width, height) = (plane.width(), plane.height());
+    let mut smooth = Plane::filled(width, height, 0.0f32);
+    smooth.fill_bands(|rows, band| {
+        let at = |y: isize| plane.row(y.clamp(0, height as isize - 1) as usize);
+        let levels = |y: isize| -> Vec<f32> { at(y).iter().map(|&v| table[usize::from(v)]).collect() };
+        let first = rows.start as isize;
+        let mut window: [Vec<f32>; 5] = std::array::from_fn(|k| levels(first + k as isize - 2));
+        let mut column = vec![0.0f32; width + 4];
+        for (y, out) in rows.zip(band.chunks_exact_mut(width)) {
+            if y as isize > first {
+                window.rotate_left(1);
+                for (l, &v) in window[4].iter_mut().zip(at(y as isize + 2)) {
+                    *l = table[usize::from(v)];
+                }
+            }
+            let [a, b, c, d, e] = &window;
+            let (a, b, c, d, e) = (&a[..width], &b[..width], &c[..width], &d[..width], &e[..width]);
+            let inner = &mut column[2..width + 2];
+            for x in 0..width {
+                inner[x] = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
+            }
+            let (first, last) = (column[2], column[width + 1]);
+            column[..2].fill(first);
+            column[width + 2..].fill(last);
+            for (o, c) in out.iter_mut().zip(column.windows(5)) {
+                *o = (6.0 * c[2] + 4.0 * (c[1] + c[3]) + (c[0] + c[4])) * (1.0 / 256.0);
+            }
+        }
+    });
+    smooth
+}
+
 /// The Gaussian's weights from its centre outwards; all of them, both sides, sum to 1.
 fn half_kernel(sigma: f64) -> Vec<f32> {
     let reach = libm::ceil(4.0 * sigma) as usize;
@@ -140,6 +175,31 @@ mod tests {
                 }
                 // 2 x 13 roundings of values below 32 in single precision: 26 * 32 * 2^-24.
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum / weight).abs() < 5e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn the_binomial_agrees_with_the_double_sum() {
+        let (w, h) = (19, 131);
+        let plane = Plane::from_rows(w, h, |y, row| {
+            for (x, v) in row.iter_mut().enumerate() {
+                *v = ((x * 31 + y * 17) % 251) as u8;
+            }
+        });
+        let table: [f32; 256] = std::array::from_fn(|v| (v * v) as f32 / 256.0);
+        let fast = binomial(&plane, &table);
+        for y in 0..h as isize {
+            for x in 0..w as isize {
+                let mut sum = 0.0;
+                for (j, wy) in (-2..).zip([1.0, 4.0, 6.0, 4.0, 1.0]) {
+                    for (i, wx) in (-2..).zip([1.0, 4.0, 6.0, 4.0, 1.0]) {
+                        let (u, v) = ((x + i).clamp(0, w as isize - 1), (y + j).clamp(0, h as isize - 1));
+                        sum += wx * wy / 256.0 * f64::from(table[usize::from(plane.at(u as usize, v as usize))]);
+                    }
+                }
+                // Some ten roundings of values below 256 in single precision: 10 * 256 * 2^-24.
+                assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }
     }

@@ -1,23 +1,11 @@
 //! The intensity mapping function: which grey level of the frame goes with which of the reference.
 //!
-//! In: two frames, roughly aligned. Out: a monotone [`IntensityMap`], and both frames as the brighter of them would show them
-//! ([`CommonExposure`]). Cost: one pass over some samples; a table look-up and a Gaussian a pixel.
+//! In: pairs of grey levels at some places of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one pass over them.
 //! Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI 25(11), 2003, section 5: two
 //! exposures of one scene have the same ranks, so the map follows from the two histograms, and small misalignments do not matter.
 
-use super::warp::map;
-use crate::plane::Plane;
-use crate::pyramid::gaussian;
-use nalgebra::Matrix3;
-
 /// Grey levels of the reference at which the map is kept.
 const KNOTS: usize = 256;
-/// About so many places at which the two frames' levels are taken.
-const SAMPLES: f64 = 40_000.0;
-/// Grey levels nearer than this to either end of the brighter frame's range may be clipped.
-const CLIP_MARGIN: f32 = 5.0;
-/// Levels of the darker frame below this are as much noise as light.
-const DARKEST: f32 = 2.0;
 /// Half the width over which its slope is taken, in grey levels.
 const SLOPE_REACH: f32 = 4.0;
 
@@ -96,86 +84,6 @@ fn fill_gaps(levels: &mut [f32]) {
     let (low, high) = (levels[first], levels[last]);
     levels[..first].fill(low);
     levels[last + 1..].fill(high);
-}
-
-/// Two frames as the brighter of them would show them, smoothed.
-///
-/// The darker is mapped to the brighter because clipping is then the same in both; and it is mapped before it is smoothed, because
-/// the other way round the edges of clipped areas would move.
-#[derive(Debug, Clone)]
-pub struct CommonExposure {
-    /// The reference.
-    pub reference: Plane<f32>,
-    /// The frame, on its own grid.
-    pub frame: Plane<f32>,
-    trusts: [f32; 256],
-}
-
-impl CommonExposure {
-    /// Brings `reference` and `frame` together, with `h` (reference -> frame) about right, and smooths them by `sigma` pixels.
-    pub fn new(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>, sigma: f64) -> Self {
-        let samples = sample(reference, frame, h);
-        let forth = IntensityMap::from_samples(&samples);
-        if forth.brightens() {
-            let mapped = smooth(reference, |v| forth.at(v), sigma);
-            return CommonExposure { reference: mapped, frame: smooth(frame, |v| v, sigma), trusts: trusts(&forth) };
-        }
-        let swapped: Vec<(u8, u8)> = samples.iter().map(|&(r, f)| (f, r)).collect();
-        let back = IntensityMap::from_samples(&swapped);
-        let mapped = smooth(frame, |v| back.at(v), sigma);
-        CommonExposure { reference: smooth(reference, |v| v, sigma), frame: mapped, trusts: trusts(&back) }
-    }
-
-    /// How far level `v` can be trusted, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
-    /// the ends of either frame's range.
-    #[inline]
-    pub fn trust(&self, v: f32) -> f32 {
-        self.trusts[usize::from(v as u8)]
-    }
-}
-
-/// Levels of both at a coarse grid of places that both see.
-fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8, u8)> {
-    let step = ((reference.width() * reference.height()) as f64 / SAMPLES).sqrt().max(1.0) as usize;
-    let mut samples = Vec::new();
-    for y in (0..reference.height()).step_by(step) {
-        for x in (0..reference.width()).step_by(step) {
-            let (u, v) = map(h, x as f64, y as f64);
-            let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
-            if u >= 0.0 && v >= 0.0 && u < frame.width() as f64 && v < frame.height() as f64 {
-                samples.push((reference.at(x, y), frame.at(u as usize, v as usize)));
-            }
-        }
-    }
-    samples
-}
-
-/// The plane's levels through `level_of`, smoothed.
-fn smooth(plane: &Plane<u8>, level_of: impl Fn(f32) -> f32, sigma: f64) -> Plane<f32> {
-    let table: Vec<f32> = (0..=255u8).map(|v| level_of(f32::from(v))).collect();
-    let levels = Plane::from_rows(plane.width(), plane.height(), |y, row| {
-        for (v, g) in row.iter_mut().zip(plane.row(y)) {
-            *v = table[usize::from(*g)];
-        }
-    });
-    gaussian(&levels, sigma)
-}
-
-/// For each level of the brighter frame, how far it can be trusted.
-fn trusts(map: &IntensityMap) -> [f32; 256] {
-    let mut trusts = [0.0; 256];
-    let mut darker = 0.0f32;
-    for (level, trust) in trusts.iter_mut().enumerate() {
-        while darker < 255.0 && map.at(darker) < level as f32 {
-            darker += 0.25;
-        }
-        let usable = |l: f32| (CLIP_MARGIN..=255.0 - CLIP_MARGIN).contains(&l);
-        if usable(level as f32) && darker >= DARKEST {
-            let slope = map.slope(darker);
-            *trust = 1.0 / (1.0 + slope * slope);
-        }
-    }
-    trusts
 }
 
 #[cfg(test)]

@@ -9,12 +9,16 @@
 //! for [`refine`], and only [`agreement`], which no stage optimises, says whether it is right.
 
 pub mod agreement;
+mod basis;
 pub mod bitmap;
+pub mod common_exposure;
+pub mod comparison;
 pub mod features;
 pub mod homography;
 pub mod intensity_map;
 pub mod mtb;
 mod overlap;
+pub mod patches;
 mod place;
 pub mod ransac;
 pub mod refine;

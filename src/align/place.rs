@@ -4,9 +4,9 @@
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
 use super::agreement::{self, Agreement};
+use super::comparison::{Comparison, finest_level, level_to_full, measured_level, on_level};
 use super::features::{Features, Guide, Keypoint, match_mutual};
 use super::homography::Pair;
-use super::intensity_map::CommonExposure;
 use super::mtb::{self, GreyPyramid, MtbOptions};
 use super::ransac::{self, Consensus, RansacOptions};
 use super::refine::{refine, restrict};
@@ -16,14 +16,8 @@ use super::{KeypointCounts, Model};
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 
-/// About so many pixels has the largest level on which pixels are compared: more add nothing but time.
-const REFINED_PIXELS: usize = 4_000_000;
-/// ... on which agreement is measured, and features are sought.
-const MEASURED_PIXELS: usize = 600_000;
-/// Smoothing before agreement is measured, in pixels.
-const AGREEMENT_SMOOTHING: f64 = 1.0;
-/// Levels above the finest from which refinement starts: a warp that is off by 8 px is off by one there.
-const CAPTURE_LEVELS: usize = 3;
+/// Levels above that of agreement from which refinement starts: a warp that is off by 4 px is off by one there.
+const CAPTURE_LEVELS: usize = 2;
 /// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
 /// it were. Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
@@ -90,48 +84,31 @@ pub(super) fn laid_on_reference(frame: &GreyPyramid, warp: &Warp) -> GreyPyramid
 /// What bitmaps and features that agree are worth where tiles say little.
 const TWO_WITNESSES: f64 = 0.7;
 
-/// The first level of `pyramid` with at most `pixels` pixels.
-pub(super) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
-    let area = |i: usize| pyramid.level(i).width() * pyramid.level(i).height();
-    (0..pyramid.len()).find(|&i| area(i) <= pixels).unwrap_or(pyramid.len() - 1)
-}
-
-/// The level on which features are sought.
-pub(super) fn features_level(pyramid: &GreyPyramid) -> usize {
-    level_within(pyramid, MEASURED_PIXELS)
-}
-
-/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
-pub(super) fn level_to_full(level: usize) -> Matrix3<f64> {
-    let scale = (1u64 << level) as f64;
-    let offset = (scale - 1.0) / 2.0;
-    Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
-}
-
-/// What the bitmaps lead to.
-pub(super) fn by_bitmaps(reference: &GreyPyramid, frame: &GreyPyramid, options: &MtbOptions) -> Option<Candidate> {
-    let found = mtb::search(reference, frame, level_within(reference, MEASURED_PIXELS), options);
-    by_start(reference, frame, &found.warp(), CAPTURE_LEVELS)
+/// What the bitmaps lead to, and the comparison that it was had from.
+pub(super) fn by_bitmaps<'a>(
+    reference: &'a GreyPyramid,
+    frame: &'a GreyPyramid,
+    options: &MtbOptions,
+) -> (Comparison<'a>, Option<Candidate>) {
+    let start = mtb::search(reference, frame, measured_level(reference), options).warp();
+    let pair = Comparison::new(reference, frame, &start);
+    let candidate = by_start(&pair, &start, CAPTURE_LEVELS);
+    (pair, candidate)
 }
 
 /// What the bitmaps' other minima lead to: the best few.
-pub(super) fn by_rivals(
-    reference: &GreyPyramid,
-    frame: &GreyPyramid,
-    angle: f64,
-    options: &MtbOptions,
-) -> Vec<Candidate> {
-    let coarse = level_within(reference, MEASURED_PIXELS);
-    let mut rough: Vec<Candidate> = mtb::rivals(reference, frame, angle, MOST_RIVALS, options)
+pub(super) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
+    let measured = measured_level(pair.reference());
+    let mut rough: Vec<Candidate> = mtb::rivals(pair.reference(), pair.frame(), angle, MOST_RIVALS, options)
         .into_iter()
         .filter_map(|m| {
             let start = Warp::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
-            let found = refine(reference, frame, &start, Model::Rigid, (coarse + CAPTURE_LEVELS, coarse))?;
-            Some(judge(reference, frame, found.warp, 0.0))
+            let found = refine(pair, &start, Model::Rigid, (measured + CAPTURE_LEVELS, measured))?;
+            Some(judge(pair, found.warp, 0.0))
         })
         .collect();
     rough.sort_by(|a, b| b.confidence().total_cmp(&a.confidence()));
-    rough.iter().take(BEST_RIVALS).filter_map(|c| by_start(reference, frame, &c.warp, 1)).collect()
+    rough.iter().take(BEST_RIVALS).filter_map(|c| by_start(pair, &c.warp, 0)).collect()
 }
 
 /// Rivals that are looked at.
@@ -139,7 +116,7 @@ const MOST_RIVALS: usize = 8;
 /// ... and of these refined to the end.
 const BEST_RIVALS: usize = 2;
 
-/// Features of a frame on the level of [`features_level`]: of the plain picture, and of its median threshold bitmap.
+/// Features of a frame on the level of [`measured_level`]: of the plain picture, and of its median threshold bitmap.
 #[derive(Debug, Clone, Default)]
 pub(super) struct FeatureSets {
     pub(super) plain: Features,
@@ -198,37 +175,32 @@ fn drop_repeated(pairs: &mut Vec<Pair>, pixel: f64) {
     pairs.retain(|p| seen.insert(cell(p)));
 }
 
-/// Refines `start` as a homography, from `capture` levels above the finest, and asks the tiles.
-pub(super) fn by_start(
-    reference: &GreyPyramid,
-    frame: &GreyPyramid,
-    start: &Warp,
-    capture: usize,
-) -> Option<Candidate> {
-    let finest = level_within(reference, REFINED_PIXELS);
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles.
+pub(super) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Option<Candidate> {
+    let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
     [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
-        let found = refine(reference, frame, start, model, (finest + capture, finest))?;
-        let candidate = judge(reference, frame, found.warp, NOISE_FACTOR * found.error_px);
-        is_sane(&candidate.warp, reference).then_some(candidate)
+        let found = refine(pair, start, model, levels)?;
+        is_sane(&found.warp, pair.size()).then(|| judge(pair, found.warp, NOISE_FACTOR * found.error_px))
     })
 }
 
 /// The tiles' opinion of `warp`.
-pub(super) fn judge(reference: &GreyPyramid, frame: &GreyPyramid, warp: Warp, noise_px: f64) -> Candidate {
-    let level = level_within(reference, MEASURED_PIXELS);
-    let to_full = level_to_full(level);
-    let full = reference.level(0);
-    let from_full = to_full.try_inverse().unwrap_or_else(Matrix3::identity);
-    let h = from_full * warp.matrix(full.width(), full.height()) * to_full;
-    let both = CommonExposure::new(reference.level(level), frame.level(level), &h, AGREEMENT_SMOOTHING);
-    let agreement = agreement::measure(&both, &h);
-    // A tile's own place is known to a few hundredths of a pixel.
-    let seen = to_full[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
-    let error_px = (noise_px * noise_px + seen * seen).sqrt();
-    let diagonal = ((full.width() * full.width() + full.height() * full.height()) as f64).sqrt();
+pub(super) fn judge(pair: &Comparison, warp: Warp, noise_px: f64) -> Candidate {
+    let level = measured_level(pair.reference());
+    let (width, height) = pair.size();
+    let agreement = agreement::measure(&pair.level(level).both, &on_level(&warp.matrix(width, height), level));
+    let diagonal = ((width * width + height * height) as f64).sqrt();
     let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
+    let error_px = error_of(&agreement, level, noise_px);
     Candidate { warp, agreement, error_px, trust: 1.0, tolerance_px, corroborated: false }
+}
+
+/// What noise leaves, and what the tiles of level `level` see, in pixels of the full size.
+fn error_of(agreement: &Agreement, level: usize, noise_px: f64) -> f64 {
+    // A tile's own place is known to a few hundredths of a pixel.
+    let seen = level_to_full(level)[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
+    (noise_px * noise_px + seen * seen).sqrt()
 }
 
 /// See [`Candidate::tolerance_px`].
@@ -238,8 +210,7 @@ const TOLERANCE_PX: f64 = 1.5;
 const TILE_NOISE: f64 = 0.05;
 
 /// Whether a camera held in hands could have done this: no corner farther than a third of the diagonal, no side half or twice as long.
-fn is_sane(warp: &Warp, pyramid: &GreyPyramid) -> bool {
-    let (width, height) = (pyramid.level(0).width(), pyramid.level(0).height());
+fn is_sane(warp: &Warp, (width, height): (usize, usize)) -> bool {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     let h = warp.matrix(width, height);
     let before = corners(width, height);
@@ -268,30 +239,38 @@ pub(super) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
 }
 
 /// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
-pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candidate) -> Candidate {
-    let (width, height) = (reference.level(0).width(), reference.level(0).height());
-    let finest = level_within(reference, REFINED_PIXELS);
+pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
+    let (width, height) = pair.size();
+    let level = measured_level(pair.reference());
+    // Tiles cannot tell apart what lies nearer than this.
+    let alike_px = ALIKE * level_to_full(level)[(0, 0)];
+    let opinion = |warp: Warp, noise_px: f64, apart: f64| {
+        if apart > alike_px {
+            return Candidate { corroborated: whole.corroborated, ..judge(pair, warp, noise_px) };
+        }
+        Candidate { warp, error_px: error_of(&whole.agreement, level, noise_px), ..whole.clone() }
+    };
     let still = distance(&whole.warp, &Warp::Identity, width, height);
     if still <= UNMOVED_PX.max(whole.error_px) {
-        let unmoved = judge(reference, frame, Warp::Identity, 0.0);
+        let unmoved = opinion(Warp::Identity, 0.0, still);
         if unmoved.agreement.share() >= whole.agreement.share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
-            return Candidate { error_px, corroborated: whole.corroborated, ..unmoved };
+            return Candidate { error_px, ..unmoved };
         }
     }
+    let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {
         // The nearest by far is cheap to tell; the best is what counts.
         let near = Warp::Homography(restrict(&whole.warp.matrix(width, height), model, width, height));
         if distance(&whole.warp, &near, width, height) > HOPELESS * SAME_PX.max(whole.error_px) {
             continue;
         }
-        let Some(smaller) = refine(reference, frame, &whole.warp, model, (finest, finest)) else {
+        let Some(smaller) = refine(pair, &whole.warp, model, (finest, finest)) else {
             continue;
         };
         let apart = distance(&whole.warp, &smaller.warp, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
-            let judged = judge(reference, frame, smaller.warp, NOISE_FACTOR * smaller.error_px);
-            let candidate = Candidate { corroborated: whole.corroborated, ..judged };
+            let candidate = opinion(smaller.warp, NOISE_FACTOR * smaller.error_px, apart);
             if candidate.agreement.share() >= whole.agreement.share() - 0.02
                 && candidate.agreement.offset <= whole.agreement.offset + 0.01
             {
@@ -302,9 +281,12 @@ pub(super) fn reduce(reference: &GreyPyramid, frame: &GreyPyramid, whole: Candid
     whole
 }
 
-/// The features of a frame, on the level of [`features_level`].
+/// What tiles can tell apart, in pixels of the level on which they are measured.
+const ALIKE: f64 = 0.1;
+
+/// The features of a frame, on the level of [`measured_level`].
 pub(super) fn features(pyramid: &GreyPyramid, sift: &SiftOptions, mtb: &MtbOptions) -> FeatureSets {
-    let level = features_level(pyramid);
+    let level = measured_level(pyramid);
     let grey = pyramid.level(level);
     let plain = sift::detect(grey, sift);
     let histogram = pyramid.histogram(level);

@@ -3,6 +3,7 @@
 //! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`place::by_bitmaps`]; for
 //! one in doubt some times as much.
 
+use super::comparison::{Comparison, level_to_full, measured_level};
 use super::mtb::{self, GreyPyramid};
 use super::place::{self, Candidate, FeatureSets};
 use super::warp::Warp;
@@ -38,6 +39,14 @@ struct Base<'a> {
     confidence: f64,
 }
 
+/// What came of holding a frame against the reference.
+enum First {
+    /// It lies so.
+    Settled(Verdict),
+    /// It may lie so, if anywhere.
+    Doubtful(Option<Candidate>),
+}
+
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
 struct Found {
@@ -49,8 +58,8 @@ impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
     pub(super) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
-            let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
-            placed(&place::judge(self.base(), &self.pyramids[i], found.warp(), 0.0), Found::default())
+            let warp = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb).warp();
+            placed(&self.judged(i, warp), Found::default())
         })
     }
 
@@ -61,8 +70,7 @@ impl Search<'_> {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
                 Some((warp, inliers)) if inliers >= LEAST_INLIERS => {
-                    let candidate = place::judge(self.base(), &self.pyramids[i], warp, 0.0);
-                    placed(&candidate, Found { inliers: Some(inliers), keypoints })
+                    placed(&self.judged(i, warp), Found { inliers: Some(inliers), keypoints })
                 }
                 other => {
                     let inliers = other.map_or(0, |c| c.1);
@@ -78,27 +86,14 @@ impl Search<'_> {
 
     /// By all means, as far as needed.
     pub(super) fn auto(&self) -> Vec<Verdict> {
-        let first: Vec<Option<Candidate>> = (0..self.pyramids.len())
-            .into_par_iter()
-            .map(|i| {
-                let frame = (i != self.reference).then(|| &self.pyramids[i])?;
-                place::by_bitmaps(self.base(), frame, &self.options.mtb)
-            })
-            .collect();
-        let settled: Vec<Option<Verdict>> = (0..self.pyramids.len())
-            .into_par_iter()
-            .map(|i| {
-                let candidate = first[i].as_ref().filter(|c| c.is_settled())?;
-                Some(placed(&place::reduce(self.base(), &self.pyramids[i], candidate.clone()), Found::default()))
-            })
-            .collect();
-        let doubtful = (0..settled.len()).any(|i| i != self.reference && settled[i].is_none());
-        let features = doubtful.then(|| self.features(self.reference));
+        let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i)).collect();
+        let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
+        let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its neighbour placed.
-        let side = |order: Vec<usize>| self.outwards(&order, &first, &settled, features.as_ref());
+        let side = |order: Vec<usize>| self.outwards(&order, &first, features.as_ref());
         let (darker, brighter) = rayon::join(
             || side((0..self.reference).rev().collect()),
-            || side((self.reference + 1..settled.len()).collect()),
+            || side((self.reference + 1..first.len()).collect()),
         );
         let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
         let keypoints = features.map(|f| f.counts);
@@ -106,6 +101,18 @@ impl Search<'_> {
         verdicts.extend(brighter);
         self.keep_company(&mut verdicts);
         verdicts
+    }
+
+    /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
+    fn first(&self, i: usize) -> First {
+        if i == self.reference {
+            return First::Doubtful(None);
+        }
+        let (pair, candidate) = place::by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb);
+        match candidate {
+            Some(c) if c.is_settled() => First::Settled(placed(&place::reduce(&pair, c), Found::default())),
+            other => First::Doubtful(other),
+        }
     }
 
     fn base(&self) -> &GreyPyramid {
@@ -129,26 +136,25 @@ impl Search<'_> {
 
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
-        let to_full = place::level_to_full(place::features_level(self.base()));
+        let to_full = level_to_full(measured_level(self.base()));
         let found = place::by_matches(reference, frame, &to_full, self.options.ratio, &self.options.ransac)?;
         Some((Warp::Homography(found.homography), found.inliers.len()))
     }
 
+    /// Frame `i` placed by `warp`, as the tiles see it.
+    fn judged(&self, i: usize, warp: Warp) -> Candidate {
+        place::judge(&Comparison::new(self.base(), &self.pyramids[i], &warp), warp, 0.0)
+    }
+
     /// The verdicts of the frames of `order`, each of which is the neighbour of the one before it, the first that of the reference.
-    fn outwards(
-        &self,
-        order: &[usize],
-        first: &[Option<Candidate>],
-        settled: &[Option<Verdict>],
-        features: Option<&FeatureSets>,
-    ) -> Vec<Verdict> {
+    fn outwards(&self, order: &[usize], first: &[First], features: Option<&FeatureSets>) -> Vec<Verdict> {
         let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
         for (k, &i) in order.iter().enumerate() {
-            let verdict = match &settled[i] {
-                Some(verdict) => verdict.clone(),
-                None => {
+            let verdict = match &first[i] {
+                First::Settled(verdict) => verdict.clone(),
+                First::Doubtful(candidate) => {
                     let neighbour = k.checked_sub(1).map(|k| (order[k], &verdicts[k]));
-                    self.doubtful(i, first[i].clone(), neighbour, features)
+                    self.doubtful(i, candidate.clone(), neighbour, features)
                 }
             };
             verdicts.push(verdict);
@@ -171,7 +177,7 @@ impl Search<'_> {
         // Which base it was held against, and what came of it.
         let mut best: Option<(usize, Candidate)> = first.map(|c| (0, c));
         for (b, base) in bases.iter().enumerate().skip(1) {
-            let found = place::by_bitmaps(&base.pyramid, frame, &self.options.mtb);
+            let (_, found) = place::by_bitmaps(&base.pyramid, frame, &self.options.mtb);
             keep_better(&mut best, b, found.map(|c| base.discount(c)));
         }
         let mut found = Found::default();
@@ -191,7 +197,7 @@ impl Search<'_> {
                 }
                 if !is_corroborated {
                     for (b, base) in bases.iter().enumerate() {
-                        let candidate = place::by_start(&base.pyramid, frame, &start, 1);
+                        let candidate = place::by_start(&base.compare(frame, &start), &start, 0);
                         keep_better(&mut best, b, candidate.map(|c| base.discount(c)));
                     }
                 }
@@ -199,16 +205,17 @@ impl Search<'_> {
         }
         if !is_settled(&best) && !is_corroborated {
             let (width, height) = self.size();
-            let angle = best.as_ref().map_or(0.0, |(_, c)| c.warp.rotation_deg(width, height).to_radians());
+            let start = best.as_ref().map_or(Warp::Identity, |(_, c)| c.warp);
+            let angle = start.rotation_deg(width, height).to_radians();
             for (b, base) in bases.iter().enumerate() {
-                for rival in place::by_rivals(&base.pyramid, frame, angle, &self.options.mtb) {
+                for rival in place::by_rivals(&base.compare(frame, &start), angle, &self.options.mtb) {
                     keep_better(&mut best, b, Some(base.discount(rival)));
                 }
             }
         }
         match best {
             Some((b, candidate)) if is_a_place(&candidate) => {
-                let reduced = place::reduce(&bases[b].pyramid, frame, candidate);
+                let reduced = place::reduce(&bases[b].compare(frame, &candidate.warp), candidate);
                 placed(&bases[b].discount(reduced), found)
             }
             other => {
@@ -238,7 +245,7 @@ impl Search<'_> {
         }
         for (i, verdict) in verdicts.iter_mut().enumerate() {
             if verdict.status == Status::Rejected {
-                let here = place::judge(self.base(), &self.pyramids[i], Warp::Identity, 0.0);
+                let here = self.judged(i, Warp::Identity);
                 if here.agreement.contradict <= here.agreement.confirm {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
                     *verdict = placed(&here, found);
@@ -250,6 +257,11 @@ impl Search<'_> {
 }
 
 impl Base<'_> {
+    /// `frame` held against this base, in which it lies about as `start` says.
+    fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Warp) -> Comparison<'b> {
+        Comparison::new(&self.pyramid, frame, start)
+    }
+
     /// What was found against this base, with the base's own error and doubt.
     fn discount(&self, candidate: Candidate) -> Candidate {
         let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();

@@ -1,5 +1,6 @@
 //! What the tiles say of warps that are right, and of such as are wrong by a known amount.
 
+use super::super::common_exposure::Tones;
 use super::super::scene::{Scene, Shot, photograph, rigid, shift};
 use super::super::warp::Warp;
 use super::*;
@@ -9,7 +10,7 @@ const SIZE: (usize, usize) = (480, 320);
 /// The opinion of `claimed` on two exposures, the second moved by `truth`.
 fn opinion(reference: &Plane<u8>, frame: &Plane<u8>, claimed: &Warp) -> Agreement {
     let h = claimed.matrix(SIZE.0, SIZE.1);
-    measure(&CommonExposure::new(reference, frame, &h, 1.0), &h)
+    measure(&CommonExposure::new(reference, frame, &Tones::between(reference, frame, &h)), &h)
 }
 
 fn taken(warp: &Warp, ev: f64) -> Plane<u8> {
@@ -80,7 +81,8 @@ fn gain_and_offset_do_not_matter() {
         Plane::from_vec(SIZE.0, SIZE.1, p.as_slice().iter().map(|&v| gain * f32::from(v) + offset).collect())
     };
     let (a, b) = (taken(&Warp::Identity, 0.0), taken(&Warp::Identity, 0.1));
-    let mut both = CommonExposure::new(&a, &b, &Matrix3::identity(), 1.0);
+    let tones = Tones::between(&a, &b, &Matrix3::identity());
+    let mut both = CommonExposure::new(&a, &b, &tones);
     let plain = float(&b, 1.0, 0.0);
     both.frame = plain.clone();
     let one = measure(&both, &Matrix3::identity());

@@ -1,5 +1,6 @@
 //! Refinement against motions that are known: between exposures, with noise, clipping and things that move.
 
+use super::super::mtb::GreyPyramid;
 use super::super::scene::{Scene, Shot, perspective, photograph, rigid, shift};
 use super::*;
 
@@ -8,6 +9,11 @@ const SIZE: (usize, usize) = (400, 300);
 /// A photograph of the same scene, as a pyramid.
 fn taken(warp: &Warp, shot: Shot) -> GreyPyramid {
     GreyPyramid::new(Scene::new(11).photograph(SIZE, warp, shot))
+}
+
+/// Refined from level `coarsest` down to the full size.
+fn found(reference: &GreyPyramid, frame: &GreyPyramid, start: &Warp, model: Model, coarsest: usize) -> Option<Refined> {
+    refine(&Comparison::new(reference, frame, start), start, model, (coarsest, 0))
 }
 
 /// The farthest that two warps put a corner apart, in pixels.
@@ -26,7 +32,7 @@ fn finds_each_model_from_pixels_away() {
     ] {
         for (dark, bright) in [(-1.0, 1.0), (1.0, -1.0)] {
             let (reference, frame) = (taken(&Warp::Identity, Shot::at(dark)), taken(&truth, Shot::at(bright)));
-            let found = refine(&reference, &frame, &start, model, (2, 0)).unwrap();
+            let found = found(&reference, &frame, &start, model, 2).unwrap();
             let error = apart(&found.warp, &truth);
             assert!(error < tolerance, "{model:?} {dark} {bright}: {error}, {found:?}");
         }
@@ -36,7 +42,7 @@ fn finds_each_model_from_pixels_away() {
 #[test]
 fn a_result_has_the_form_of_its_model() {
     let (reference, frame) = (taken(&Warp::Identity, Shot::at(0.0)), taken(&rigid(1.2, 0.4, 0.4), Shot::at(1.0)));
-    let warp = |model| refine(&reference, &frame, &perspective(), model, (2, 0)).unwrap().warp;
+    let warp = |model| found(&reference, &frame, &perspective(), model, 2).unwrap().warp;
     assert!(matches!(warp(Model::Shift), Warp::Rigid { angle: 0.0, .. }));
     assert!(matches!(warp(Model::Rigid), Warp::Rigid { angle, .. } if angle != 0.0));
     assert!(matches!(warp(Model::Homography), Warp::Homography(h) if h[(2, 2)] == 1.0));
@@ -57,7 +63,7 @@ fn edges_of_clipped_areas_do_not_lead_astray() {
         let (reference, frame) = (take(&Warp::Identity, a), take(&truth, b));
         let clipped = [&reference, &frame].map(|p| p.level(0).as_slice().iter().filter(|&&v| v == 255).count());
         assert!(clipped.iter().max().unwrap() * 10 > SIZE.0 * SIZE.1, "{clipped:?}");
-        let found = refine(&reference, &frame, &shift(0.0, 0.0), Model::Shift, (1, 0)).unwrap();
+        let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
         // As for the models above; the bias this is about would be tenths of a pixel.
         assert!(apart(&found.warp, &truth) < 0.04, "{a} {b}: {found:?}");
     }
@@ -74,7 +80,7 @@ fn what_moves_by_itself_does_not_pull() {
     let truth = rigid(2.4, -1.3, 0.3);
     let reference = taken(&Warp::Identity, Shot::at(-1.0));
     let frame = GreyPyramid::new(photograph(SIZE, &truth, Shot::at(1.0), with_mover));
-    let found = refine(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, (2, 0)).unwrap();
+    let found = found(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, 2).unwrap();
     // Least squares would go about a fifth of the 9 px; Tukey's weights leave what chance likeness in the moved part does.
     assert!(apart(&found.warp, &truth) < 0.05, "{found:?}");
 }
@@ -83,7 +89,7 @@ fn what_moves_by_itself_does_not_pull() {
 fn a_plain_picture_says_nothing() {
     let plain = GreyPyramid::new(Plane::filled(SIZE.0, SIZE.1, 90));
     for model in [Model::Shift, Model::Rigid, Model::Homography] {
-        assert!(refine(&plain, &plain, &Warp::Identity, model, (2, 0)).is_none());
+        assert!(found(&plain, &plain, &Warp::Identity, model, 2).is_none());
     }
 }
 
@@ -98,7 +104,7 @@ fn the_error_it_states_is_of_the_right_order() {
             GreyPyramid::new(Scene::new(11).photograph(size, warp, shot))
         };
         let (reference, frame) = (take(&Warp::Identity, 0.0, 2 * seed), take(&truth, 1.0, 2 * seed + 1));
-        let found = refine(&reference, &frame, &shift(0.0, 0.0), Model::Shift, (1, 0)).unwrap();
+        let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
         let (dx, dy) = found.warp.shift_px(size.0, size.1);
         actual += (dx - 0.7).powi(2) + (dy - 0.4).powi(2);
         stated += found.error_px * found.error_px;

@@ -1,0 +1,113 @@
+//! The small motions of a model, as numbers: what refinement solves for.
+//!
+//! In: a [`Model`] and the size of a plane. Out: derivatives of a place by the numbers, the motion that numbers stand for, and what
+//! their covariance means in pixels. Cost: none to speak of.
+//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of warps.
+
+use super::Model;
+use super::warp::{Warp, centre};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
+
+/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
+pub(super) struct Basis {
+    model: Model,
+    centre: (f64, f64),
+    unit: f64,
+    size: (usize, usize),
+}
+
+impl Basis {
+    pub(super) fn new(model: Model, width: usize, height: usize) -> Self {
+        let half = |n: usize| n as f64 / 2.0;
+        let unit = (half(width) * half(width) + half(height) * half(height)).sqrt();
+        Basis { model, centre: centre(width, height), unit, size: (width, height) }
+    }
+
+    /// How many numbers the model has.
+    pub(super) fn numbers(&self) -> usize {
+        match self.model {
+            Model::Unmoved => 0,
+            Model::Shift => 2,
+            Model::Rigid => 3,
+            Model::Homography => 8,
+        }
+    }
+
+    /// d(place) / d(numbers) at (x, y), in pixels.
+    fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
+        let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
+        let mut j = [[0.0; 2]; 8];
+        match self.model {
+            Model::Unmoved => {}
+            Model::Shift => (j[0], j[1]) = ([u, 0.0], [0.0, u]),
+            Model::Rigid => (j[0], j[1], j[2]) = ([u, 0.0], [0.0, u], [-u * y, u * x]),
+            Model::Homography => {
+                j = [
+                    [u, 0.0],
+                    [0.0, u],
+                    [u * x, 0.0],
+                    [u * y, 0.0],
+                    [0.0, u * x],
+                    [0.0, u * y],
+                    [-u * x * x, -u * x * y],
+                    [-u * x * y, -u * y * y],
+                ];
+            }
+        }
+        j
+    }
+
+    /// J^T g at (x, y).
+    pub(super) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
+        let (gx, gy) = (f64::from(g[0]), f64::from(g[1]));
+        self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
+    }
+
+    /// -A^-1 b; none where A is singular.
+    pub(super) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
+        let step = -a.cholesky()?.solve(&b);
+        step.iter().all(|v| v.is_finite()).then_some(step)
+    }
+
+    /// The motion of the reference's pixels that the numbers `d` stand for.
+    pub(super) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
+        let (cx, cy) = self.centre;
+        let from =
+            Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0);
+        let to = Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0);
+        let m = match self.model {
+            Model::Unmoved => Matrix3::identity(),
+            Model::Shift => Matrix3::new(1.0, 0.0, d[0], 0.0, 1.0, d[1], 0.0, 0.0, 1.0),
+            Model::Rigid => {
+                let (s, c) = (libm::sin(d[2]), libm::cos(d[2]));
+                Matrix3::new(c, -s, d[0], s, c, d[1], 0.0, 0.0, 1.0)
+            }
+            Model::Homography => Matrix3::new(1.0 + d[2], d[3], d[0], d[4], 1.0 + d[5], d[1], d[6], d[7], 1.0),
+        };
+        to * m * from
+    }
+
+    /// The farthest that the motion `d` moves a corner, in pixels.
+    pub(super) fn largest_move(&self, d: &DVector<f64>) -> f64 {
+        Warp::Homography(self.matrix(d)).corner_distance(&Warp::Identity, self.size.0, self.size.1)
+    }
+
+    /// The root mean square over the picture of the error that A^-1, the covariance of the numbers, stands for, in pixels.
+    pub(super) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
+        let covariance = a.clone().cholesky()?.inverse();
+        const GRID: usize = 9;
+        let mut sum = 0.0;
+        for i in 0..GRID * GRID {
+            let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+            let j = self.jacobian(place(i % GRID, self.size.0), place(i / GRID, self.size.1));
+            let mut local = Matrix2::zeros();
+            for p in 0..self.numbers() {
+                for q in 0..self.numbers() {
+                    local += covariance[(p, q)] * Vector2::from(j[p]) * Vector2::from(j[q]).transpose();
+                }
+            }
+            sum += local.trace();
+        }
+        Some((sum / (GRID * GRID) as f64).sqrt())
+    }
+}

@@ -1,0 +1,195 @@
+//! Two frames that are held against each other, level by level, for as long as one is placed by the other.
+//!
+//! In: the grey pyramids of a reference and a frame, and a warp that is about right. Out: the two at a common exposure on each level that
+//! is asked for, and the points of each level at which they are compared; each made once. Cost: that of [`CommonExposure`], and one pass
+//! over the reference for the points.
+
+use super::common_exposure::{CommonExposure, Tones};
+use super::mtb::GreyPyramid;
+use super::refine::BORDER;
+use super::warp::Warp;
+use crate::plane::Plane;
+use nalgebra::Matrix3;
+use std::sync::OnceLock;
+
+/// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features are sought.
+const MEASURED_PIXELS: usize = 600_000;
+/// ... and the largest on which single points are compared: more add nothing but time.
+const REFINED_PIXELS: usize = 4_000_000;
+/// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which only lead to it.
+const CELLS: (f64, f64) = (10_000.0, 4_000.0);
+/// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one of the frames.
+const JITTER: f32 = 0.15;
+
+/// The first level of `pyramid` with at most `pixels` pixels.
+fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
+    let area = |i: usize| pyramid.level(i).width() * pyramid.level(i).height();
+    (0..pyramid.len()).find(|&i| area(i) <= pixels).unwrap_or(pyramid.len() - 1)
+}
+
+/// The level on which agreement is measured, and features are sought.
+pub fn measured_level(pyramid: &GreyPyramid) -> usize {
+    level_within(pyramid, MEASURED_PIXELS)
+}
+
+/// The largest level on which points are compared.
+pub fn finest_level(pyramid: &GreyPyramid) -> usize {
+    level_within(pyramid, REFINED_PIXELS)
+}
+
+/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
+pub fn level_to_full(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (scale - 1.0) / 2.0;
+    Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// Pixel of level `level` from pixel of the full size.
+fn full_to_level(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (1.0 - scale) / (2.0 * scale);
+    Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// `h`, between pixels of the full size, as a matrix between pixels of level `level`.
+pub fn on_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    full_to_level(level) * h * level_to_full(level)
+}
+
+/// `h`, between pixels of level `level`, as a matrix between pixels of the full size; its lower right number is 1.
+pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    let whole = level_to_full(level) * h * full_to_level(level);
+    whole / whole[(2, 2)]
+}
+
+/// A pixel of the reference that is compared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// Column and row, in pixels of the level.
+    pub x: f64,
+    /// See `x`.
+    pub y: f64,
+    /// The reference's level there, at the exposure of the brighter.
+    pub level: f32,
+    /// Its gradient, in levels a pixel.
+    pub gradient: [f32; 2],
+    /// 1 / standard deviation of what noise alone would leave here, in units of the darker frame's noise or so: the noise of both, and
+    /// what aliasing and blur make of a strong gradient.
+    pub precision: f32,
+}
+
+impl Point {
+    /// The point at (x, y) whose surroundings in a smoothed plane are `level`, `left`, `right`, `up` and `down`.
+    pub(super) fn new((x, y): (usize, usize), level: f32, [left, right, up, down]: [f32; 4], tones: &Tones) -> Self {
+        let gradient = [0.5 * (right - left), 0.5 * (down - up)];
+        let jitter = JITTER * JITTER * (gradient[0] * gradient[0] + gradient[1] * gradient[1]);
+        let precision = 1.0 / (1.0 / tones.trust(level) + jitter).sqrt();
+        Point { x: x as f64, y: y as f64, level, gradient, precision }
+    }
+}
+
+/// One level of both, and where they are compared.
+#[derive(Debug)]
+pub struct Level {
+    /// Both at a common exposure.
+    pub both: CommonExposure,
+    /// Of every cell of the reference the pixel that says most about where it is.
+    pub points: Vec<Point>,
+}
+
+/// A reference and a frame that is placed by it.
+#[derive(Debug)]
+pub struct Comparison<'a> {
+    reference: &'a GreyPyramid,
+    frame: &'a GreyPyramid,
+    /// The warp under which levels are taken.
+    start: Matrix3<f64>,
+    tones: Vec<OnceLock<Tones>>,
+    levels: Vec<OnceLock<Level>>,
+}
+
+impl<'a> Comparison<'a> {
+    /// The comparison of `frame` with `reference`, under which it lies about as `start` says.
+    pub fn new(reference: &'a GreyPyramid, frame: &'a GreyPyramid, start: &Warp) -> Self {
+        let start = start.matrix(reference.level(0).width(), reference.level(0).height());
+        let tones = (0..reference.len()).map(|_| OnceLock::new()).collect();
+        let levels = (0..reference.len()).map(|_| OnceLock::new()).collect();
+        Comparison { reference, frame, start, tones, levels }
+    }
+
+    /// The reference.
+    pub fn reference(&self) -> &'a GreyPyramid {
+        self.reference
+    }
+
+    /// The frame.
+    pub fn frame(&self) -> &'a GreyPyramid {
+        self.frame
+    }
+
+    /// What brings both to a common exposure on level `i`. Halving averages noise, and black is not black where there is noise: each
+    /// level has its own.
+    pub fn tones(&self, i: usize) -> &Tones {
+        let h = || on_level(&self.start, i);
+        self.tones[i].get_or_init(|| Tones::between(self.reference.level(i), self.frame.level(i), &h()))
+    }
+
+    /// Width and height of the frames.
+    pub fn size(&self) -> (usize, usize) {
+        (self.reference.level(0).width(), self.reference.level(0).height())
+    }
+
+    /// Both frames on level `i`.
+    pub fn level(&self, i: usize) -> &Level {
+        self.levels[i].get_or_init(|| {
+            let both = CommonExposure::new(self.reference.level(i), self.frame.level(i), self.tones(i));
+            let cells = if i <= measured_level(self.reference) { CELLS.0 } else { CELLS.1 };
+            let area = (both.reference.width() * both.reference.height()) as f64;
+            let points = choose_points(&both, (area / cells).sqrt().max(1.0) as usize);
+            Level { both, points }
+        })
+    }
+}
+
+/// Of every cell, the pixel that says most about where it is: that with the largest trusted gradient.
+fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
+    let (reference, tones) = (&both.reference, &both.tones);
+    let (width, height) = (reference.width(), reference.height());
+    let mut points = Vec::new();
+    if width <= 2 * BORDER {
+        return points;
+    }
+    let inner = width - 2 * BORDER;
+    let mut squares = vec![0.0f32; inner];
+    for top in (BORDER..height.saturating_sub(BORDER)).step_by(cell) {
+        let mut best: Vec<(f32, usize, usize)> = vec![(0.0, 0, 0); inner.div_ceil(cell)];
+        for y in top..(top + cell).min(height - BORDER) {
+            let (up, row, down) = (reference.row(y - 1), reference.row(y), reference.row(y + 1));
+            let (left, right) = (&row[BORDER - 1..][..inner], &row[BORDER + 1..][..inner]);
+            let (up, down) = (&up[BORDER..][..inner], &down[BORDER..][..inner]);
+            for x in 0..inner {
+                let (dx, dy) = (right[x] - left[x], down[x] - up[x]);
+                squares[x] = dx * dx + dy * dy;
+            }
+            for (slot, (i, cell_squares)) in best.iter_mut().zip(squares.chunks(cell).enumerate()) {
+                for (k, &square) in cell_squares.iter().enumerate() {
+                    // Trust is at most 1: most pixels need no look at the table.
+                    if square > slot.0 {
+                        let x = BORDER + i * cell + k;
+                        let strength = square * tones.trust(row[x]);
+                        if strength > slot.0 {
+                            *slot = (strength, x, y);
+                        }
+                    }
+                }
+            }
+        }
+        points.extend(best.into_iter().filter(|b| b.0 > 0.0).map(|(_, x, y)| point_of(reference, x, y, tones)));
+    }
+    points
+}
+
+fn point_of(plane: &Plane<f32>, x: usize, y: usize, tones: &Tones) -> Point {
+    let around = [plane.at(x - 1, y), plane.at(x + 1, y), plane.at(x, y - 1), plane.at(x, y + 1)];
+    Point::new((x, y), plane.at(x, y), around, tones)
+}
