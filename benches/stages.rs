@@ -68,7 +68,7 @@ fn alignment(c: &mut Criterion) {
     let mut group = c.benchmark_group("align");
     group.throughput(Throughput::Elements(all));
     group.bench_function("grey pyramid", |b| b.iter(|| GreyPyramid::new(black_box(&bracket.frames()[2]).grey())));
-    group.bench_function("bitmaps", |b| b.iter(|| black_box(&reference).bitmaps(0, Percentile::Median, 4)));
+    group.bench_function("bitmaps", |b| b.iter(|| black_box(&reference).bitmaps(0, Percentile::MEDIAN, 4)));
     let options = MtbOptions::default();
     group.bench_function("mtb search", |b| b.iter(|| mtb::search(black_box(&reference), &frame, 0, &options)));
     let start = mtb::search(&reference, &frame, 0, &options).warp();

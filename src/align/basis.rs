@@ -8,6 +8,15 @@ use super::Model;
 use super::warp::{Warp, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
+/// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
+/// and no shear to speak of; turned aside by about a degree, which is perspective. A well-seen frame says it a hundred times as exactly;
+/// of one of which only a strip is seen this keeps the rest near.
+const SCALE: f64 = 0.004;
+/// See [`SCALE`].
+const STRETCH: f64 = 0.001;
+/// See [`SCALE`].
+const PERSPECTIVE: f64 = 0.008;
+
 /// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
 pub(super) struct Basis {
     model: Model,
@@ -63,6 +72,56 @@ impl Basis {
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
+    /// Adds to A and b what is known beforehand of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise that is
+    /// independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too much, and so must this.
+    pub(super) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
+        if self.model != Model::Homography {
+            return;
+        }
+        let n = self.to_units() * h * self.from_units();
+        let n = n / n[(2, 2)];
+        // The derivative at the centre, turned back: S = R(-phi) A, near the identity, and the perspective as it is.
+        let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
+        let (xx, xy, yx, yy) = (derivative(0, 0), derivative(0, 1), derivative(1, 0), derivative(1, 1));
+        let (sum, turn) = (xx + yy, yx - xy);
+        let length = (sum * sum + turn * turn).sqrt();
+        if length == 0.0 {
+            return;
+        }
+        let (cos, sin) = (sum / length, turn / length);
+        let (s_xx, s_xy, s_yx, s_yy) =
+            (cos * xx + sin * yx, cos * xy + sin * yy, cos * yx - sin * xx, cos * yy - sin * xy);
+        // Each is a number of `h`, and how it changes with the step's numbers d2..d7.
+        let known: [(f64, f64, &[(usize, f64)]); 5] = [
+            (0.5 * (s_xx + s_yy) - 1.0, SCALE, &[(2, 0.5), (5, 0.5)]),
+            (0.5 * (s_xx - s_yy), STRETCH, &[(2, 0.5), (5, -0.5)]),
+            (0.5 * (s_xy + s_yx), STRETCH, &[(3, 0.5), (4, 0.5)]),
+            (n[(2, 0)], PERSPECTIVE, &[(6, 1.0)]),
+            (n[(2, 1)], PERSPECTIVE, &[(7, 1.0)]),
+        ];
+        for (value, deviation, changes) in known {
+            let weight = factor * factor / (deviation * deviation);
+            for &(i, ci) in changes {
+                b[i] += weight * ci * value;
+                for &(k, ck) in changes {
+                    a[(i, k)] += weight * ci * ck;
+                }
+            }
+        }
+    }
+
+    /// From pixels to the coordinates of [`Basis`].
+    fn to_units(&self) -> Matrix3<f64> {
+        let (cx, cy) = self.centre;
+        Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0)
+    }
+
+    /// Back to pixels.
+    fn from_units(&self) -> Matrix3<f64> {
+        let (cx, cy) = self.centre;
+        Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0)
+    }
+
     /// -A^-1 b; none where A is singular.
     pub(super) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
         let step = -a.cholesky()?.solve(&b);
@@ -71,10 +130,6 @@ impl Basis {
 
     /// The motion of the reference's pixels that the numbers `d` stand for.
     pub(super) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
-        let (cx, cy) = self.centre;
-        let from =
-            Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0);
-        let to = Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0);
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),
             Model::Shift => Matrix3::new(1.0, 0.0, d[0], 0.0, 1.0, d[1], 0.0, 0.0, 1.0),
@@ -84,7 +139,7 @@ impl Basis {
             }
             Model::Homography => Matrix3::new(1.0 + d[2], d[3], d[0], d[4], 1.0 + d[5], d[1], d[6], d[7], 1.0),
         };
-        to * m * from
+        self.from_units() * m * self.to_units()
     }
 
     /// The farthest that the motion `d` moves a corner, in pixels.

@@ -29,9 +29,9 @@ mod search;
 pub mod sift;
 pub mod warp;
 
-use crate::bracket::Bracket;
+use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
-use mtb::{GreyPyramid, MtbOptions};
+use mtb::{GreyPyramid, Histogram, MtbOptions, Percentile};
 use ransac::RansacOptions;
 use rayon::prelude::*;
 use search::Search;
@@ -240,7 +240,7 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     if options.mode == AlignMode::None {
         return Ok((Alignment::unmoved(bracket), Vec::new()));
     }
-    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(|f| GreyPyramid::new(f.grey())).collect();
+    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(pyramid).collect();
     let search = Search { pyramids: &pyramids, reference: bracket.reference_index(), options };
     let verdicts = match options.mode {
         AlignMode::Auto | AlignMode::None => search.auto(),
@@ -252,6 +252,21 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let overlap = overlap::largest(&warps, bracket.width(), bracket.height());
     Ok((Alignment { verdicts, overlap }, warnings))
 }
+
+/// The grey pyramid in which the motion of `frame` is sought; that of a dark one is brightened, so that neither rounding nor halving
+/// takes away what little it shows.
+fn pyramid(frame: &Frame) -> GreyPyramid {
+    let grey = frame.grey();
+    let stops = Histogram::of(&grey).level(NEARLY_ALL).leading_zeros().min(MOST_STOPS);
+    GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) })
+}
+
+/// What is brighter than this percentile may be burnt out by brightening: a lamp still has its edge.
+const NEARLY_ALL: Percentile = Percentile::new(99);
+/// Brightening that is worth the pass over the frame.
+const LEAST_STOPS: u32 = 2;
+/// ... and beyond which there is only noise.
+const MOST_STOPS: u32 = 6;
 
 fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     let mut warnings = Vec::new();

@@ -30,29 +30,28 @@ impl Default for MtbOptions {
 /// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
 const COARSEST: usize = 32;
 
-/// The percentile of the grey levels that is the threshold: the median, or where that is too extreme Ward's 17th or 83rd.
+/// The percentile of the grey levels that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub enum Percentile {
-    /// The median.
-    #[serde(rename = "50")]
-    Median,
-    /// The 17th: where the median is burnt out.
-    #[serde(rename = "17")]
-    Low,
-    /// The 83rd: where the median is black.
-    #[serde(rename = "83")]
-    High,
-}
+pub struct Percentile(u8);
 
 impl Percentile {
-    fn percent(self) -> u64 {
-        match self {
-            Percentile::Low => 17,
-            Percentile::Median => 50,
-            Percentile::High => 83,
-        }
+    /// The median.
+    pub const MEDIAN: Percentile = Percentile(50);
+
+    /// The one that `percent` of the pixels do not exceed, 1..=99.
+    pub const fn new(percent: u8) -> Self {
+        Percentile(if percent < 1 {
+            1
+        } else if percent > 99 {
+            99
+        } else {
+            percent
+        })
     }
 }
+
+/// Where the median is black or burnt out in one of two frames, another percentile may still part both: those that are tried instead.
+const OTHERS: std::ops::RangeInclusive<u8> = 1..=19;
 
 /// How many pixels have each grey level.
 #[derive(Debug, Clone)]
@@ -82,7 +81,7 @@ impl Histogram {
 
     /// The least level that at least `percentile` of the pixels do not exceed.
     pub fn level(&self, percentile: Percentile) -> u8 {
-        let wanted = (self.total() * percentile.percent()).div_ceil(100).max(1);
+        let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
         let mut below = 0;
         for (v, n) in self.0.iter().enumerate() {
             below += n;
@@ -105,16 +104,16 @@ impl Histogram {
 /// A bitmap with a smaller share of its pixels on one side says too little: half of what Ward's outer percentiles can give.
 const LEAST_BALANCE: f64 = 0.085;
 
-/// The percentile at which both frames have something to say: the median unless it is too extreme in either.
+/// The percentile at which both frames have something to say: the median unless it is too extreme in either, else of every fifth the one
+/// that parts both best.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| a.balance(p, exclusion).min(b.balance(p, exclusion));
-    if balance(Percentile::Median) >= LEAST_BALANCE {
-        return Percentile::Median;
+    if balance(Percentile::MEDIAN) >= LEAST_BALANCE {
+        return Percentile::MEDIAN;
     }
-    [Percentile::Median, Percentile::Low, Percentile::High]
-        .into_iter()
-        .reduce(|best, p| if balance(p) > balance(best) { p } else { best })
-        .unwrap_or(Percentile::Median)
+    OTHERS
+        .map(|i| Percentile::new(5 * i))
+        .fold(Percentile::MEDIAN, |best, p| if balance(p) > balance(best) { p } else { best })
 }
 
 /// The percentile at which one frame by itself has something to say.

@@ -18,9 +18,6 @@ use nalgebra::Matrix3;
 
 /// Levels above that of agreement from which refinement starts: a warp that is off by 4 px is off by one there.
 const CAPTURE_LEVELS: usize = 2;
-/// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
-/// it were. Measured on rendered brackets.
-const NOISE_FACTOR: f64 = 4.0;
 /// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 /// A smaller model that is so many times farther off, before it is fitted, will not do.
@@ -181,7 +178,7 @@ pub(super) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Optio
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
     [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
         let found = refine(pair, start, model, levels)?;
-        is_sane(&found.warp, pair.size()).then(|| judge(pair, found.warp, NOISE_FACTOR * found.error_px))
+        is_sane(&found.warp, pair.size()).then(|| judge(pair, found.warp, found.error_px))
     })
 }
 
@@ -270,7 +267,7 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.warp, &smaller.warp, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
-            let candidate = opinion(smaller.warp, NOISE_FACTOR * smaller.error_px, apart);
+            let candidate = opinion(smaller.warp, smaller.error_px, apart);
             if candidate.agreement.share() >= whole.agreement.share() - 0.02
                 && candidate.agreement.offset <= whole.agreement.offset + 0.01
             {

@@ -125,11 +125,28 @@ impl Frame {
             Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
         })
     }
+
+    /// The grey picture as [`grey`](Self::grey) has it, but brightened by `stops` (0..=8) before it is rounded to 8 bit: of a dark frame
+    /// much is between its codes, in its three channels and in the bits beyond the eighth.
+    pub fn grey_brightened(&self, stops: u32) -> Plane<u8> {
+        let stride = 3 * self.width;
+        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
+            Samples::Eight(v) => brightened_row(&v[y * stride..][..stride], row, stops, |code| u32::from(code) << 8),
+            Samples::Sixteen(v) => brightened_row(&v[y * stride..][..stride], row, stops, u32::from),
+        })
+    }
 }
 
 fn grey_row<T: Copy>(rgb: &[T], grey: &mut [u8], code8: impl Fn(T) -> u32) {
     for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
         *out = ((54 * code8(p[0]) + 183 * code8(p[1]) + 19 * code8(p[2])) >> 8) as u8;
+    }
+}
+
+fn brightened_row<T: Copy>(rgb: &[T], grey: &mut [u8], stops: u32, code16: impl Fn(T) -> u32) {
+    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
+        let sum = 54 * code16(p[0]) + 183 * code16(p[1]) + 19 * code16(p[2]);
+        *out = (sum >> (16 - stops.min(8))).min(255) as u8;
     }
 }
 
@@ -211,6 +228,19 @@ mod tests {
         assert_eq!(of(Samples::Eight(vec![10, 200, 30])), ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8);
         assert_eq!(of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])), of(Samples::Eight(vec![10, 200, 30])));
         assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
+    }
+
+    #[test]
+    fn a_brightened_grey_keeps_what_rounding_loses() {
+        let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap());
+        // (54 + 2 * 183) / 256 = 1.64, of which 1 is left; times 64 it is 105.
+        let dark = of(Samples::Eight(vec![1, 2, 0]));
+        assert_eq!([0, 6, 8].map(|stops| dark.grey_brightened(stops).at(0, 0)), [1, 105, 255]);
+        // 0.64 of a code at 8 bit.
+        let deep = of(Samples::Sixteen(vec![164, 164, 164]));
+        assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).at(0, 0)), [0, 41]);
+        let plain = of(Samples::Eight(vec![10, 200, 30]));
+        assert_eq!(plain.grey_brightened(0), plain.grey());
     }
 
     #[test]

@@ -16,13 +16,13 @@ fn histogram(values: &[(u8, usize)]) -> Histogram {
 fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
     // 0, 1, ..., 99: of a hundred pixels the 17th, 50th and 83rd in order.
     let ramp: Vec<(u8, usize)> = (0..100).map(|v| (v, 1)).collect();
-    let levels = [Percentile::Low, Percentile::Median, Percentile::High].map(|p| histogram(&ramp).level(p));
+    let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).level(p));
     assert_eq!(levels, [16, 49, 82]);
     // A tie goes to the lower level, one pixel more tips it.
-    assert_eq!(histogram(&[(10, 50), (20, 50)]).level(Percentile::Median), 10);
-    assert_eq!(histogram(&[(10, 50), (20, 51)]).level(Percentile::Median), 20);
+    assert_eq!(histogram(&[(10, 50), (20, 50)]).level(Percentile::MEDIAN), 10);
+    assert_eq!(histogram(&[(10, 50), (20, 51)]).level(Percentile::MEDIAN), 20);
     for end in [0, 255] {
-        for p in [Percentile::Low, Percentile::Median, Percentile::High] {
+        for p in [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)] {
             assert_eq!(histogram(&[(end, 7)]).level(p), end);
             assert_eq!(histogram(&[(end, 1)]).level(p), end);
         }
@@ -35,11 +35,13 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     let normal = histogram(&spread);
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
     let (burnt, black) = (with(255), with(0));
-    assert_eq!(own_percentile(&normal, 4), Percentile::Median);
-    assert_eq!(own_percentile(&burnt, 4), Percentile::Low);
-    assert_eq!(own_percentile(&black, 4), Percentile::High);
+    assert_eq!(own_percentile(&normal, 4), Percentile::MEDIAN);
+    assert_eq!(own_percentile(&burnt, 4), Percentile::new(17));
+    assert_eq!(own_percentile(&black, 4), Percentile::new(83));
     // Of a pair both must have something to say, in either order.
-    for (other, expected) in [(&normal, Percentile::Median), (&burnt, Percentile::Low), (&black, Percentile::High)] {
+    for (other, expected) in
+        [(&normal, Percentile::MEDIAN), (&burnt, Percentile::new(17)), (&black, Percentile::new(83))]
+    {
         assert_eq!(common_percentile(&normal, other, 4), expected);
         assert_eq!(common_percentile(other, &normal, 4), expected);
     }
@@ -129,7 +131,7 @@ fn the_packed_search_is_the_textbooks() {
         let (a, b) = (take(&Warp::Identity, 0.0), take(&shift(dx, dy), 1.0));
         let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
         assert_eq!(pa.len(), 1);
-        let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::Median, 4);
+        let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::MEDIAN, 4);
         let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), max_angle: 0.0 };
         let reach = packed.reach(0.15);
         assert_eq!(reach, 12);
