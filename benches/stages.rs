@@ -3,7 +3,7 @@
 //! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use hdralign::align::agreement::measure;
+use hdralign::align::agreement::survey;
 use hdralign::align::common_exposure::{CommonExposure, Tones};
 use hdralign::align::comparison::Comparison;
 use hdralign::align::features::{Features, match_mutual};
@@ -89,7 +89,7 @@ fn alignment(c: &mut Criterion) {
     });
     let tones = Tones::between(reference.level(0), frame.level(0), &h);
     let both = CommonExposure::new(reference.level(0), frame.level(0), &tones);
-    group.bench_function("agreement", |b| b.iter(|| measure(&both, black_box(&h))));
+    group.bench_function("agreement", |b| b.iter(|| survey(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
     group.bench_function("resample", |b| {
         b.iter(|| {

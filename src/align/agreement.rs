@@ -53,8 +53,28 @@ impl Agreement {
 /// Where tiles confirm in fewer parts of the picture than this, what lies in the others is only inferred.
 const ENOUGH_PARTS: usize = 4;
 
+/// A tile that says where it lies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Displaced {
+    /// Its centre in the reference, in pixels of the planes.
+    pub centre: [f64; 2],
+    /// Minus the second derivatives of its correlation about the best match, [xx, xy, yy], per pixel^2: how sharply it is placed, each way.
+    pub sharpness: [f64; 3],
+    /// `sharpness` times how far it lies from where the warp puts it, in the reference's directions. (Along an edge neither is known.)
+    pub pull: [f64; 2],
+}
+
+/// What the tiles say of a warp, all together and each by itself.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Survey {
+    /// All together.
+    pub agreement: Agreement,
+    /// Of those that confirm, all whose best match does not lie at the rim of what was tried.
+    pub displaced: Vec<Displaced>,
+}
+
 /// How far the two frames agree under `h`, reference -> frame, in pixels of the planes.
-pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
+pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     let (width, height) = (both.reference.width(), both.reference.height());
     let warped = laid_on_reference(&both.frame, h, (width, height));
     let side = width.max(height).div_ceil(TILES).max(8);
@@ -65,14 +85,17 @@ pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
     })
     .concat();
     let mut sum = Agreement::default();
+    let mut displaced = Vec::new();
     let mut offsets = Vec::new();
     let mut correlations = 0.0;
     let mut parts = [false; 9];
     for (i, tile) in tiles.iter().enumerate() {
         match *tile {
             Tile::Silent => sum.silent += 1,
-            Tile::Confirms { offset, correlation } => {
+            Tile::Confirms { offset, correlation, peak } => {
                 sum.confirm += 1;
+                let middle = |at: usize| (at * side) as f64 + (side as f64 - 1.0) / 2.0;
+                displaced.extend(peak.map(|p| p.about([middle(i % columns), middle(i / columns)])));
                 parts[i / columns * 3 / rows * 3 + i % columns * 3 / columns] = true;
                 offsets.push(offset);
                 correlations += f64::from(correlation);
@@ -87,14 +110,32 @@ pub fn measure(both: &CommonExposure, h: &Matrix3<f64>) -> Agreement {
     offsets.sort_by(f32::total_cmp);
     sum.offset = offsets.get(offsets.len() / 2).copied().map_or(0.0, f64::from);
     sum.correlation = correlations / (sum.confirm + sum.contradict).max(1) as f64;
-    sum
+    Survey { agreement: sum, displaced }
 }
 
 #[derive(Debug, Clone, Copy)]
 enum Tile {
     Silent,
-    Confirms { offset: f32, correlation: f32 },
+    Confirms { offset: f32, correlation: f32, peak: Option<Peak> },
     Contradicts { correlation: f32 },
+}
+
+/// The paraboloid about the best of a tile's correlations.
+#[derive(Debug, Clone, Copy)]
+struct Peak {
+    at: Shift,
+    gradient: [f64; 2],
+    sharpness: [f64; 3],
+}
+
+impl Peak {
+    /// It lies at `at` + S^-1 g, so S times that is S `at` + g.
+    fn about(&self, centre: [f64; 2]) -> Displaced {
+        let [xx, xy, yy] = self.sharpness;
+        let (x, y) = (self.at.0 as f64, self.at.1 as f64);
+        let pull = [xx * x + xy * y + self.gradient[0], xy * x + yy * y + self.gradient[1]];
+        Displaced { centre, sharpness: self.sharpness, pull }
+    }
 }
 
 /// The frame on the reference's grid, [`REACH`] pixels of nothing (NaN) around it, and nothing where the frame does not reach.
@@ -260,6 +301,26 @@ impl Correlations<'_> {
     }
 }
 
+impl Correlations<'_> {
+    /// The paraboloid through `at` and its eight neighbours; none where one of them is not known.
+    fn peak(&mut self, (x, y): Shift) -> Option<Peak> {
+        let mut c = [[0.0f64; 3]; 3];
+        for (j, row) in (-1..).zip(&mut c) {
+            for (i, v) in (-1..).zip(row) {
+                *v = f64::from(self.at((x + i, y + j)));
+            }
+        }
+        let gradient = [0.5 * (c[1][2] - c[1][0]), 0.5 * (c[2][1] - c[0][1])];
+        let xx = 2.0 * c[1][1] - c[1][0] - c[1][2];
+        let yy = 2.0 * c[1][1] - c[0][1] - c[2][1];
+        let xy = -0.25 * (c[2][2] - c[2][0] - c[0][2] + c[0][0]);
+        // A ridge that is not quite straight may turn up along its crest: it says nothing there.
+        let limit = 0.95 * (xx * yy).max(0.0).sqrt();
+        let known = c.iter().flatten().all(|v| v.is_finite()) && xx >= 0.0 && yy >= 0.0;
+        known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })
+    }
+}
+
 fn judge(both: &CommonExposure, laid: &Plane<f32>, left: usize, top: usize, side: usize) -> Tile {
     let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Silent };
     let mut correlations = Correlations { pattern: &pattern, laid, known: [[None; SPAN]; SPAN] };
@@ -285,7 +346,7 @@ fn judge(both: &CommonExposure, laid: &Plane<f32>, left: usize, top: usize, side
         };
     }
     let (x, y) = (dx + correlations.vertex(best.1, (1, 0)), dy + correlations.vertex(best.1, (0, 1)));
-    Tile::Confirms { offset: (x * x + y * y).sqrt(), correlation: here }
+    Tile::Confirms { offset: (x * x + y * y).sqrt(), correlation: here, peak: correlations.peak(best.1) }
 }
 
 /// Where other hills are sought.

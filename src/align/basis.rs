@@ -43,7 +43,7 @@ impl Basis {
     }
 
     /// d(place) / d(numbers) at (x, y), in pixels.
-    fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
+    pub(super) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
         match self.model {
@@ -147,14 +147,25 @@ impl Basis {
         Warp::Homography(self.matrix(d)).corner_distance(&Warp::Identity, self.size.0, self.size.1)
     }
 
+    /// The root mean square over the picture of how far the motion `d` moves it, in pixels.
+    pub(super) fn mean_move(&self, d: &DVector<f64>) -> f64 {
+        let sum: f64 = self
+            .grid()
+            .map(|(x, y)| {
+                let j = self.jacobian(x, y);
+                let along = |k: usize| d.iter().zip(&j).map(|(d, j)| d * j[k]).sum::<f64>();
+                along(0) * along(0) + along(1) * along(1)
+            })
+            .sum();
+        (sum / (GRID * GRID) as f64).sqrt()
+    }
+
     /// The root mean square over the picture of the error that A^-1, the covariance of the numbers, stands for, in pixels.
     pub(super) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
-        const GRID: usize = 9;
         let mut sum = 0.0;
-        for i in 0..GRID * GRID {
-            let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
-            let j = self.jacobian(place(i % GRID, self.size.0), place(i / GRID, self.size.1));
+        for (x, y) in self.grid() {
+            let j = self.jacobian(x, y);
             let mut local = Matrix2::zeros();
             for p in 0..self.numbers() {
                 for q in 0..self.numbers() {
@@ -165,4 +176,13 @@ impl Basis {
         }
         Some((sum / (GRID * GRID) as f64).sqrt())
     }
+
+    /// Places all over the picture.
+    fn grid(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+        (0..GRID * GRID).map(move |i| (place(i % GRID, self.size.0), place(i / GRID, self.size.1)))
+    }
 }
+
+/// Places along each axis at which what a motion does to the picture is looked at.
+const GRID: usize = 9;

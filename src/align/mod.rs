@@ -27,6 +27,7 @@ pub mod resample;
 pub(crate) mod scene;
 mod search;
 pub mod sift;
+mod tile_fit;
 pub mod warp;
 
 use crate::bracket::{Bracket, Frame};

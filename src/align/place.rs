@@ -3,14 +3,15 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
-use super::agreement::{self, Agreement};
-use super::comparison::{Comparison, finest_level, level_to_full, measured_level, on_level};
+use super::agreement::{Agreement, survey};
+use super::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
 use super::features::{Features, Guide, Keypoint, match_mutual};
 use super::homography::Pair;
 use super::mtb::{self, GreyPyramid, MtbOptions};
 use super::ransac::{self, Consensus, RansacOptions};
 use super::refine::{refine, restrict};
 use super::sift::{self, SiftOptions};
+use super::tile_fit::{self, TileFit};
 use super::warp::{Warp, corners, map};
 use super::{KeypointCounts, Model};
 use crate::plane::Plane;
@@ -34,6 +35,10 @@ pub(super) struct Candidate {
     pub(super) agreement: Agreement,
     /// What noise leaves, and what the tiles see, in pixels of the full size.
     pub(super) error_px: f64,
+    /// Of that, what the tiles see.
+    pub(super) seen_px: f64,
+    /// Whether it is where the tiles would have it, rather than the pixels.
+    pub(super) by_tiles: bool,
     /// How far what it was held against can itself be trusted, 0..=1.
     pub(super) trust: f64,
     /// An error at which the warp is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels across, more for a larger.
@@ -172,32 +177,82 @@ fn drop_repeated(pairs: &mut Vec<Pair>, pixel: f64) {
     pairs.retain(|p| seen.insert(cell(p)));
 }
 
-/// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles.
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles; follows them where they see it off.
 pub(super) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
-    [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
+    let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
         let found = refine(pair, start, model, levels)?;
-        is_sane(&found.warp, pair.size()).then(|| judge(pair, found.warp, found.error_px))
-    })
+        is_sane(&found.warp, pair.size()).then_some(found)
+    })?;
+    let (candidate, fit) = judged(pair, found.warp, found.error_px);
+    Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
+
+/// Where the tiles take `from`, if they see it off by more than they can err, and agree better there.
+fn by_tiles(pair: &Comparison, from: &Candidate, mut fit: Option<TileFit>) -> Option<Candidate> {
+    let level = measured_level(pair.reference());
+    let mut best = None;
+    for _ in 0..TILE_STEPS {
+        let Some(seen) = fit.filter(|f| f.moved > (SURE * f.error).max(TILES_SEE)) else { break };
+        let warp = Warp::Homography(off_level(&seen.h, level));
+        if !is_sane(&warp, pair.size()) {
+            break;
+        }
+        let (next, next_fit) = judged(pair, warp, level_to_full(level)[(0, 0)] * seen.error);
+        let before = best.as_ref().unwrap_or(from);
+        if next.agreement.correlation <= before.agreement.correlation
+            || next.agreement.confirm + 1 < before.agreement.confirm
+        {
+            break;
+        }
+        fit = next_fit;
+        best = Some(Candidate { by_tiles: true, ..next });
+    }
+    best
+}
+
+/// Steps that the tiles may take.
+const TILE_STEPS: usize = 5;
+/// They are followed where they see a warp off by so many times what they can err,
+const SURE: f64 = 2.0;
+/// ... and by more than this, in pixels of their level.
+const TILES_SEE: f64 = 0.05;
 
 /// The tiles' opinion of `warp`.
 pub(super) fn judge(pair: &Comparison, warp: Warp, noise_px: f64) -> Candidate {
-    let level = measured_level(pair.reference());
-    let (width, height) = pair.size();
-    let agreement = agreement::measure(&pair.level(level).both, &on_level(&warp.matrix(width, height), level));
-    let diagonal = ((width * width + height * height) as f64).sqrt();
-    let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
-    let error_px = error_of(&agreement, level, noise_px);
-    Candidate { warp, agreement, error_px, trust: 1.0, tolerance_px, corroborated: false }
+    judged(pair, warp, noise_px).0
 }
 
-/// What noise leaves, and what the tiles of level `level` see, in pixels of the full size.
-fn error_of(agreement: &Agreement, level: usize, noise_px: f64) -> f64 {
-    // A tile's own place is known to a few hundredths of a pixel.
-    let seen = level_to_full(level)[(0, 0)] * (agreement.offset - TILE_NOISE).max(0.0);
-    (noise_px * noise_px + seen * seen).sqrt()
+/// The tiles' opinion of `warp`, and where they would have it.
+fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<TileFit>) {
+    let level = measured_level(pair.reference());
+    let (width, height) = pair.size();
+    let h = on_level(&warp.matrix(width, height), level);
+    let both = &pair.level(level).both;
+    let survey = survey(both, &h);
+    let fit = tile_fit::fit(&survey, &h, Model::Homography, (both.reference.width(), both.reference.height()));
+    let diagonal = ((width * width + height * height) as f64).sqrt();
+    let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
+    // What is beyond the tiles' own error is the warp's.
+    let seen = match &fit {
+        Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
+        None => (survey.agreement.offset - TILE_NOISE).max(0.0),
+    };
+    let seen_px = level_to_full(level)[(0, 0)] * seen;
+    let error_px = (noise_px * noise_px + seen_px * seen_px).sqrt();
+    let agreement = survey.agreement;
+    let candidate = Candidate {
+        warp,
+        agreement,
+        error_px,
+        seen_px,
+        trust: 1.0,
+        tolerance_px,
+        corroborated: false,
+        by_tiles: false,
+    };
+    (candidate, fit)
 }
 
 /// See [`Candidate::tolerance_px`].
@@ -245,7 +300,8 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
         if apart > alike_px {
             return Candidate { corroborated: whole.corroborated, ..judge(pair, warp, noise_px) };
         }
-        Candidate { warp, error_px: error_of(&whole.agreement, level, noise_px), ..whole.clone() }
+        let error_px = (noise_px * noise_px + whole.seen_px * whole.seen_px).sqrt();
+        Candidate { warp, error_px, ..whole.clone() }
     };
     let still = distance(&whole.warp, &Warp::Identity, width, height);
     if still <= UNMOVED_PX.max(whole.error_px) {
@@ -254,6 +310,10 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
             return Candidate { error_px, ..unmoved };
         }
+    }
+    if whole.by_tiles {
+        // The pixels would take it back to where the tiles do not want it.
+        return whole;
     }
     let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {

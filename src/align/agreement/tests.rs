@@ -10,7 +10,7 @@ const SIZE: (usize, usize) = (480, 320);
 /// The opinion of `claimed` on two exposures, the second moved by `truth`.
 fn opinion(reference: &Plane<u8>, frame: &Plane<u8>, claimed: &Warp) -> Agreement {
     let h = claimed.matrix(SIZE.0, SIZE.1);
-    measure(&CommonExposure::new(reference, frame, &Tones::between(reference, frame, &h)), &h)
+    survey(&CommonExposure::new(reference, frame, &Tones::between(reference, frame, &h)), &h).agreement
 }
 
 fn taken(warp: &Warp, ev: f64) -> Plane<u8> {
@@ -85,10 +85,10 @@ fn gain_and_offset_do_not_matter() {
     let mut both = CommonExposure::new(&a, &b, &tones);
     let plain = float(&b, 1.0, 0.0);
     both.frame = plain.clone();
-    let one = measure(&both, &Matrix3::identity());
+    let one = survey(&both, &Matrix3::identity()).agreement;
     assert!(one.confirm > 100);
     both.frame = float(&b, 0.5, 64.0);
-    let other = measure(&both, &Matrix3::identity());
+    let other = survey(&both, &Matrix3::identity()).agreement;
     assert_eq!((one.confirm, one.contradict, one.silent), (other.confirm, other.contradict, other.silent));
     // Sums of 900 products of floats.
     assert!((one.offset - other.offset).abs() < 1e-2 && (one.correlation - other.correlation).abs() < 1e-2);

@@ -1,0 +1,96 @@
+//! The motion that the tiles of the picture see: where pixels cannot be compared level by level, their pattern still can.
+//!
+//! In: a [`Survey`] of how the tiles lie under a warp. Out: the small motion that takes most of them where they match best, and how
+//! well they determine it. Cost: none to speak of, beside the survey.
+//! Flare, a long exposure's blur, or noise that bends the intensity map displace the level at every edge to the same side, and
+//! [`refine`](super::refine) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
+//! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
+
+use super::Model;
+use super::agreement::{Displaced, Survey};
+use super::basis::Basis;
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Fewer tiles say nothing.
+const LEAST_TILES: usize = 8;
+/// Tukey's constant: 95 % efficient on normal noise.
+const TUKEY: f64 = 4.685;
+/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
+const MEDIAN_SQUARE: f64 = 1.386;
+/// What neighbouring tiles have in common makes the error so many times what it would be if they had nothing.
+const TOGETHER: f64 = 1.5;
+/// Rounds of weighting.
+const ROUNDS: usize = 5;
+
+/// What the tiles make of a warp.
+#[derive(Debug, Clone)]
+pub(super) struct TileFit {
+    /// The warp that they would have, in pixels of the planes.
+    pub(super) h: Matrix3<f64>,
+    /// How far that is from the one they were asked about, as root mean square over the picture, in pixels of the planes.
+    pub(super) moved: f64,
+    /// How well they know it, the same way.
+    pub(super) error: f64,
+}
+
+/// What the tiles of `survey`, of planes of `size`, make of the warp `h` under which they were surveyed; none where they are too few.
+pub(super) fn fit(survey: &Survey, h: &Matrix3<f64>, model: Model, size: (usize, usize)) -> Option<TileFit> {
+    let tiles = &survey.displaced;
+    if tiles.len() < LEAST_TILES {
+        return None;
+    }
+    let basis = Basis::new(model, size.0, size.1);
+    let n = basis.numbers();
+    let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
+    let mut step = DVector::zeros(n);
+    let mut normal = DMatrix::identity(n, n);
+    for _ in 0..ROUNDS {
+        let misses: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| miss(t, j, &step)).collect();
+        let mut sorted = misses.clone();
+        sorted.sort_by(f64::total_cmp);
+        let variance = (sorted[sorted.len() / 2] / MEDIAN_SQUARE).max(1e-12);
+        let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for ((tile, j), miss) in tiles.iter().zip(&places).zip(&misses) {
+            let t = (miss / variance).sqrt() / TUKEY;
+            let inside = (1.0 - t * t).max(0.0);
+            let weight = inside * inside / variance;
+            for p in 0..n {
+                // The survey is of the reference's pixels: a tile found to the right wants the warp to move that way.
+                b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
+                let pulled = times(tile, j[p]);
+                for q in 0..n {
+                    a[(p, q)] += weight * (j[q][0] * pulled[0] + j[q][1] * pulled[1]);
+                }
+            }
+        }
+        basis.add_prior(h, TOGETHER, &mut a, &mut b);
+        step = basis.solve(a.clone(), b)?;
+        normal = a;
+    }
+    let moved = h * basis.matrix(&step);
+    let error = TOGETHER * basis.expected_error(&normal)?;
+    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error })
+}
+
+/// S v.
+fn times(tile: &Displaced, v: [f64; 2]) -> [f64; 2] {
+    let [xx, xy, yy] = tile.sharpness;
+    [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
+}
+
+/// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its sharpness.
+fn miss(tile: &Displaced, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
+    let mut moved = [0.0; 2];
+    for (p, s) in step.iter().enumerate() {
+        moved[0] += j[p][0] * s;
+        moved[1] += j[p][1] * s;
+    }
+    let goes = times(tile, moved);
+    let left = [tile.pull[0] - goes[0], tile.pull[1] - goes[1]];
+    // r^T S^-1 r, S made safe to invert: along an edge both r and S vanish.
+    let [xx, xy, yy] = tile.sharpness;
+    let safe = 0.02 * (xx + yy) + 1e-12;
+    let (xx, yy) = (xx + safe, yy + safe);
+    let determinant = xx * yy - xy * xy;
+    (yy * left[0] * left[0] - 2.0 * xy * left[0] * left[1] + xx * left[1] * left[1]) / determinant
+}
