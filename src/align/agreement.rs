@@ -53,6 +53,19 @@ impl Agreement {
 /// Where tiles confirm in fewer parts of the picture than this, what lies in the others is only inferred.
 const ENOUGH_PARTS: usize = 4;
 
+impl Survey {
+    /// How much more the tiles that speak in both speak for this than for `other`, in nats: each gives the logarithm of the ratio of what
+    /// the two leave unexplained of its pattern. Positive for this, negative for the other.
+    pub fn against(&self, other: &Survey) -> f64 {
+        let left = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
+        let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
+        both.map(|(a, b)| libm::log(left(b) / left(a))).sum()
+    }
+}
+
+/// What noise leaves unexplained of a tile's pattern even where it is right.
+const UNEXPLAINED: f64 = 0.05;
+
 /// A tile that says where it lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Displaced {
@@ -69,6 +82,8 @@ pub struct Displaced {
 pub struct Survey {
     /// All together.
     pub agreement: Agreement,
+    /// The correlation of each, as the warp puts it; none where it is silent.
+    pub correlations: Vec<Option<f32>>,
     /// Of those that confirm, all whose best match does not lie at the rim of what was tried.
     pub displaced: Vec<Displaced>,
 }
@@ -86,10 +101,15 @@ pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     .concat();
     let mut sum = Agreement::default();
     let mut displaced = Vec::new();
+    let mut each = Vec::with_capacity(tiles.len());
     let mut offsets = Vec::new();
     let mut correlations = 0.0;
     let mut parts = [false; 9];
     for (i, tile) in tiles.iter().enumerate() {
+        each.push(match *tile {
+            Tile::Silent => None,
+            Tile::Confirms { correlation, .. } | Tile::Contradicts { correlation } => Some(correlation),
+        });
         match *tile {
             Tile::Silent => sum.silent += 1,
             Tile::Confirms { offset, correlation, peak } => {
@@ -110,7 +130,7 @@ pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     offsets.sort_by(f32::total_cmp);
     sum.offset = offsets.get(offsets.len() / 2).copied().map_or(0.0, f64::from);
     sum.correlation = correlations / (sum.confirm + sum.contradict).max(1) as f64;
-    Survey { agreement: sum, displaced }
+    Survey { agreement: sum, correlations: each, displaced }
 }
 
 #[derive(Debug, Clone, Copy)]

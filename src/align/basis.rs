@@ -9,13 +9,13 @@ use super::warp::{Warp, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
-/// and no shear to speak of; turned aside by about a degree, which is perspective. A well-seen frame says it a hundred times as exactly;
+/// and no shear to speak of; turned aside by some tenths of a degree, which is perspective. A well-seen frame says it a hundred times as exactly;
 /// of one of which only a strip is seen this keeps the rest near.
-const SCALE: f64 = 0.004;
+const SCALE: f64 = 0.0025;
 /// See [`SCALE`].
 const STRETCH: f64 = 0.001;
 /// See [`SCALE`].
-const PERSPECTIVE: f64 = 0.008;
+const PERSPECTIVE: f64 = 0.005;
 
 /// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
 pub(super) struct Basis {

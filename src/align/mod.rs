@@ -19,6 +19,7 @@ pub mod intensity_map;
 pub mod mtb;
 mod overlap;
 pub mod patches;
+mod period;
 mod place;
 pub mod ransac;
 pub mod refine;

@@ -3,7 +3,7 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
-use super::agreement::{Agreement, survey};
+use super::agreement::{Agreement, Survey, survey};
 use super::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
 use super::features::{Features, Guide, Keypoint, match_mutual};
 use super::homography::Pair;
@@ -16,6 +16,7 @@ use super::warp::{Warp, corners, map};
 use super::{KeypointCounts, Model};
 use crate::plane::Plane;
 use nalgebra::Matrix3;
+use std::sync::Arc;
 
 /// Levels above that of agreement from which refinement starts: a warp that is off by 4 px is off by one there.
 const CAPTURE_LEVELS: usize = 2;
@@ -33,6 +34,8 @@ pub(super) struct Candidate {
     pub(super) warp: Warp,
     /// The tiles' opinion.
     pub(super) agreement: Agreement,
+    /// ... each by itself.
+    pub(super) survey: Arc<Survey>,
     /// What noise leaves, and what the tiles see, in pixels of the full size.
     pub(super) error_px: f64,
     /// Of that, what the tiles see.
@@ -54,6 +57,13 @@ impl Candidate {
         let tiles = self.agreement.share() * self.agreement.coverage();
         let word = if self.corroborated { tiles.max(TWO_WITNESSES) } else { tiles };
         self.trust * word / (1.0 + off * off)
+    }
+
+    /// How much speaks for it against others: the tiles that do, less those that speak against it.
+    pub(super) fn evidence(&self) -> f64 {
+        let off = self.error_px / self.tolerance_px;
+        let tiles = self.agreement.confirm as f64 - self.agreement.contradict as f64;
+        self.trust * tiles / (1.0 + off * off)
     }
 
     /// Whether nothing more need be tried: nearly all tiles confirm, many of them, and none of them is off.
@@ -98,7 +108,7 @@ pub(super) fn by_bitmaps<'a>(
     (pair, candidate)
 }
 
-/// What the bitmaps' other minima lead to: the best few.
+/// What the bitmaps' other minima lead to: the best few refined to the end, then the others as far as they were followed.
 pub(super) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> = mtb::rivals(pair.reference(), pair.frame(), angle, MOST_RIVALS, options)
@@ -109,8 +119,9 @@ pub(super) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> 
             Some(judge(pair, found.warp, 0.0))
         })
         .collect();
-    rough.sort_by(|a, b| b.confidence().total_cmp(&a.confidence()));
-    rough.iter().take(BEST_RIVALS).filter_map(|c| by_start(pair, &c.warp, 0)).collect()
+    rough.sort_by(|a, b| b.evidence().total_cmp(&a.evidence()));
+    let refined: Vec<Candidate> = rough.iter().take(BEST_RIVALS).filter_map(|c| by_start(pair, &c.warp, 0)).collect();
+    refined.into_iter().chain(rough).collect()
 }
 
 /// Rivals that are looked at.
@@ -194,16 +205,16 @@ fn by_tiles(pair: &Comparison, from: &Candidate, mut fit: Option<TileFit>) -> Op
     let level = measured_level(pair.reference());
     let mut best = None;
     for _ in 0..TILE_STEPS {
-        let Some(seen) = fit.filter(|f| f.moved > (SURE * f.error).max(TILES_SEE)) else { break };
+        let Some(seen) = fit.filter(|f| f.surprise > SURE && f.moved > TILES_SEE) else { break };
         let warp = Warp::Homography(off_level(&seen.h, level));
         if !is_sane(&warp, pair.size()) {
             break;
         }
         let (next, next_fit) = judged(pair, warp, level_to_full(level)[(0, 0)] * seen.error);
         let before = best.as_ref().unwrap_or(from);
-        if next.agreement.correlation <= before.agreement.correlation
-            || next.agreement.confirm + 1 < before.agreement.confirm
-        {
+        // Further on than before, by the tiles' own account and by that of their correlations.
+        let nearer = next_fit.as_ref().is_some_and(|next| next.moved < seen.moved);
+        if !nearer || next.survey.against(&before.survey) < 0.0 {
             break;
         }
         fit = next_fit;
@@ -214,7 +225,7 @@ fn by_tiles(pair: &Comparison, from: &Candidate, mut fit: Option<TileFit>) -> Op
 
 /// Steps that the tiles may take.
 const TILE_STEPS: usize = 5;
-/// They are followed where they see a warp off by so many times what they can err,
+/// They are followed where they see a warp off by so many times what they can err ([`TileFit::surprise`]),
 const SURE: f64 = 2.0;
 /// ... and by more than this, in pixels of their level.
 const TILES_SEE: f64 = 0.05;
@@ -245,6 +256,7 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
     let candidate = Candidate {
         warp,
         agreement,
+        survey: Arc::new(survey),
         error_px,
         seen_px,
         trust: 1.0,
@@ -327,7 +339,9 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.warp, &smaller.warp, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
-            let candidate = opinion(smaller.warp, smaller.error_px, apart);
+            // What the whole could not tell from this, this cannot either.
+            let noise_px = smaller.error_px.max(0.5 * whole.error_px);
+            let candidate = opinion(smaller.warp, noise_px, apart);
             if candidate.agreement.share() >= whole.agreement.share() - 0.02
                 && candidate.agreement.offset <= whole.agreement.offset + 0.01
             {

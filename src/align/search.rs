@@ -5,6 +5,7 @@
 
 use super::comparison::{Comparison, level_to_full, measured_level};
 use super::mtb::{self, GreyPyramid};
+use super::period;
 use super::place::{self, Candidate, FeatureSets};
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
@@ -47,6 +48,14 @@ enum First {
     Doubtful(Option<Candidate>),
 }
 
+/// What is known of the reference, for all frames in doubt.
+struct Shared {
+    /// Its features; none where no frame is in doubt.
+    features: Option<FeatureSets>,
+    /// Whether it repeats itself.
+    repeats: bool,
+}
+
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
 struct Found {
@@ -86,17 +95,19 @@ impl Search<'_> {
 
     /// By all means, as far as needed.
     pub(super) fn auto(&self) -> Vec<Verdict> {
-        let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i)).collect();
+        let repeats = period::repeats(self.base());
+        let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i, repeats)).collect();
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
+        let shared = Shared { features, repeats };
         // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its neighbour placed.
-        let side = |order: Vec<usize>| self.outwards(&order, &first, features.as_ref());
+        let side = |order: Vec<usize>| self.outwards(&order, &first, &shared);
         let (darker, brighter) = rayon::join(
             || side((0..self.reference).rev().collect()),
             || side((self.reference + 1..first.len()).collect()),
         );
         let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
-        let keypoints = features.map(|f| f.counts);
+        let keypoints = shared.features.as_ref().map(|f| f.counts);
         verdicts.push(Verdict { keypoints, ..Verdict::by_definition(Status::Reference) });
         verdicts.extend(brighter);
         self.keep_company(&mut verdicts);
@@ -104,13 +115,13 @@ impl Search<'_> {
     }
 
     /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
-    fn first(&self, i: usize) -> First {
+    fn first(&self, i: usize, repeats: bool) -> First {
         if i == self.reference {
             return First::Doubtful(None);
         }
         let (pair, candidate) = place::by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb);
         match candidate {
-            Some(c) if c.is_settled() => First::Settled(placed(&place::reduce(&pair, c), Found::default())),
+            Some(c) if c.is_settled() && !repeats => First::Settled(placed(&place::reduce(&pair, c), Found::default())),
             other => First::Doubtful(other),
         }
     }
@@ -147,14 +158,14 @@ impl Search<'_> {
     }
 
     /// The verdicts of the frames of `order`, each of which is the neighbour of the one before it, the first that of the reference.
-    fn outwards(&self, order: &[usize], first: &[First], features: Option<&FeatureSets>) -> Vec<Verdict> {
+    fn outwards(&self, order: &[usize], first: &[First], shared: &Shared) -> Vec<Verdict> {
         let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
         for (k, &i) in order.iter().enumerate() {
             let verdict = match &first[i] {
                 First::Settled(verdict) => verdict.clone(),
                 First::Doubtful(candidate) => {
                     let neighbour = k.checked_sub(1).map(|k| (order[k], &verdicts[k]));
-                    self.doubtful(i, candidate.clone(), neighbour, features)
+                    self.doubtful(i, candidate.clone(), neighbour, shared)
                 }
             };
             verdicts.push(verdict);
@@ -168,62 +179,59 @@ impl Search<'_> {
         i: usize,
         first: Option<Candidate>,
         neighbour: Option<(usize, &Verdict)>,
-        features: Option<&FeatureSets>,
+        shared: &Shared,
     ) -> Verdict {
         let frame = &self.pyramids[i];
+        let (width, height) = self.size();
+        let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
+        let alike = |a: &Warp, b: &Warp| place::distance(a, b, width, height) <= near;
         let reference = Base { pyramid: Cow::Borrowed(self.base()), error_px: 0.0, confidence: 1.0 };
         let mut bases = vec![reference];
         bases.extend(neighbour.and_then(|(n, verdict)| self.stand_in(n, verdict)));
-        // Which base it was held against, and what came of it.
-        let mut best: Option<(usize, Candidate)> = first.map(|c| (0, c));
+        let mut pool = Pool::default();
+        pool.add(0, first);
         for (b, base) in bases.iter().enumerate().skip(1) {
             let (_, found) = place::by_bitmaps(&base.pyramid, frame, &self.options.mtb);
-            keep_better(&mut best, b, found.map(|c| base.discount(c)));
+            pool.add(b, found.map(|c| base.discount(c)));
         }
         let mut found = Found::default();
         let mut is_corroborated = false;
-        let is_settled = |best: &Option<(usize, Candidate)>| best.as_ref().is_some_and(|(_, c)| c.is_settled());
-        if let (false, Some(reference)) = (is_settled(&best), features) {
+        let is_settled = |pool: &Pool| !shared.repeats && pool.best().is_some_and(|(_, c)| c.is_settled());
+        if let (false, Some(reference)) = (is_settled(&pool), &shared.features) {
             let own = self.features(i);
             found.keypoints = Some(own.counts);
             if let Some((start, inliers)) = self.consensus(reference, &own) {
                 found.inliers = Some(inliers);
-                let (width, height) = self.size();
-                let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
-                let same = |c: &Candidate| place::distance(&c.warp, &start, width, height) <= near;
-                is_corroborated = inliers >= 2 * LEAST_INLIERS && best.as_ref().is_some_and(|(_, c)| same(c));
-                if let (true, Some((_, candidate))) = (is_corroborated, &mut best) {
-                    candidate.corroborated = true;
-                }
+                is_corroborated = inliers >= 2 * LEAST_INLIERS && pool.corroborate(|c| alike(&c.warp, &start));
                 if !is_corroborated {
                     for (b, base) in bases.iter().enumerate() {
                         let candidate = place::by_start(&base.compare(frame, &start), &start, 0);
-                        keep_better(&mut best, b, candidate.map(|c| base.discount(c)));
+                        pool.add(b, candidate.map(|c| base.discount(c)));
                     }
                 }
             }
         }
-        if !is_settled(&best) && !is_corroborated {
-            let (width, height) = self.size();
-            let start = best.as_ref().map_or(Warp::Identity, |(_, c)| c.warp);
+        // Where a picture repeats itself, features are as easily deceived as bitmaps.
+        if shared.repeats || !(is_settled(&pool) || is_corroborated) {
+            let start = pool.best().map_or(Warp::Identity, |(_, c)| c.warp);
             let angle = start.rotation_deg(width, height).to_radians();
             for (b, base) in bases.iter().enumerate() {
                 for rival in place::by_rivals(&base.compare(frame, &start), angle, &self.options.mtb) {
-                    keep_better(&mut best, b, Some(base.discount(rival)));
+                    pool.add(b, Some(base.discount(rival)));
                 }
             }
         }
-        match best {
-            Some((b, candidate)) if is_a_place(&candidate) => {
-                let reduced = place::reduce(&bases[b].compare(frame, &candidate.warp), candidate);
-                placed(&bases[b].discount(reduced), found)
-            }
-            other => {
-                let candidate = other.map(|(_, c)| c);
-                let confidence = candidate.as_ref().map_or(0.0, Candidate::confidence);
-                rejected(why(candidate.as_ref()), confidence, found)
-            }
+        let Some((b, best)) = pool.winner(|a, b| alike(&a.warp, &b.warp)) else {
+            return rejected(why(None), 0.0, found);
+        };
+        let doubt = pool.doubt((b, best), |c| !alike(&c.warp, &best.warp));
+        let best = Candidate { trust: best.trust * doubt, ..best.clone() };
+        if !is_a_place(&best) {
+            return rejected(why(Some(&best)), best.confidence(), found);
         }
+        let reduced = place::reduce(&bases[b].compare(frame, &best.warp), best.clone());
+        let error_px = reduced.error_px.max(bases[b].error_px);
+        placed(&Candidate { trust: best.trust, error_px, ..reduced }, found)
     }
 
     /// The placed neighbour `n` on the reference's grid: what is measured against it is measured in the reference's pixels.
@@ -276,14 +284,63 @@ fn is_a_place(candidate: &Candidate) -> bool {
     candidate.confidence() >= LEAST_CONFIDENCE || (unopposed && candidate.error_px < candidate.tolerance_px)
 }
 
-/// Keeps the more confident of the two; of nearly equals the first, which was had more directly.
-fn keep_better(best: &mut Option<(usize, Candidate)>, base: usize, other: Option<Candidate>) {
-    if let Some(other) = other
-        && best.as_ref().is_none_or(|(_, b)| other.confidence() > b.confidence() + 0.005)
-    {
-        *best = Some((base, other));
+/// The places that were found for a frame, and the base against which each was.
+#[derive(Default)]
+struct Pool(Vec<(usize, Candidate)>);
+
+impl Pool {
+    fn add(&mut self, base: usize, candidate: Option<Candidate>) {
+        self.0.extend(candidate.map(|c| (base, c)));
+    }
+
+    /// The one for which most speaks; of nearly equals the first, which was had more directly.
+    fn best(&self) -> Option<(usize, &Candidate)> {
+        self.0
+            .iter()
+            .map(|(b, c)| (*b, c))
+            .reduce(|best, other| if other.1.evidence() > best.1.evidence() * 1.01 + 0.5 { other } else { best })
+    }
+
+    /// Marks the best as led to by features as well, if it is what they `found`.
+    fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
+        let best = self.best().map(|(_, c)| c.warp);
+        let mut any = false;
+        for (_, candidate) in self.0.iter_mut().filter(|(_, c)| best == Some(c.warp)) {
+            candidate.corroborated = found(candidate);
+            any |= candidate.corroborated;
+        }
+        any
+    }
+
+    /// The best, or one held against the same base for which nearly as much speaks and which, of the tiles that speak under both, has
+    /// more on its side: under a shift by a facade's period other tiles lie outside the frame, and say nothing.
+    fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
+        let (base, best) = self.best()?;
+        let rivals = self.rivals(base, best, |c| !alike(c, best));
+        let winner = rivals.into_iter().fold(best, |w, c| if c.survey.against(&w.survey) > 0.0 { c } else { w });
+        Some((base, winner))
+    }
+
+    /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for.
+    fn rivals(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
+        let least = RIVALRY * best.evidence();
+        let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
+        same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
+    }
+
+    /// 1 where nothing rivals `best`; half where one of the `others` does so that the tiles that speak under both are for `best` by no
+    /// more than [`DECISIVE`].
+    fn doubt(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
+        let leads = self.rivals(base, best, others).into_iter().map(|c| best.survey.against(&c.survey));
+        let lead = leads.fold(f64::INFINITY, f64::min);
+        if lead.is_infinite() { 1.0 } else { (lead / (lead + DECISIVE)).max(0.0) }
     }
 }
+
+/// A candidate rivals another where so many times as much speaks for it.
+const RIVALRY: f64 = 0.4;
+/// So many nats leave it undecided which is right.
+const DECISIVE: f64 = 2.0;
 
 fn why(candidate: Option<&Candidate>) -> String {
     match candidate {

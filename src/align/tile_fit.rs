@@ -31,6 +31,8 @@ pub(super) struct TileFit {
     pub(super) moved: f64,
     /// How well they know it, the same way.
     pub(super) error: f64,
+    /// How sure they are that it is another: the motion in units of what they can err, 1 or so where it is the same.
+    pub(super) surprise: f64,
 }
 
 /// What the tiles of `survey`, of planes of `size`, make of the warp `h` under which they were surveyed; none where they are too few.
@@ -69,7 +71,8 @@ pub(super) fn fit(survey: &Survey, h: &Matrix3<f64>, model: Model, size: (usize,
     }
     let moved = h * basis.matrix(&step);
     let error = TOGETHER * basis.expected_error(&normal)?;
-    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error })
+    let surprise = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / TOGETHER;
+    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, surprise })
 }
 
 /// S v.
