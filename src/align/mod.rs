@@ -242,8 +242,8 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     if options.mode == AlignMode::None {
         return Ok((Alignment::unmoved(bracket), Vec::new()));
     }
-    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(pyramid).collect();
-    let search = Search { pyramids: &pyramids, reference: bracket.reference_index(), options };
+    let (pyramids, blank): (Vec<GreyPyramid>, Vec<bool>) = bracket.frames().par_iter().map(pyramid).unzip();
+    let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), options };
     let verdicts = match options.mode {
         AlignMode::Auto | AlignMode::None => search.auto(),
         AlignMode::Mtb => search.by_bitmaps_alone(),
@@ -255,16 +255,20 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     Ok((Alignment { verdicts, overlap }, warnings))
 }
 
-/// The grey pyramid in which the motion of `frame` is sought; that of a dark one is brightened, so that neither rounding nor halving
-/// takes away what little it shows.
-fn pyramid(frame: &Frame) -> GreyPyramid {
+/// The grey pyramid in which the motion of `frame` is sought, and whether the frame is as good as blank. A dark one is brightened, so
+/// that neither rounding nor halving takes away what little it shows.
+fn pyramid(frame: &Frame) -> (GreyPyramid, bool) {
     let grey = frame.grey();
-    let stops = Histogram::of(&grey).level(NEARLY_ALL).leading_zeros().min(MOST_STOPS);
-    GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) })
+    let histogram = Histogram::of(&grey);
+    let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
+    let is_blank = nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK;
+    // What is brighter than nearly all may burn out: a lamp still has its edge.
+    let stops = nearly_most.leading_zeros().min(MOST_STOPS);
+    (GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) }), is_blank)
 }
 
-/// What is brighter than this percentile may be burnt out by brightening: a lamp still has its edge.
-const NEARLY_ALL: Percentile = Percentile::new(99);
+/// A frame within so many codes of black, or of white, may hold nothing but noise.
+const BLANK: u8 = 7;
 /// Brightening that is worth the pass over the frame.
 const LEAST_STOPS: u32 = 2;
 /// ... and beyond which there is only noise.

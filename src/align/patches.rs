@@ -168,7 +168,8 @@ mod tests {
         let mut patches = Patches::new(&pair, 1, 0);
         assert!(patches.points.len() > 3000, "{}", patches.points.len());
         for p in &patches.points {
-            assert_eq!(p.level, whole.reference.at(p.x as usize, p.y as usize));
+            // The same sums, along before down, of values below 256.
+            assert!((p.level - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
         let mut out = Vec::new();
@@ -180,7 +181,7 @@ mod tests {
             for (p, r) in patches.points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (Some(r), Some(f)) = (r, refine::cubic(&whole.frame, u, v)) {
-                    // The same sums in another order, of values below 256.
+                    // As above.
                     assert!((f - p.level - r).abs() < 1e-3);
                     compared += 1;
                 }

@@ -27,6 +27,8 @@ const CORROBORATED: f64 = 2.0;
 /// One run over a bracket.
 pub(super) struct Search<'a> {
     pub(super) pyramids: &'a [GreyPyramid],
+    /// Which frames are as good as blank.
+    pub(super) blank: &'a [bool],
     pub(super) reference: usize,
     pub(super) options: &'a AlignOptions,
 }
@@ -254,7 +256,7 @@ impl Search<'_> {
         for (i, verdict) in verdicts.iter_mut().enumerate() {
             if verdict.status == Status::Rejected {
                 let here = self.judged(i, Warp::Identity);
-                if here.agreement.contradict <= here.agreement.confirm {
+                if self.blank[i] || here.agreement.contradict <= here.agreement.confirm {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
                     *verdict = placed(&here, found);
                     verdict.confidence = verdict.confidence.max(BY_COMPANY);
