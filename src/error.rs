@@ -114,6 +114,14 @@ pub enum Error {
         /// What the system or the encoder said.
         source: io::Error,
     },
+    /// A file of transforms could not be used.
+    #[error("{}: is no usable file of transforms: {reason}", path.display())]
+    TransformsFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// A saved response curve could not be used.
     #[error("{}: is no usable response file: {reason}", path.display())]
     ResponseFile {

@@ -3,8 +3,9 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
+use crate::align::given::SavedAlignment;
 use crate::align::{self, AlignOptions, Alignment, Rect};
-use crate::bracket::{self, Bracket, LoadOptions};
+use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
@@ -60,6 +61,8 @@ pub struct Options {
     pub save_response: Option<PathBuf>,
     /// Aligned frames are saved under this prefix, as TIFF.
     pub save_aligned: Option<PathBuf>,
+    /// Transforms: taken from this file where it exists, else written to it, as JSON. It is never replaced.
+    pub transforms: Option<PathBuf>,
     /// The report is written here, as JSON.
     pub report: Option<PathBuf>,
     /// Threads that compute; none for as many as there are cores. The results are the same.
@@ -112,9 +115,11 @@ pub enum Progress {
 /// See [`Error`]; the text names the file and the remedy.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
     in_pool(options.threads, || {
-        check_names(images, options)?;
+        let taken = check_names(images, options)?;
+        let options = &with_transforms(options, taken.as_ref());
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
+        check_transforms(&bracket, taken.as_ref(), options)?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
@@ -122,6 +127,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
+        report.transforms_from = taken.and(options.transforms.clone()).map(|p| p.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
         let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
@@ -136,12 +142,15 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
 /// See [`Error`].
 pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
     in_pool(options.threads, || {
-        check_names(images, options)?;
+        let taken = check_names(images, options)?;
+        let options = &with_transforms(options, taken.as_ref());
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
+        check_transforms(&bracket, taken.as_ref(), options)?;
         let alignment = line.align(&bracket, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
+        report.transforms_from = taken.and(options.transforms.clone()).map(|p| p.to_string_lossy().into_owned());
         let files = line.write(&bracket, &alignment, region, None, options)?;
         line.report(&mut report, files, options)?;
         Ok(report)
@@ -215,8 +224,8 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
     pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)
 }
 
-/// Whether everything asked for can be written, before any work is done.
-fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
+/// Whether everything asked for can be written, before any work is done; and the transforms that are there already.
+fn check_names(images: &[PathBuf], options: &Options) -> Result<Option<SavedAlignment>> {
     options.align.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
@@ -227,7 +236,37 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     if let Some(prefix) = &options.save_aligned {
         files.extend(aligned::names(prefix, images)?);
     }
-    write::check_targets(&files, images, options.write.overwrite)
+    let there = options.transforms.as_ref().filter(|path| path.exists());
+    if there.is_none() {
+        files.extend(options.transforms.clone());
+    }
+    write::check_targets(&files, images, options.write.overwrite)?;
+    there.map(|path| SavedAlignment::read(path)).transpose()
+}
+
+/// `options` with the reference and the places of `taken`, where the user does not say otherwise.
+fn with_transforms(options: &Options, taken: Option<&SavedAlignment>) -> Options {
+    let mut options = options.clone();
+    if let Some(saved) = taken {
+        let is_open = match &options.load.reference {
+            ReferenceChoice::Auto => true,
+            ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),
+            ReferenceChoice::Number(_) | ReferenceChoice::File(_) => false,
+        };
+        if is_open {
+            options.load.reference = ReferenceChoice::File(saved.reference.clone());
+        }
+        options.align.given.extend(saved.frames.iter().cloned());
+    }
+    options
+}
+
+/// Whether the transforms taken from a file are of `bracket`.
+fn check_transforms(bracket: &Bracket, taken: Option<&SavedAlignment>, options: &Options) -> Result<()> {
+    match (taken, &options.transforms) {
+        (Some(saved), Some(path)) => saved.check(bracket, path),
+        _ => Ok(()),
+    }
 }
 
 /// Whether there is more to merge than the reference.
@@ -338,6 +377,9 @@ impl<'a> Line<'a> {
                     let saved = SavedResponse { make, model, curve: curve.clone() };
                     files.push(write::text(path, &saved.to_json())?);
                 }
+            }
+            if let Some(path) = options.transforms.as_ref().filter(|path| !path.exists()) {
+                files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
             }
             if let Some(prefix) = &options.save_aligned {
                 files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);

@@ -14,6 +14,7 @@ pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
 pub mod features;
+pub mod given;
 pub mod homography;
 pub mod intensity_map;
 pub mod mtb;
@@ -33,6 +34,7 @@ pub mod warp;
 
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
+use given::Given;
 use mtb::{GreyPyramid, Histogram, MtbOptions, Percentile};
 use ransac::RansacOptions;
 use rayon::prelude::*;
@@ -66,6 +68,8 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
+    /// Frames whose place is not sought but given; the first word on a frame counts.
+    pub given: Vec<Given>,
     /// The robust fit; its threshold is in pixels of the level on which features are sought.
     pub ransac: RansacOptions,
 }
@@ -76,6 +80,7 @@ impl Default for AlignOptions {
             mode: AlignMode::Auto,
             mtb: MtbOptions::default(),
             sift: SiftOptions::default(),
+            given: Vec::new(),
             ratio: 0.8,
             ransac: RansacOptions::default(),
         }
@@ -98,7 +103,7 @@ impl AlignOptions {
 }
 
 /// What became of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// The frame that the others are aligned to.
@@ -112,7 +117,7 @@ pub enum Status {
 }
 
 /// What a warp is allowed to do, from the least to the most.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// Nothing.
@@ -138,7 +143,7 @@ impl Model {
 }
 
 /// Keypoints found in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct KeypointCounts {
     /// In the plain picture.
     pub plain: usize,
@@ -222,12 +227,19 @@ pub struct Alignment {
 impl Alignment {
     /// Every frame of `bracket` as it lies, unseen: for a tripod that can be trusted.
     pub fn unmoved(bracket: &Bracket) -> Self {
-        let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
         Alignment {
-            verdicts: (0..bracket.frames().len()).map(|i| Verdict::by_definition(status(i))).collect(),
+            verdicts: unmoved_but(bracket, &vec![None; bracket.frames().len()]),
             overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
         }
     }
+}
+
+/// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
+fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
+    let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
+    let verdict =
+        |(i, given): (usize, &Option<Verdict>)| given.clone().unwrap_or_else(|| Verdict::by_definition(status(i)));
+    given.iter().enumerate().map(verdict).collect()
 }
 
 /// A place with less confidence is told to the user.
@@ -239,20 +251,29 @@ const DOUBT: f64 = 0.5;
 /// [`Error::Option`] where an option is out of range. That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
-    if options.mode == AlignMode::None {
-        return Ok((Alignment::unmoved(bracket), Vec::new()));
-    }
-    let (pyramids, blank): (Vec<GreyPyramid>, Vec<bool>) = bracket.frames().par_iter().map(pyramid).unzip();
-    let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), options };
+    let given = given::verdicts(bracket, &options.given)?;
     let verdicts = match options.mode {
-        AlignMode::Auto | AlignMode::None => search.auto(),
-        AlignMode::Mtb => search.by_bitmaps_alone(),
-        AlignMode::Sift => search.by_features_alone(),
+        AlignMode::None => unmoved_but(bracket, &given),
+        AlignMode::Auto => search(bracket, options, &given, |s| s.auto()),
+        AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone()),
+        AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone()),
     };
     let warnings = warn(bracket, &verdicts);
     let warps: Vec<Warp> = verdicts.iter().filter_map(|v| v.warp).collect();
     let overlap = overlap::largest(&warps, bracket.width(), bracket.height());
     Ok((Alignment { verdicts, overlap }, warnings))
+}
+
+/// What `find` makes of the bracket, where nothing is `given`.
+fn search(
+    bracket: &Bracket,
+    options: &AlignOptions,
+    given: &[Option<Verdict>],
+    find: fn(&Search) -> Vec<Verdict>,
+) -> Vec<Verdict> {
+    let (pyramids, blank): (Vec<GreyPyramid>, Vec<bool>) = bracket.frames().par_iter().map(pyramid).unzip();
+    let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), given, options };
+    find(&search)
 }
 
 /// The grey pyramid in which the motion of `frame` is sought, and whether the frame is as good as blank. A dark one is brightened, so
@@ -279,6 +300,7 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
         match verdict.status {
+            Status::Rejected if verdict.confidence == 1.0 => {}
             Status::Rejected => {
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });

@@ -30,6 +30,8 @@ pub(super) struct Search<'a> {
     /// Which frames are as good as blank.
     pub(super) blank: &'a [bool],
     pub(super) reference: usize,
+    /// The frames whose place is given.
+    pub(super) given: &'a [Option<Verdict>],
     pub(super) options: &'a AlignOptions,
 }
 
@@ -121,6 +123,9 @@ impl Search<'_> {
         if i == self.reference {
             return First::Doubtful(None);
         }
+        if let Some(given) = &self.given[i] {
+            return First::Settled(given.clone());
+        }
         let (pair, candidate) = place::by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb);
         match candidate {
             Some(c) if c.is_settled() && !repeats => First::Settled(placed(&place::reduce(&pair, c), Found::default())),
@@ -139,7 +144,11 @@ impl Search<'_> {
     /// `verdict` of every frame but the reference, in parallel.
     fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
         let reference = || Verdict::by_definition(Status::Reference);
-        let place = |i| if i == self.reference { reference() } else { verdict(i) };
+        let place = |i: usize| match &self.given[i] {
+            Some(given) => given.clone(),
+            None if i == self.reference => reference(),
+            None => verdict(i),
+        };
         (0..self.pyramids.len()).into_par_iter().map(place).collect()
     }
 
@@ -254,7 +263,7 @@ impl Search<'_> {
             return;
         }
         for (i, verdict) in verdicts.iter_mut().enumerate() {
-            if verdict.status == Status::Rejected {
+            if verdict.status == Status::Rejected && self.given[i].is_none() {
                 let here = self.judged(i, Warp::Identity);
                 if self.blank[i] || here.agreement.contradict <= here.agreement.confirm {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };

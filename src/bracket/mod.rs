@@ -182,7 +182,10 @@ impl Bracket {
             .sort_by(|a, b| a.exposure.relative().total_cmp(&b.exposure.relative()).then_with(|| a.path.cmp(&b.path)));
         let reference = match chosen {
             Some(path) => frames.iter().position(|f| f.path == path).unwrap_or(0),
-            None => reference::best(&frames),
+            None => match reference {
+                ReferenceChoice::AutoExcept(except) => reference::best(&frames, except),
+                _ => reference::best(&frames, &[]),
+            },
         };
         Ok(Bracket { frames, reference })
     }
@@ -195,6 +198,12 @@ impl Bracket {
     /// The index of the reference in [`frames`](Self::frames).
     pub fn reference_index(&self) -> usize {
         self.reference
+    }
+
+    /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has
+    /// that name.
+    pub fn named(&self, path: &Path) -> Option<usize> {
+        reference::named(&self.frames, path)
     }
 
     /// The frame that the others are aligned to, and whose rectangle the result has.

@@ -13,6 +13,8 @@ pub enum ReferenceChoice {
     /// within a twentieth of the best, the one nearest the middle of the bracket.
     #[default]
     Auto,
+    /// As [`Auto`](Self::Auto), but none of these files.
+    AutoExcept(Vec<PathBuf>),
     /// The N-th of the files as given, from 1.
     Number(usize),
     /// The frame read from this file.
@@ -22,7 +24,7 @@ pub enum ReferenceChoice {
 /// The path of the frame that the user chose among `frames`, which are as given; `None` for the automatic choice.
 pub(super) fn chosen(frames: &[Frame], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
     match choice {
-        ReferenceChoice::Auto => Ok(None),
+        ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_) => Ok(None),
         ReferenceChoice::Number(n) => {
             n.checked_sub(1).and_then(|i| frames.get(i)).map(|frame| Some(frame.path.clone())).ok_or_else(|| {
                 Error::Option {
@@ -35,27 +37,38 @@ pub(super) fn chosen(frames: &[Frame], choice: &ReferenceChoice) -> Result<Optio
     }
 }
 
-/// The frame of `frames` that was read from `path`, compared as given, then by the file it leads to.
+/// The path of the frame that is meant by `path`.
 fn find(frames: &[Frame], path: &Path) -> Result<PathBuf> {
+    named(frames, path).map(|i| frames[i].path.clone()).ok_or_else(|| Error::Option {
+        option: "--reference",
+        reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
+    })
+}
+
+/// Which of `frames` is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file
+/// has that name.
+pub(super) fn named(frames: &[Frame], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
-    frames
-        .iter()
-        .find(|f| f.path == path)
-        .or_else(|| real(path).and_then(|wanted| frames.iter().find(|f| real(&f.path).as_deref() == Some(&wanted))))
-        .map(|f| f.path.clone())
-        .ok_or_else(|| Error::Option {
-            option: "--reference",
-            reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
-        })
+    let same_file =
+        || real(path).and_then(|wanted| frames.iter().position(|f| real(&f.path).as_deref() == Some(&wanted)));
+    let same_name = || {
+        let mut named = (0..frames.len()).filter(|&i| frames[i].path.file_name() == Some(path.as_os_str()));
+        named.next().filter(|_| named.next().is_none())
+    };
+    frames.iter().position(|f| f.path == path).or_else(same_file).or_else(same_name)
 }
 
 /// The frame that sees the most: see [`ReferenceChoice::Auto`]. Frames are by rising exposure.
-pub(super) fn best(frames: &[Frame]) -> usize {
-    let seen: Vec<u64> = frames.iter().map(well_exposed).collect();
+/// None of `except` is chosen, unless there is no other.
+pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
+    let excluded: Vec<usize> = except.iter().filter_map(|path| named(frames, path)).collect();
+    let is_open = |i: &usize| !excluded.contains(i) || excluded.len() >= frames.len();
+    let seen: Vec<u64> =
+        frames.iter().enumerate().map(|(i, f)| if is_open(&i) { well_exposed(f) } else { 0 }).collect();
     let most = seen.iter().copied().max().unwrap_or(0);
     let centre = frames.len() as i64 - 1;
     (0..frames.len())
-        .filter(|&i| 20 * seen[i] >= 19 * most)
+        .filter(|&i| is_open(&i) && 20 * seen[i] >= 19 * most)
         .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
         .unwrap_or(frames.len() / 2)
 }
@@ -87,9 +100,9 @@ mod tests {
 
     #[test]
     fn the_frame_that_sees_the_most_wins_and_the_middle_breaks_ties() {
-        assert_eq!(best(&[frame("a", 10), frame("b", 20), frame("c", 60)]), 2);
-        assert_eq!(best(&[frame("a", 64), frame("b", 62), frame("c", 64)]), 1);
-        assert_eq!(best(&[frame("a", 0), frame("b", 0), frame("c", 0)]), 1);
+        assert_eq!(best(&[frame("a", 10), frame("b", 20), frame("c", 60)], &[]), 2);
+        assert_eq!(best(&[frame("a", 64), frame("b", 62), frame("c", 64)], &[]), 1);
+        assert_eq!(best(&[frame("a", 0), frame("b", 0), frame("c", 0)], &[]), 1);
     }
 
     #[test]

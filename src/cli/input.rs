@@ -1,6 +1,7 @@
 //! Arguments that the commands share.
 
 use clap::{Args, ValueEnum};
+use hdralign::align::given::{Given, Place};
 use hdralign::align::mtb::MtbOptions;
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
@@ -30,6 +31,18 @@ pub struct Common {
     /// Largest rotation that the bitmaps are searched for, in degrees to either side
     #[arg(long, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
+
+    /// Leave this photograph out; may be repeated
+    #[arg(long, value_name = "FILE")]
+    leave_out: Vec<PathBuf>,
+
+    /// This photograph did not move: take it as it lies; may be repeated
+    #[arg(long, value_name = "FILE")]
+    unmoved: Vec<PathBuf>,
+
+    /// Transforms as JSON: taken from FILE where it exists, else found and written to it; never replaced
+    #[arg(long, value_name = "FILE")]
+    transforms: Option<PathBuf>,
 
     /// Which part of the reference the results show
     #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
@@ -101,8 +114,10 @@ impl Common {
                     AlignArg::None => AlignMode::None,
                 },
                 mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
+                given: self.given(),
                 ..AlignOptions::default()
             },
+            transforms: self.transforms.clone(),
             crop: match self.crop {
                 CropArg::Common => Crop::Common,
                 CropArg::None => Crop::None,
@@ -114,10 +129,19 @@ impl Common {
         }
     }
 
+    /// What the user says of single frames.
+    fn given(&self) -> Vec<Given> {
+        let all = |paths: &[PathBuf], place: Place| {
+            paths.iter().map(|p| Given { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
+        };
+        [all(&self.leave_out, Place::LeftOut), all(&self.unmoved, Place::Unmoved)].concat()
+    }
+
     /// A number, unless a file of that name was given.
     fn reference(&self) -> ReferenceChoice {
         match &self.reference {
-            None => ReferenceChoice::Auto,
+            None if self.leave_out.is_empty() => ReferenceChoice::Auto,
+            None => ReferenceChoice::AutoExcept(self.leave_out.clone()),
             Some(text) => match text.parse() {
                 Ok(number) if !self.images.iter().any(|i| i.as_os_str() == text.as_str()) => {
                     ReferenceChoice::Number(number)

@@ -8,6 +8,9 @@ pub fn print(report: &Report, verbose: bool) {
     for warning in &report.warnings {
         eprintln!("warning: {}", warning.message);
     }
+    if let Some(path) = &report.transforms_from {
+        eprintln!("transforms taken from {path}");
+    }
     if verbose {
         for frame in &report.frames {
             eprintln!("{}", line(frame));

@@ -29,6 +29,8 @@ pub struct Report {
     pub reference: String,
     /// The frames by rising exposure.
     pub frames: Vec<FrameReport>,
+    /// The file of transforms that places were taken from, if any.
+    pub transforms_from: Option<String>,
     /// The part of the reference that the results show.
     pub crop: Crop,
     /// The response that was used; none where frames were only aligned.
@@ -154,6 +156,7 @@ impl Report {
             height_px: size.1,
             reference: text(bracket.reference().path()),
             frames,
+            transforms_from: None,
             crop: crop.into(),
             response: None,
             radiance: None,

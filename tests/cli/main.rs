@@ -4,6 +4,7 @@
 mod support;
 
 mod names;
+mod places;
 mod refusals;
 mod report;
 mod streams;

@@ -57,7 +57,6 @@ fn another_scene_never_settles() {
 
 #[test]
 fn what_no_hand_does_is_refused() {
-    let pyramid = taken(&Warp::Identity, 0.0);
     let (w, h) = (SIZE.0 as f64 - 1.0, SIZE.1 as f64 - 1.0);
     let scaled = |sx: f64, sy: f64| {
         // About the centre.

@@ -1,0 +1,315 @@
+//! Places that are given rather than found: by the user's word for one frame, or by a file of transforms.
+//!
+//! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every number comes back as
+//! it was. In: [`Given`] places. Out: the frames of a bracket that they are of. Cost: none.
+//!
+//! ```json
+//! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
+//!   { "file": "IMG_1.jpg", "status": "aligned", "model": "shift", "homography": [1.0, 0.0, 3.25, ...], "error_px": 0.02,
+//!     "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
+//! ```
+//!
+//! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel; null for a frame that
+//! was left out.
+
+use super::warp::{Warp, corners, map};
+use super::{Alignment, KeypointCounts, Model, Status, Verdict};
+use crate::bracket::Bracket;
+use crate::error::{Error, Result};
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The version of the format; a reader refuses any other.
+pub const SCHEMA: &str = "hdralign-transforms/1";
+
+/// A frame whose place is given.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Given {
+    /// Its file, or the name of it.
+    pub path: PathBuf,
+    /// Its place.
+    pub place: Place,
+}
+
+/// See [`Given`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum Place {
+    /// None: the user wants it left out.
+    LeftOut,
+    /// That of the reference: the user says that it did not move.
+    Unmoved,
+    /// As it was found before.
+    Found(Verdict),
+}
+
+impl Place {
+    /// The verdict that this place is.
+    fn verdict(&self) -> Verdict {
+        match self {
+            Place::Unmoved => Verdict::by_definition(Status::Unmoved),
+            Place::Found(verdict) => verdict.clone(),
+            Place::LeftOut => Verdict {
+                model: None,
+                warp: None,
+                reason: Some("left out, as was asked".into()),
+                ..Verdict::by_definition(Status::Rejected)
+            },
+        }
+    }
+}
+
+/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts.
+///
+/// # Errors
+/// [`Error::Option`] where the user names a file that is no frame, or wants the reference left out.
+pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
+    let mut verdicts = vec![None; bracket.frames().len()];
+    for Given { path, place } in given {
+        let option = match place {
+            Place::LeftOut => "--leave-out",
+            Place::Unmoved => "--unmoved",
+            Place::Found(_) => "--transforms",
+        };
+        let wrong = |reason: String| Error::Option { option, reason };
+        let Some(i) = bracket.named(path) else {
+            // A file of transforms may speak of more frames than are merged now.
+            if matches!(place, Place::Found(_)) {
+                continue;
+            }
+            return Err(wrong(format!("{} is not among the photographs; name one of them", path.display())));
+        };
+        if i == bracket.reference_index() {
+            if *place == Place::LeftOut {
+                let reason = format!("{} is the reference; choose another with --reference", path.display());
+                return Err(wrong(reason));
+            }
+            continue;
+        }
+        verdicts[i].get_or_insert_with(|| place.verdict());
+    }
+    Ok(verdicts)
+}
+
+/// The verdicts of a bracket, to be saved and used again.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SavedAlignment {
+    /// Width and height of every frame, in pixels.
+    pub size: (usize, usize),
+    /// The name of the reference's file.
+    pub reference: PathBuf,
+    /// The other frames.
+    pub frames: Vec<Given>,
+}
+
+/// The file, as it is written.
+#[derive(Serialize, Deserialize)]
+struct Document {
+    schema: String,
+    width_px: usize,
+    height_px: usize,
+    reference: String,
+    frames: Vec<FrameDocument>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct FrameDocument {
+    file: String,
+    status: Status,
+    #[serde(default)]
+    model: Option<Model>,
+    homography: Option<[f64; 9]>,
+    #[serde(default)]
+    error_px: Option<f64>,
+    #[serde(default)]
+    confidence: Option<f64>,
+    #[serde(default)]
+    inliers: Option<usize>,
+    #[serde(default)]
+    keypoints: Option<KeypointCounts>,
+    #[serde(default)]
+    reason: Option<String>,
+}
+
+/// What says which version the rest is of.
+#[derive(Deserialize)]
+struct Header {
+    schema: String,
+}
+
+impl SavedAlignment {
+    /// The places of all frames of `bracket` by `alignment`.
+    pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
+        let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
+        let others = (0..bracket.frames().len()).filter(|&i| i != bracket.reference_index());
+        SavedAlignment {
+            size: (bracket.width(), bracket.height()),
+            reference: name(bracket.reference_index()),
+            frames: others
+                .map(|i| Given { path: name(i), place: Place::Found(alignment.verdicts[i].clone()) })
+                .collect(),
+        }
+    }
+
+    /// The text of the file.
+    pub fn to_json(&self) -> String {
+        let text = |path: &Path| path.to_string_lossy().into_owned();
+        let frame = |given: &Given| {
+            let verdict = given.place.verdict();
+            let matrix = verdict.warp.map(|w| w.matrix(self.size.0, self.size.1));
+            FrameDocument {
+                file: text(&given.path),
+                status: verdict.status,
+                model: verdict.model,
+                homography: matrix.map(|h| std::array::from_fn(|i| h[(i / 3, i % 3)])),
+                error_px: verdict.error_px,
+                confidence: Some(verdict.confidence),
+                inliers: verdict.inliers,
+                keypoints: verdict.keypoints,
+                reason: verdict.reason,
+            }
+        };
+        let document = Document {
+            schema: SCHEMA.to_owned(),
+            width_px: self.size.0,
+            height_px: self.size.1,
+            reference: text(&self.reference),
+            frames: self.frames.iter().map(frame).collect(),
+        };
+        // Strings and finite numbers alone: nothing in it can fail to be written.
+        serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
+    }
+
+    /// The places in the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Self::from_json(&String::from_utf8_lossy(&bytes), path)
+    }
+
+    /// The places in `text`, the content of the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, or a homography is none: nine finite numbers that keep the
+    /// picture's corners finite and its sides the right way round.
+    pub fn from_json(text: &str, path: &Path) -> Result<Self> {
+        let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
+        let header: Header =
+            serde_json::from_str(text).map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e})")))?;
+        if header.schema != SCHEMA {
+            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
+        }
+        let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
+        let size = (document.width_px, document.height_px);
+        let frames = document.frames.into_iter().map(|frame| {
+            let file = frame.file.clone();
+            let verdict = verdict(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
+            Ok(Given { path: file.into(), place: Place::Found(verdict) })
+        });
+        Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
+    }
+
+    /// Whether it can be of `bracket`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where the frames are of another size, the reference is another, or none of the frames is in it.
+    pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
+        let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
+        let (width, height) = (bracket.width(), bracket.height());
+        if self.size != (width, height) {
+            let (w, h) = self.size;
+            return wrong(format!("it is for photographs of {w}x{h} pixels, and these are {width}x{height}"));
+        }
+        if bracket.named(&self.reference) != Some(bracket.reference_index()) {
+            return wrong(format!(
+                "its reference is {}, and this bracket's is {}; give --reference {} or remove the file",
+                self.reference.display(),
+                bracket.reference().path().display(),
+                self.reference.display()
+            ));
+        }
+        if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
+            return wrong("it speaks of none of these photographs; remove it to have one made for them".into());
+        }
+        Ok(())
+    }
+}
+
+/// The verdict that `frame` stands for, or what is wrong with it.
+fn verdict(frame: FrameDocument, (width, height): (usize, usize)) -> std::result::Result<Verdict, String> {
+    let warp = match (frame.status, frame.homography) {
+        (Status::Rejected, _) => None,
+        (_, None) => return Err("it is to be merged, but has no homography".into()),
+        (Status::Unmoved | Status::Reference, Some(_)) => Some(Warp::Identity),
+        (Status::Aligned, Some(h)) => {
+            let h = Matrix3::from_row_slice(&h);
+            let last = h[(2, 2)];
+            let h = if last == 1.0 { h } else { h / last };
+            let placed = corners(width, height).map(|(x, y)| map(&h, x, y));
+            let is_sane = h.iter().all(|v| v.is_finite())
+                && h.determinant() > 0.0
+                && placed.iter().all(|(x, y)| x.is_finite() && y.is_finite());
+            if !is_sane {
+                return Err("its homography is none: nine finite numbers that do not mirror the picture".into());
+            }
+            Some(Warp::Homography(h))
+        }
+    };
+    Ok(Verdict {
+        status: frame.status,
+        model: warp.map(|w| frame.model.unwrap_or(Model::of(&w))),
+        warp,
+        inliers: frame.inliers,
+        keypoints: frame.keypoints,
+        error_px: frame.error_px.filter(|e| e.is_finite()),
+        confidence: frame.confidence.filter(|c| (0.0..=1.0).contains(c)).unwrap_or(1.0),
+        reason: frame.reason,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn saved() -> SavedAlignment {
+        let found = |status, warp: Option<Warp>| {
+            let model = warp.as_ref().map(Model::of);
+            Place::Found(Verdict { status, model, warp, confidence: 0.75, ..Verdict::by_definition(status) })
+        };
+        let h = Matrix3::new(1.0 + 1e-9, 0.1 / 3.0, -7.25, -0.03, 0.999, 1.0 / 7.0, 1e-7, -2e-8, 1.0);
+        let given = |name: &str, place| Given { path: name.into(), place };
+        SavedAlignment {
+            size: (400, 300),
+            reference: "b.jpg".into(),
+            frames: vec![
+                given("a.jpg", found(Status::Aligned, Some(Warp::Homography(h)))),
+                given("c.jpg", found(Status::Unmoved, Some(Warp::Identity))),
+                given("d.jpg", found(Status::Rejected, None)),
+            ],
+        }
+    }
+
+    #[test]
+    fn every_number_comes_back() {
+        let saved = saved();
+        assert_eq!(SavedAlignment::from_json(&saved.to_json(), Path::new("t.json")).unwrap(), saved);
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_the_file_and_the_frame() {
+        let json = saved().to_json();
+        let refused = |text: &str| SavedAlignment::from_json(text, Path::new("t.json")).unwrap_err().to_string();
+        for (text, says) in [
+            ("no json".to_owned(), "no JSON"),
+            (json.replace("transforms/1", "transforms/9"), "schema"),
+            (json.replace("-7.25", "1e999"), "t.json"),
+            (json.replace("0.999", "-0.999"), "a.jpg: its homography"),
+            (json.replace("\"width_px\": 400,", ""), "width_px"),
+        ] {
+            let message = refused(&text);
+            assert!(message.contains("t.json") && message.contains(says), "{message}");
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! Places that the user gives: transforms taken from a file, frames left out or left where they are.
+
+use crate::support::Folder;
+use serde_json::Value;
+
+fn report(stdout: &str) -> Value {
+    serde_json::from_str(stdout).expect("a report")
+}
+
+fn frame<'a>(report: &'a Value, path: &str) -> &'a Value {
+    let frames = report["frames"].as_array().expect("frames");
+    frames.iter().find(|f| f["path"] == path).map(|f| &f["alignment"]).expect(path)
+}
+
+#[test]
+fn transforms_are_written_once_and_taken_ever_after() {
+    let folder = Folder::with_bracket();
+    let found = folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
+    assert_eq!(found.stdout, "t.json\n");
+    let text = std::fs::read_to_string(folder.at("t.json")).expect("a file");
+    let saved: Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!((&saved["schema"], &saved["reference"]), (&"hdralign-transforms/1".into(), &"w3.jpg".into()));
+    // The same result as without the file, bit by bit; the reference is the file's.
+    folder.line("merge w2.jpg w3.jpg w4.jpg --reference 2 -o found.exr").done();
+    let taken = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o taken.exr --json").done();
+    assert!(std::fs::read(folder.at("found.exr")).unwrap() == std::fs::read(folder.at("taken.exr")).unwrap());
+    let said = report(&taken.stdout);
+    assert_eq!((&said["transforms_from"], &said["reference"]), (&"t.json".into(), &"w3.jpg".into()));
+    // A place that was changed by hand is believed, and --force does not replace the file.
+    let mut moved = saved.clone();
+    moved["frames"][0]["homography"] = serde_json::json!([1.0, 0.0, 12.5, 0.0, 1.0, -7.0, 0.0, 0.0, 1.0]);
+    std::fs::write(folder.at("t.json"), moved.to_string()).unwrap();
+    let believed = folder.line("align w2.jpg w3.jpg w4.jpg --transforms t.json --force --json").done();
+    assert_eq!(frame(&report(&believed.stdout), "w2.jpg")["shift_px"], serde_json::json!([12.5, -7.0]));
+    assert_eq!(std::fs::read_to_string(folder.at("t.json")).unwrap(), moved.to_string());
+}
+
+#[test]
+fn transforms_of_other_photographs_are_refused() {
+    let folder = Folder::with_bracket();
+    folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
+    let text = std::fs::read_to_string(folder.at("t.json")).unwrap();
+    let before = folder.listing();
+    for (file, changed, says) in [
+        ("t.json", text.replace("\"width_px\": 300", "\"width_px\": 301"), "301x200"),
+        ("t.json", text.replace("w3.jpg", "other.jpg"), "--reference"),
+        ("t.json", text.replace("w2.jpg", "x.jpg").replace("w4.jpg", "y.jpg"), "none of these"),
+        ("t.json", "nonsense".into(), "no JSON"),
+    ] {
+        folder.put(file, changed.as_bytes());
+        let run = folder.line("merge w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json -o a.exr");
+        assert!(run.code == 1 && run.stderr.contains("t.json") && run.stderr.contains(says), "{says}: {run:?}");
+        folder.put(file, text.as_bytes());
+        assert_eq!(folder.listing(), before);
+    }
+}
+
+#[test]
+fn frames_are_left_out_or_left_unmoved_by_name() {
+    let folder = Folder::with_bracket();
+    let run =
+        folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --leave-out w2.jpg --unmoved w4.jpg --json --strict");
+    assert_eq!(run.code, 0, "what was asked for does not degrade: {run:?}");
+    let said = report(&run.stdout);
+    let (out, still) = (frame(&said, "w2.jpg"), frame(&said, "w4.jpg"));
+    assert_eq!((&out["status"], &out["homography"]), (&"rejected".into(), &Value::Null));
+    assert_eq!((&still["status"], &still["confidence"]), (&"unmoved".into(), &1.0.into()));
+    assert_eq!(said["crop"]["width_px"], 300, "what is left out does not narrow the crop");
+    // A frame that is left out is not the reference, unless it is named as such.
+    let automatic = folder.line("align w2.jpg w3.jpg w4.jpg --json").done();
+    let best = report(&automatic.stdout)["reference"].as_str().expect("a name").to_owned();
+    let without = folder.line(&format!("align w2.jpg w3.jpg w4.jpg --leave-out {best} --json")).done();
+    assert_ne!(report(&without.stdout)["reference"], best.as_str());
+    for (line, says) in [
+        ("--reference w3.jpg --leave-out w3.jpg", "is the reference"),
+        ("--leave-out nobody.jpg", "not among the photographs"),
+        ("--unmoved nobody.jpg", "not among the photographs"),
+    ] {
+        let run = folder.line(&format!("align w2.jpg w3.jpg w4.jpg {line}"));
+        assert!(run.code == 2 && run.stderr.contains(says), "{run:?}");
+    }
+}
