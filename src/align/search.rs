@@ -3,8 +3,9 @@
 //! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`place::by_bitmaps`]; for
 //! one in doubt some times as much.
 
+use super::feature_sets::{self, FeatureSets};
 use super::mtb::{self, GreyPyramid};
-use super::place::{self, Candidate, FeatureSets};
+use super::place::{self, Candidate};
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use rayon::prelude::*;
@@ -124,13 +125,14 @@ impl Search<'_> {
     }
 
     fn features(&self, i: usize) -> FeatureSets {
-        place::features(&self.pyramids[i], &self.options.sift, &self.options.mtb)
+        let level = place::features_level(self.base());
+        feature_sets::features(&self.pyramids[i], level, &self.options.sift, &self.options.mtb)
     }
 
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
         let to_full = place::level_to_full(place::features_level(self.base()));
-        let found = place::by_matches(reference, frame, &to_full, self.options.ratio, &self.options.ransac)?;
+        let found = feature_sets::by_matches(reference, frame, &to_full, self.options.ratio, &self.options.ransac)?;
         Some((Warp::Homography(found.homography), found.inliers.len()))
     }
 
