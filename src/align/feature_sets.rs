@@ -121,7 +121,10 @@ mod tests {
     #[test]
     fn points_found_twice_are_counted_once() {
         let features = |list: &[(f32, f32, f32)]| Features {
-            keypoints: list.iter().map(|&(x, y, scale)| Keypoint { x, y, scale, angle: 0.0, response: 0.1 }).collect(),
+            keypoints: list
+                .iter()
+                .map(|&(x, y, scale)| Keypoint { x, y, scale, angle: 0.0, response: 0.1, bright: true })
+                .collect(),
             descriptors: vec![[0; 128]; list.len()],
         };
         let plain = features(&[(10.0, 10.0, 2.0), (50.0, 20.0, 3.0), (0.2, 0.1, 2.0)]);

@@ -16,6 +16,8 @@ pub(super) struct Extremum {
     pub(super) sigma: f64,
     /// |D| at the extremum.
     pub(super) response: f32,
+    /// Whether D is negative there: the difference is of the smoother to the sharper.
+    pub(super) bright: bool,
 }
 
 impl Extremum {
@@ -33,6 +35,7 @@ impl Extremum {
             scale: (self.sigma * step) as f32,
             angle,
             response: self.response,
+            bright: self.bright,
         }
     }
 }
@@ -96,6 +99,7 @@ fn find_in_row(
                     y: y as f64 + offset[1],
                     sigma: space.sigma_at(interval as f64 + offset[2]),
                     response: response as f32,
+                    bright: value < 0.0,
                 });
             }
         }
