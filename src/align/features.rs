@@ -372,7 +372,7 @@ mod tests {
             for (i, k) in f.keypoints.iter_mut().enumerate() {
                 k.angle = ((i * by % 40) as f32 / 20.0 - 1.0) * PI;
                 k.scale = 1.0 + (i * by % 7) as f32;
-                k.bright = i * by % 3 > 0;
+                k.bright = !(i * by).is_multiple_of(3);
             }
             f
         };

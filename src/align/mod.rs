@@ -14,6 +14,7 @@ mod feature_sets;
 pub mod features;
 pub mod homography;
 pub mod intensity_map;
+pub mod lmeds;
 pub mod mtb;
 mod overlap;
 mod place;
@@ -50,6 +51,16 @@ pub enum AlignMode {
     None,
 }
 
+/// How the matches that agree on a motion are told from the wrong ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum RobustMethod {
+    /// [`ransac`]: the motion with which most agree, to within a threshold; four fifths may be wrong.
+    #[default]
+    Ransac,
+    /// [`lmeds`]: the motion that half of them fit best, with no threshold; fewer than half may be wrong.
+    Lmeds,
+}
+
 /// How frames are aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignOptions {
@@ -61,6 +72,8 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
+    /// The method of the robust fit.
+    pub robust: RobustMethod,
     /// The robust fit; its threshold is in pixels of the level on which features are sought.
     pub ransac: RansacOptions,
 }
@@ -72,6 +85,7 @@ impl Default for AlignOptions {
             mtb: MtbOptions::default(),
             sift: SiftOptions::default(),
             ratio: 0.8,
+            robust: RobustMethod::default(),
             ransac: RansacOptions::default(),
         }
     }

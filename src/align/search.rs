@@ -132,7 +132,7 @@ impl Search<'_> {
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
         let to_full = place::level_to_full(place::features_level(self.base()));
-        let found = feature_sets::by_matches(reference, frame, &to_full, self.options.ratio, &self.options.ransac)?;
+        let found = feature_sets::by_matches(reference, frame, &to_full, self.options)?;
         Some((Warp::Homography(found.homography), found.inliers.len()))
     }
 
