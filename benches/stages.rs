@@ -6,8 +6,9 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
 use hdralign::align::common_exposure::{CommonExposure, Tones};
 use hdralign::align::comparison::Comparison;
-use hdralign::align::features::{Features, match_mutual};
+use hdralign::align::features::{Features, Guide, match_mutual};
 use hdralign::align::homography::Pair;
+use hdralign::align::lmeds;
 use hdralign::align::mtb::{self, GreyPyramid, MtbOptions, Percentile};
 use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
@@ -110,6 +111,12 @@ fn features(c: &mut Criterion) {
     let level = first.level(1);
     group.throughput(Throughput::Elements((level.width() * level.height()) as u64));
     group.bench_function("sift", |b| b.iter(|| detect(black_box(level), &options)));
+    // With none to be kept, none is described: the scale space and its extrema alone.
+    let undescribed = SiftOptions { max_keypoints: 0, ..options.clone() };
+    group.bench_function("sift detect", |b| b.iter(|| detect(black_box(level), &undescribed)));
+    // As the bitmaps are looked at.
+    let single = SiftOptions { double: false, ..options.clone() };
+    group.bench_function("sift not doubled", |b| b.iter(|| detect(black_box(level), &single)));
     let sets: [Features; 2] = [detect(level, &options), detect(second.level(1), &options)];
     group.throughput(Throughput::Elements(sets[0].len() as u64));
     group.bench_function("match", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, None)));
@@ -118,7 +125,11 @@ fn features(c: &mut Criterion) {
         .iter()
         .map(|m| (place(&sets[0], m.reference), place(&sets[1], m.frame)))
         .collect();
+    let guide = ransac::search(&pairs, &RansacOptions::default()).map(|c| Guide { motion: c.homography, radius: 10.0 });
+    let guide = guide.expect("the window's frames match");
+    group.bench_function("match guided", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, Some(&guide))));
     group.throughput(Throughput::Elements(pairs.len() as u64));
+    group.bench_function("lmeds", |b| b.iter(|| lmeds::search(black_box(&pairs), &RansacOptions::default())));
     group.bench_function("ransac", |b| b.iter(|| ransac::search(black_box(&pairs), &RansacOptions::default())));
 }
 

@@ -29,7 +29,7 @@ fn theirs() -> Vec<Theirs> {
         .map(|row| {
             let [x, y, size, degrees, response] = std::array::from_fn(|i| number(&row["point"][i]));
             let angle = if degrees > 180.0 { degrees - 360.0 } else { degrees }.to_radians();
-            let point = Keypoint { x, y, scale: size / 2.0, angle, response };
+            let point = Keypoint { x, y, scale: size / 2.0, angle, response, bright: true };
             let descriptor =
                 row.get("descriptor").map(|d| std::array::from_fn(|i| d[permuted(i)].as_u64().unwrap() as u8));
             Theirs { point, descriptor }

@@ -13,10 +13,12 @@ mod basis;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
+mod feature_sets;
 pub mod features;
 pub mod given;
 pub mod homography;
 pub mod intensity_map;
+pub mod lmeds;
 pub mod mtb;
 mod overlap;
 pub mod patches;
@@ -57,6 +59,16 @@ pub enum AlignMode {
     None,
 }
 
+/// How the matches that agree on a motion are told from the wrong ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum RobustMethod {
+    /// [`ransac`]: the motion with which most agree, to within a threshold; four fifths may be wrong.
+    #[default]
+    Ransac,
+    /// [`lmeds`]: the motion that half of them fit best, with no threshold; fewer than half may be wrong.
+    Lmeds,
+}
+
 /// How frames are aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignOptions {
@@ -70,6 +82,8 @@ pub struct AlignOptions {
     pub ratio: f64,
     /// Frames whose place is not sought but given; the first word on a frame counts.
     pub given: Vec<Given>,
+    /// The method of the robust fit.
+    pub robust: RobustMethod,
     /// The robust fit; its threshold is in pixels of the level on which features are sought.
     pub ransac: RansacOptions,
 }
@@ -82,6 +96,7 @@ impl Default for AlignOptions {
             sift: SiftOptions::default(),
             given: Vec::new(),
             ratio: 0.8,
+            robust: RobustMethod::default(),
             ransac: RansacOptions::default(),
         }
     }

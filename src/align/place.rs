@@ -3,19 +3,14 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
 
+use super::Model;
 use super::agreement::{Agreement, Survey, survey};
 use super::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
-use super::features::{Features, Guide, Keypoint, match_mutual};
-use super::homography::Pair;
 use super::mtb::{self, GreyPyramid, MtbOptions};
-use super::ransac::{self, Consensus, RansacOptions};
 use super::refine::{refine, restrict};
-use super::sift::{self, SiftOptions};
 use super::tile_fit::{self, TileFit};
 use super::warp::{Warp, corners, map};
-use super::{KeypointCounts, Model};
 use crate::plane::Plane;
-use nalgebra::Matrix3;
 use std::sync::Arc;
 
 /// Levels above that of agreement from which refinement starts: a warp that is off by 4 px is off by one there.
@@ -128,65 +123,6 @@ pub(super) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> 
 const MOST_RIVALS: usize = 8;
 /// ... and of these refined to the end.
 const BEST_RIVALS: usize = 2;
-
-/// Features of a frame on the level of [`measured_level`]: of the plain picture, and of its median threshold bitmap.
-#[derive(Debug, Clone, Default)]
-pub(super) struct FeatureSets {
-    pub(super) plain: Features,
-    pub(super) mtb: Features,
-    pub(super) counts: KeypointCounts,
-}
-
-/// The homography that the matches of both sets agree on, in pixels of the full size, and those that do; sought once more among the
-/// matches near the places that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
-pub(super) fn by_matches(
-    reference: &FeatureSets,
-    frame: &FeatureSets,
-    to_full: &Matrix3<f64>,
-    ratio: f64,
-    options: &RansacOptions,
-) -> Option<Consensus> {
-    let in_full = RansacOptions { threshold: options.threshold * to_full[(0, 0)], ..options.clone() };
-    let first = ransac::search(&pairs(reference, frame, to_full, ratio, None), &in_full)?;
-    let motion = to_full.try_inverse()? * first.homography * to_full;
-    let guide = Guide { motion, radius: GUIDED_PX };
-    let second = ransac::search(&pairs(reference, frame, to_full, ratio, Some(&guide)), &in_full);
-    Some(second.filter(|s| s.inliers.len() > first.inliers.len()).unwrap_or(first))
-}
-
-/// How far from its place a guided match may lie, in pixels of the level: some times what makes it an inlier.
-const GUIDED_PX: f64 = 10.0;
-
-/// The matches of both sets, in pixels of the full size.
-fn pairs(
-    reference: &FeatureSets,
-    frame: &FeatureSets,
-    to_full: &Matrix3<f64>,
-    ratio: f64,
-    guide: Option<&Guide>,
-) -> Vec<Pair> {
-    let full = |k: &Keypoint| {
-        let (x, y) = map(to_full, k.x.into(), k.y.into());
-        [x, y]
-    };
-    let mut pairs: Vec<Pair> = [(&reference.plain, &frame.plain), (&reference.mtb, &frame.mtb)]
-        .into_iter()
-        .flat_map(|(a, b)| {
-            let matches = match_mutual(a, b, ratio, guide);
-            matches.into_iter().map(|m| (full(&a.keypoints[m.reference]), full(&b.keypoints[m.frame])))
-        })
-        .collect();
-    drop_repeated(&mut pairs, to_full[(0, 0)]);
-    pairs
-}
-
-/// Of pairs that join the same two places, within a pixel of the level, only the first stays: a point found in both pictures, or with two
-/// directions, has one voice.
-fn drop_repeated(pairs: &mut Vec<Pair>, pixel: f64) {
-    let cell = |p: &Pair| [p.0[0], p.0[1], p.1[0], p.1[1]].map(|v| (v / (1.5 * pixel)).floor() as i64);
-    let mut seen = std::collections::BTreeSet::new();
-    pairs.retain(|p| seen.insert(cell(p)));
-}
 
 /// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles; follows them where they see it off.
 pub(super) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Option<Candidate> {
@@ -354,47 +290,6 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
 
 /// What tiles can tell apart, in pixels of the level on which they are measured.
 const ALIKE: f64 = 0.1;
-
-/// The features of a frame, on the level of [`measured_level`].
-pub(super) fn features(pyramid: &GreyPyramid, sift: &SiftOptions, mtb: &MtbOptions) -> FeatureSets {
-    let level = measured_level(pyramid);
-    let grey = pyramid.level(level);
-    let plain = sift::detect(grey, sift);
-    let histogram = pyramid.histogram(level);
-    let threshold = histogram.level(mtb::own_percentile(histogram, mtb.exclusion));
-    let bitmap = Plane::from_rows(grey.width(), grey.height(), |y, row| {
-        for (v, g) in row.iter_mut().zip(grey.row(y)) {
-            *v = if *g > threshold { 255 } else { 0 };
-        }
-    });
-    let mtb = sift::detect(&bitmap, sift);
-    let counts =
-        KeypointCounts { plain: plain.len(), mtb: mtb.len(), merged: plain.len() + mtb.len() - repeated(&plain, &mtb) };
-    FeatureSets { plain, mtb, counts }
-}
-
-/// How many keypoints of the bitmap are points of the plain picture too: within a pixel, and of like scale.
-fn repeated(plain: &Features, mtb: &Features) -> usize {
-    let cell = |x: f32, y: f32| ((x / 2.0).floor() as i64, (y / 2.0).floor() as i64);
-    let mut cells: std::collections::BTreeMap<(i64, i64), Vec<usize>> = std::collections::BTreeMap::new();
-    for (i, k) in plain.keypoints.iter().enumerate() {
-        cells.entry(cell(k.x, k.y)).or_default().push(i);
-    }
-    let same = |a: &Keypoint, b: &Keypoint| {
-        let (dx, dy) = (a.x - b.x, a.y - b.y);
-        dx * dx + dy * dy <= 1.0 && a.scale < 1.3 * b.scale && b.scale < 1.3 * a.scale
-    };
-    mtb.keypoints
-        .iter()
-        .filter(|k| {
-            let (cx, cy) = cell(k.x, k.y);
-            (cy - 1..=cy + 1).any(|y| {
-                (cx - 1..=cx + 1)
-                    .any(|x| cells.get(&(x, y)).is_some_and(|c| c.iter().any(|&i| same(&plain.keypoints[i], k))))
-            })
-        })
-        .count()
-}
 
 #[cfg(test)]
 mod tests;

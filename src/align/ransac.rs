@@ -34,7 +34,7 @@ impl Default for RansacOptions {
 pub struct Consensus {
     /// Reference pixel -> frame pixel.
     pub homography: Matrix3<f64>,
-    /// Indices of the pairs within the threshold, rising.
+    /// Indices of the pairs that agree with it, rising: for RANSAC those within the threshold.
     pub inliers: Vec<usize>,
     /// Root mean square distance of the inliers from where they should be, in pixels.
     pub rms: f64,
@@ -50,12 +50,9 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
     let mut needed = options.max_trials;
     let mut trial = 0;
     while trial < needed {
-        let four = draw(options.seed, trial, pairs.len()).map(|i| pairs[i]);
+        let drawn = guess(pairs, options.seed, trial);
         trial += 1;
-        if !same_handed(&four) {
-            continue;
-        }
-        let Some(h) = fit(&four, None) else { continue };
+        let Some(h) = drawn else { continue };
         let cost = score(pairs, &h, limit);
         if best.as_ref().is_none_or(|(c, _)| cost < *c) {
             let (cost, h) = polish(pairs, cost, h, limit);
@@ -65,13 +62,20 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
         }
     }
     let (_, homography) = best?;
-    let inliers = inliers(pairs, &homography, limit);
-    // Four pairs always agree with themselves.
-    if inliers.len() < 5 {
-        return None;
+    Consensus::new(pairs, homography, limit)
+}
+
+impl Consensus {
+    /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with any.
+    pub(super) fn new(pairs: &[Pair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
+        let inliers = inliers(pairs, &homography, limit);
+        // Four pairs always agree with themselves.
+        if inliers.len() < 5 {
+            return None;
+        }
+        let sum: f64 = inliers.iter().map(|&i| distance_squared(&homography, &pairs[i])).sum();
+        Some(Consensus { rms: (sum / inliers.len() as f64).sqrt(), homography, inliers })
     }
-    let sum: f64 = inliers.iter().map(|&i| distance_squared(&homography, &pairs[i])).sum();
-    Some(Consensus { rms: (sum / inliers.len() as f64).sqrt(), homography, inliers })
 }
 
 /// Squared distance between where `h` puts the pair's first point and its second, in pixels squared.
@@ -80,11 +84,17 @@ pub fn distance_squared(h: &Matrix3<f64>, pair: &Pair) -> f64 {
     (u - pair.1[0]) * (u - pair.1[0]) + (v - pair.1[1]) * (v - pair.1[1])
 }
 
+/// The homography of the four pairs that trial `trial` draws; none where no camera could have seen them so.
+pub(super) fn guess(pairs: &[Pair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
+    let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
+    same_handed(&four).then(|| fit(&four, None))?
+}
+
 fn score(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> f64 {
     pairs.iter().map(|p| distance_squared(h, p).min(limit)).sum()
 }
 
-fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
+pub(super) fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
@@ -111,7 +121,7 @@ fn polish(pairs: &[Pair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f6
 }
 
 /// Trials after which four inliers were drawn at once with the wanted probability: ln(1 - p) / ln(1 - share^4).
-fn trials_for(share: f64, options: &RansacOptions) -> u64 {
+pub(super) fn trials_for(share: f64, options: &RansacOptions) -> u64 {
     let all_four = share * share * share * share;
     if all_four >= 1.0 {
         return 1;
@@ -155,17 +165,17 @@ fn random(seed: u64, trial: u64, draw: u64) -> u64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    const H: Matrix3<f64> = Matrix3::new(0.999, 0.02, -8.0, -0.021, 1.001, 15.0, 1e-6, 2e-6, 1.0);
+    pub(crate) const H: Matrix3<f64> = Matrix3::new(0.999, 0.02, -8.0, -0.021, 1.001, 15.0, 1e-6, 2e-6, 1.0);
 
     fn noise(i: u64, k: u64) -> f64 {
         random(99, i, k) as f64 / u64::MAX as f64 - 0.5
     }
 
     /// `n` pairs of which `wrong` are anything; the others are off by up to `sigma` px on each axis.
-    fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<Pair> {
+    pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<Pair> {
         (0..n)
             .map(|i| {
                 let p = [2000.0 * (noise(i, 0) + 0.5), 1500.0 * (noise(i, 1) + 0.5)];

@@ -4,9 +4,10 @@
 //! one in doubt some times as much.
 
 use super::comparison::{Comparison, level_to_full, measured_level};
+use super::feature_sets::{self, FeatureSets};
 use super::mtb::{self, GreyPyramid};
 use super::period;
-use super::place::{self, Candidate, FeatureSets};
+use super::place::{self, Candidate};
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use rayon::prelude::*;
@@ -153,13 +154,14 @@ impl Search<'_> {
     }
 
     fn features(&self, i: usize) -> FeatureSets {
-        place::features(&self.pyramids[i], &self.options.sift, &self.options.mtb)
+        let level = measured_level(self.base());
+        feature_sets::features(&self.pyramids[i], level, &self.options.sift, &self.options.mtb)
     }
 
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
         let to_full = level_to_full(measured_level(self.base()));
-        let found = place::by_matches(reference, frame, &to_full, self.options.ratio, &self.options.ransac)?;
+        let found = feature_sets::by_matches(reference, frame, &to_full, self.options)?;
         Some((Warp::Homography(found.homography), found.inliers.len()))
     }
 

@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 use hdralign::align::given::{Given, Place};
 use hdralign::align::mtb::MtbOptions;
-use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::pipeline::{Crop, Options};
 use hdralign::write;
@@ -31,6 +31,10 @@ pub struct Common {
     /// Largest rotation that the bitmaps are searched for, in degrees to either side
     #[arg(long, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
+
+    /// How matches of features that agree on a motion are told from wrong ones
+    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
+    robust: RobustArg,
 
     /// Leave this photograph out; may be repeated
     #[arg(long, value_name = "FILE")]
@@ -91,6 +95,16 @@ enum AlignArg {
     None,
 }
 
+/// See [`RobustMethod`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum RobustArg {
+    /// The motion with which most agree within a threshold
+    #[default]
+    Ransac,
+    /// The motion with the least median of squares: no threshold, but over half must be right
+    Lmeds,
+}
+
 /// See [`Crop`].
 #[derive(Debug, Clone, Copy, Default, ValueEnum)]
 enum CropArg {
@@ -112,6 +126,10 @@ impl Common {
                     AlignArg::Mtb => AlignMode::Mtb,
                     AlignArg::Sift => AlignMode::Sift,
                     AlignArg::None => AlignMode::None,
+                },
+                robust: match self.robust {
+                    RobustArg::Ransac => RobustMethod::Ransac,
+                    RobustArg::Lmeds => RobustMethod::Lmeds,
                 },
                 mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
                 given: self.given(),

@@ -2,6 +2,7 @@
 
 use super::super::scene::{Scene, Shot, perspective, rigid, shift};
 use super::*;
+use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);
 
@@ -70,25 +71,6 @@ fn what_no_hand_does_is_refused() {
         assert!(!is_sane(&mad, SIZE), "{mad:?}");
     }
     assert!(!is_sane(&Warp::Homography(Matrix3::from_element(f64::NAN)), SIZE));
-}
-
-#[test]
-fn points_found_twice_are_counted_once() {
-    let features = |list: &[(f32, f32, f32)]| Features {
-        keypoints: list.iter().map(|&(x, y, scale)| Keypoint { x, y, scale, angle: 0.0, response: 0.1 }).collect(),
-        descriptors: vec![[0; 128]; list.len()],
-    };
-    let plain = features(&[(10.0, 10.0, 2.0), (50.0, 20.0, 3.0), (0.2, 0.1, 2.0)]);
-    let bitmap = features(&[
-        (10.7, 10.6, 2.0), // 0.92 px off: the same
-        (10.8, 10.7, 2.0), // 1.06 px off: another
-        (49.9, 19.5, 3.8), // 1.27 times the scale: the same
-        (49.9, 19.5, 4.0), // 1.33 times
-        (-0.1, 0.0, 2.0),  // across the border between cells: the same
-        (90.0, 90.0, 2.0),
-    ]);
-    assert_eq!(repeated(&plain, &bitmap), 3);
-    assert_eq!((repeated(&plain, &Features::default()), repeated(&Features::default(), &bitmap)), (0, 0));
 }
 
 #[test]

@@ -16,6 +16,8 @@ pub(super) struct Extremum {
     pub(super) sigma: f64,
     /// |D| at the extremum.
     pub(super) response: f32,
+    /// Whether D is negative there: the difference is of the smoother to the sharper.
+    pub(super) bright: bool,
 }
 
 impl Extremum {
@@ -33,6 +35,7 @@ impl Extremum {
             scale: (self.sigma * step) as f32,
             angle,
             response: self.response,
+            bright: self.bright,
         }
     }
 }
@@ -49,9 +52,9 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
         for interval in 1..=options.intervals {
             let height = octave.differences[interval].height();
             let bands = map_bands(height, |rows| {
-                let mut band = Vec::new();
+                let (mut band, mut candidates) = (Vec::new(), Vec::new());
                 for y in rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER)) {
-                    find_in_row(space, octave, index, interval, y, options, &mut band);
+                    find_in_row(space, index, interval, y, options, &mut candidates, &mut band);
                 }
                 band
             });
@@ -61,31 +64,45 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     found
 }
 
+/// Sets `candidates` to 1 where D of row `y` is larger than `least` and no smaller than its four neighbours in the plane, or the same
+/// below zero: a tenth of the samples is left for closer looks. Side by side and without a branch, so that the compiler takes four at a
+/// time.
+fn stands_out(plane: &Plane<f32>, y: usize, least: f32, candidates: &mut Vec<u8>) {
+    let width = plane.width();
+    candidates.clear();
+    candidates.resize(width, 0);
+    let n = width.max(2) - 2;
+    let (up, row, down) = (&plane.row(y - 1)[1..][..n], plane.row(y), &plane.row(y + 1)[1..][..n]);
+    let (left, here, right) = (&row[..n], &row[1..][..n], &row[2..][..n]);
+    let out = &mut candidates[1..][..n];
+    for i in 0..n {
+        let v = here[i];
+        let high = (v > least) & (v >= left[i]) & (v >= right[i]) & (v >= up[i]) & (v >= down[i]);
+        let low = (v < -least) & (v <= left[i]) & (v <= right[i]) & (v <= up[i]) & (v <= down[i]);
+        out[i] = u8::from(high | low);
+    }
+}
+
 fn find_in_row(
     space: &ScaleSpace,
-    octave: &Octave,
     index: usize,
     interval: usize,
     y: usize,
     options: &SiftOptions,
+    candidates: &mut Vec<u8>,
     found: &mut Vec<Extremum>,
 ) {
+    let octave = &space.octaves[index];
     let [below, here, above] = [-1, 0, 1].map(|d: isize| &octave.differences[interval.wrapping_add_signed(d)]);
-    let (up, row, down) = (here.row(y - 1), here.row(y), here.row(y + 1));
     // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the contrast.
-    let least = (0.5 * options.contrast) as f32;
-    for x in BORDER..row.len().saturating_sub(BORDER) {
-        let v = row[x];
-        if v.abs() <= least {
-            continue;
-        }
+    stands_out(here, y, (0.5 * options.contrast) as f32, candidates);
+    let width = here.width();
+    for x in (BORDER..width.saturating_sub(BORDER)).filter(|&x| candidates[x] != 0) {
+        let v = here.at(x, y);
         let beats = |w: f32| if v > 0.0 { v >= w } else { v <= w };
         let beside = |r: &[f32]| beats(r[x - 1]) && beats(r[x]) && beats(r[x + 1]);
-        let is_extremum = beats(row[x - 1])
-            && beats(row[x + 1])
-            && beside(up)
-            && beside(down)
-            && [below, above].iter().all(|p| (y - 1..=y + 1).all(|r| beside(p.row(r))));
+        let is_extremum =
+            [below, above, here].iter().all(|p| beside(p.row(y)) && beside(p.row(y - 1)) && beside(p.row(y + 1)));
         if is_extremum && let Some((interval, x, y, offset, value)) = localise(octave, interval, x, y, options) {
             let response = value.abs();
             if response >= options.contrast && !is_edge(&octave.differences[interval], x, y, options.edge_ratio) {
@@ -96,6 +113,7 @@ fn find_in_row(
                     y: y as f64 + offset[1],
                     sigma: space.sigma_at(interval as f64 + offset[2]),
                     response: response as f32,
+                    bright: value < 0.0,
                 });
             }
         }

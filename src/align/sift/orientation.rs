@@ -1,7 +1,7 @@
 //! The direction that a keypoint's surroundings agree on (Lowe 2004, section 5).
 
 use super::extrema::Extremum;
-use super::gradient::{exp_minus, exp_table, gradient};
+use super::gradient::{Gradients, weights};
 use crate::plane::Plane;
 use std::f32::consts::PI;
 
@@ -16,15 +16,18 @@ pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
     let sigma = WINDOW * extremum.sigma;
     let reach = libm::ceil(3.0 * sigma) as isize;
     let (cx, cy) = ((extremum.x + 0.5).floor() as isize, (extremum.y + 0.5).floor() as isize);
-    let table = exp_table();
     let falloff = (0.5 / (sigma * sigma)) as f32;
+    let within =
+        |c: isize, n: usize| (c - reach).max(1) as usize..((c + reach).min(n as isize - 2) + 1).max(1) as usize;
+    let (columns, rows) = (within(cx, level.width()), within(cy, level.height()));
+    let (across, down) = (weights(columns.clone(), extremum.x, falloff), weights(rows.clone(), extremum.y, falloff));
     let mut raw = [0.0f32; BINS];
-    for y in (cy - reach).max(1)..=(cy + reach).min(level.height() as isize - 2) {
-        for x in (cx - reach).max(1)..=(cx + reach).min(level.width() as isize - 2) {
-            let (dx, dy) = ((x as f64 - extremum.x) as f32, (y as f64 - extremum.y) as f32);
-            let (length, angle) = gradient(level, x as usize, y as usize);
+    let mut gradients = Gradients::default();
+    for (y, weight) in rows.zip(down) {
+        gradients.fill(level, y, columns.clone());
+        for ((length, angle), w) in gradients.length.iter().zip(&gradients.direction).zip(&across) {
             let bin = ((angle + PI) * (BINS as f32 / (2.0 * PI))) as usize % BINS;
-            raw[bin] += length * exp_minus(table, (dx * dx + dy * dy) * falloff);
+            raw[bin] += length * (w * weight);
         }
     }
     // Smoothed by (1 4 6 4 1) / 16, so that a peak is not an accident of the bins.

@@ -1,0 +1,124 @@
+//! What the bitmaps add: points in dark frames, the same ones in both, and each counted once.
+
+use super::super::comparison::measured_level;
+use super::super::scene::{Scene, Shot, perspective};
+use super::super::warp::Warp;
+use super::*;
+
+const SIZE: (usize, usize) = (480, 320);
+
+fn sets(seed: u64, warp: &Warp, ev: f64) -> FeatureSets {
+    let pyramid = GreyPyramid::new(Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)));
+    features(&pyramid, measured_level(&pyramid), &SiftOptions::default(), &MtbOptions::default())
+}
+
+fn by_plain_alone(sets: &FeatureSets) -> FeatureSets {
+    FeatureSets { plain: sets.plain.clone(), ..FeatureSets::default() }
+}
+
+#[test]
+fn bitmaps_raise_the_matches_of_dark_and_bright_frames() {
+    let options = AlignOptions::default();
+    for seed in [21, 22] {
+        let reference = sets(seed, &Warp::Identity, 0.0);
+        for ev in [-5.0, -4.0, 3.0] {
+            let frame = sets(seed, &perspective(), ev);
+            let counts = frame.counts;
+            assert!(counts.merged >= 3 * counts.plain && counts.merged >= counts.mtb, "{ev}: {counts:?}");
+            let inliers = |a: &FeatureSets, b: &FeatureSets| {
+                by_matches(a, b, &Matrix3::identity(), &options).map_or(0, |c| c.inliers.len())
+            };
+            let all = by_matches(&reference, &frame, &Matrix3::identity(), &options).unwrap();
+            let alone = inliers(&by_plain_alone(&reference), &by_plain_alone(&frame));
+            println!("{seed} {ev}: {counts:?}, {} inliers, {alone} by the plain ones", all.inliers.len());
+            assert!(all.inliers.len() >= 3 * alone && all.inliers.len() >= 60, "{ev}: {} {alone}", all.inliers.len());
+            let warp = Warp::Homography(all.homography);
+            let off = warp.corner_distance(&perspective(), SIZE.0, SIZE.1);
+            assert!(off < 1.0, "{ev}: {off} px");
+        }
+    }
+}
+
+#[test]
+fn either_robust_method_finds_the_motion() {
+    let (reference, frame) = (sets(21, &Warp::Identity, 0.0), sets(21, &perspective(), 1.0));
+    let by = |robust| {
+        let options = AlignOptions { robust, ..AlignOptions::default() };
+        by_matches(&reference, &frame, &Matrix3::identity(), &options).unwrap()
+    };
+    let (ransac, lmeds) = (by(RobustMethod::Ransac), by(RobustMethod::Lmeds));
+    for found in [&ransac, &lmeds] {
+        let off = Warp::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
+        assert!(off < 0.5 && found.inliers.len() > 100, "{off} px, {}", found.inliers.len());
+    }
+    // The median's radius is not the threshold.
+    assert_ne!(ransac.inliers, lmeds.inliers);
+}
+
+#[test]
+fn noise_about_a_threshold_makes_few_points() {
+    // A plain surface of noise, half above its median and half below.
+    let flat = |_: f64, _: f64| 1.0;
+    let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
+    let noise = super::super::scene::photograph(SIZE, &Warp::Identity, shot, flat);
+    let smooth = smoothed(&noise);
+    let median = thresholds(&smooth)[3];
+    let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };
+    let points = |exclusion| sift::detect(&bitmap(&smooth, median, exclusion), &options).len();
+    // The bitmap with hard edges is all speckles; one that goes over in proportion has less contrast than a speckle.
+    assert!(points(1) > 500 && points(4) * 4 < points(1), "{} {}", points(1), points(4));
+}
+
+#[test]
+fn thresholds_part_the_pixels_as_they_say() {
+    let smooth = smoothed(&Scene::new(3).photograph(SIZE, &Warp::Identity, Shot::at(-3.0)));
+    let total = smooth.as_slice().len() as f64;
+    for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
+        let below = smooth.as_slice().iter().filter(|v| **v <= t).count() as f64 / total;
+        // A sixteenth of a level holds at most a few percent of the pixels of a dark frame.
+        assert!((below - *percent as f64 / 100.0).abs() < 0.03, "{percent}: {below}");
+    }
+}
+
+fn keypoints(list: &[(f32, f32, f32)]) -> Features {
+    let point = |&(x, y, scale): &(f32, f32, f32)| Keypoint { x, y, scale, angle: 0.0, response: 0.1, bright: true };
+    Features { keypoints: list.iter().map(point).collect(), descriptors: vec![[0; 128]; list.len()] }
+}
+
+#[test]
+fn points_found_twice_are_counted_once() {
+    let plain = keypoints(&[(10.0, 10.0, 2.0), (50.0, 20.0, 3.0), (0.2, 0.1, 2.0)]);
+    let bitmap = keypoints(&[
+        (10.7, 10.6, 2.0), // 0.92 px off: the same
+        (10.8, 10.7, 2.0), // 1.06 px off: another
+        (49.9, 19.5, 3.8), // 1.27 times the scale: the same
+        (49.9, 19.5, 4.0), // 1.33 times
+        (-0.1, 0.0, 2.0),  // across the border between squares: the same
+        (90.0, 90.0, 2.0),
+    ]);
+    // Of the second bitmap one is new to the first, and none of the first's is new to the plain picture.
+    let second = keypoints(&[(90.3, 90.0, 2.0), (10.1, 10.0, 2.0), (70.0, 10.0, 2.0)]);
+    let of = |mtb: &[Features]| {
+        let c = count(&plain, mtb);
+        (c.plain, c.mtb, c.merged)
+    };
+    assert_eq!(of(std::slice::from_ref(&bitmap)), (3, 6, 6));
+    assert_eq!(of(&[bitmap, second]), (3, 7, 7));
+    assert_eq!(of(&[]), (3, 0, 3));
+}
+
+#[test]
+fn large_keypoints_count_less_in_the_last_fit() {
+    // Twelve small ones that are right, and four large ones that all drag to the same side.
+    let place = |i: usize| [(i * 37 % 100) as f64 * 4.0, (i * 61 % 100) as f64 * 3.0];
+    let drag = |i: usize| if i < 12 { 0.0 } else { 2.0 };
+    let pairs: Vec<Pair> = (0..16).map(|i| (place(i), [place(i)[0] + drag(i), place(i)[1]])).collect();
+    let found = Consensus { homography: Matrix3::identity(), inliers: (0..16).collect(), rms: 1.0 };
+    let off = |scale: f64| {
+        let scales = (0..16).map(|i| if i < 12 { 1.0 } else { scale }).collect();
+        let h = Matches { pairs: pairs.clone(), scales }.settle(found.clone(), 1.0).homography;
+        let (x, y) = map(&h, 200.0, 150.0);
+        (x - 200.0).hypot(y - 150.0)
+    };
+    assert!(off(50.0) < 0.1 && off(50.0) < off(5.0), "{} {}", off(50.0), off(5.0));
+}
