@@ -10,9 +10,11 @@
 
 pub mod agreement;
 pub mod bitmap;
+mod descent;
 pub mod features;
 pub mod homography;
 pub mod intensity_map;
+pub mod lay;
 pub mod mtb;
 mod overlap;
 mod place;
@@ -23,6 +25,7 @@ pub mod resample;
 pub(crate) mod scene;
 mod search;
 pub mod sift;
+mod threshold;
 pub mod warp;
 
 use crate::bracket::Bracket;
