@@ -23,7 +23,7 @@ const LONGEST_STEP: f64 = 2.0;
 /// Times that the parts are weighed anew by how far they are from what all of them say.
 const REWEIGHTED: usize = 3;
 /// Displacements at which is counted, in pixels.
-const STEPS: [i64; 4] = [-2, -1, 1, 2];
+const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
 /// The shifts tried from the middle.
 const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
 /// Points along a side at which the error is averaged.
@@ -173,12 +173,13 @@ impl<'a> Descent<'a> {
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
     ///
     /// where p and q are the mean growth from 1 to 2 on either side. This holds exactly for |o| <= 1 where edges are sharp, and for any o where
-    /// the numbers grow as the square.
+    /// the numbers grow as the square. Where the picture is so fine that they grow no farther than to 1, that of 0 to 1 and
+    /// D(1) - B(-1) = -2 p (o - c) say more. At o = 0 the left sides are 0 whatever their form.
     fn votes(&mut self, motion: &Motion) -> Vec<Vote> {
         self.frame.lay(motion, Rounding::Dithered, &mut self.laid);
         let (width, height) = (self.width(), self.height());
         let columns = PARTS.min(width.div_ceil(64));
-        let mut counts = [[[Crossings::default(); PARTS * PARTS]; 4]; 2];
+        let mut counts = [[[Crossings::default(); PARTS * PARTS]; 5]; 2];
         for (axis, steps) in counts.iter_mut().enumerate() {
             for (parts, t) in steps.iter_mut().zip(STEPS) {
                 let (dx, dy) = if axis == 0 { (t, 0) } else { (0, t) };
@@ -193,20 +194,25 @@ impl<'a> Descent<'a> {
             let y = middle(part / columns, PARTS, height) - height as f64 / 2.0;
             for (axis, steps) in counts.iter().enumerate() {
                 let row = field(axis, x / height as f64, y / height as f64);
-                let [far_back, back, on, far_on] = [0, 1, 2, 3].map(|k| steps[k][part]);
+                let [far_back, back, here, on, far_on] = steps.each_ref().map(|parts| parts[part]);
                 let kinds = [
-                    ([on.darker, far_on.darker], [back.brighter, far_back.brighter], -1.0),
-                    ([on.brighter, far_on.brighter], [back.darker, far_back.darker], 1.0),
+                    (here.darker, [on.darker, far_on.darker], here.brighter, [back.brighter, far_back.brighter], -1.0),
+                    (here.brighter, [on.brighter, far_on.brighter], here.darker, [back.darker, far_back.darker], 1.0),
                 ];
-                for (plus, minus, cut) in kinds {
-                    let growth = (plus[1] as f64 + minus[1] as f64 - plus[0] as f64 - minus[0] as f64) / 2.0;
-                    let all = (plus[0] + plus[1] + minus[0] + minus[1]) as f64;
+                for (none_on, on, none_back, back, cut) in kinds {
+                    let [none, near, far] =
+                        [none_on + none_back, on[0] + back[0], on[1] + back[1]].map(|n: u64| n as f64);
+                    let lean = [0, 1].map(|k| back[k] as f64 - on[k] as f64);
+                    // Growth, lean and count, each with what it comes to for a displacement of 1.
+                    let wide = ((far - near) / 2.0, (lean[0] + lean[1]) / 4.0, (near + far) / 16.0);
+                    let narrow = ((near - none) / 2.0, lean[0] / 2.0, near / 4.0);
+                    let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);
+                    let (growth, lean, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
                     // What grows by less than chance does is no edge.
-                    if growth * growth > all {
-                        let lean = (minus[0] + minus[1]) as f64 - (plus[0] + plus[1]) as f64;
+                    if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;
-                        votes.push(Vote { row, value: lean / (4.0 * growth), weight: 16.0 * growth * growth / all });
+                        votes.push(Vote { row, value: lean / growth, weight: growth * growth / variance });
                     }
                 }
             }

@@ -1,9 +1,10 @@
 //! Median threshold bitmaps: the shift and the rotation between two exposures, from where they are brighter than their medians.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to a fraction of a pixel, and the share of
-//! pixels that still differ. Cost: some tens of packed comparisons at each level; a third more than those at the finest for all of them.
-//! Source: Ward 2003, section 2; the rotation search that alternates with the shift search is the thesis's (chapter 4), made
-//! continuous by interpolating the XOR counts.
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, how far it may
+//! be off, and the share of pixels that still differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes
+//! on. Source: Ward 2003, section 2; a rotation beside the shift is the thesis's (chapter 4). From a coarsest level on which every shift
+//! and angle is tried a few candidates are followed by whole pixels; where the picture's parts have enough to say, the best goes down to
+//! the lowest point of the counts (`descent`).
 
 use super::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
 use super::descent::{Descent, LEAST_COMPARED};
@@ -100,7 +101,7 @@ impl MtbMatch {
 }
 
 /// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched: 0 for the full
-/// size, or for the largest of at most [`ENOUGH_PIXELS`], beyond which nothing is gained.
+/// size, or for the largest of at most [`ENOUGH_PIXELS`].
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
     let area = |i: usize| reference.level(i).width() * reference.level(i).height();
@@ -119,11 +120,13 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             if !is_certain {
                 return descent.walk(c);
             }
-            let settled = descent.settle(c, rounds);
+            // After the first such level a candidate is off by less than a pixel, but at first by as much as one.
+            let start = if alone { c } else { descent.walk(c).1 };
+            let settled = descent.settle(start, rounds);
             (if alone { 0.0 } else { descent.rate(&settled, Rounding::Dithered) }, settled)
         };
         let placed = candidates.iter().map(place).collect();
-        let keep = if is_certain { 1 } else { candidates.len().div_ceil(2) };
+        let keep = if is_certain { 1 } else { (2 * candidates.len()).div_ceil(3) };
         let turn = 1.0 / descent.arm();
         let distinct = |a: &Motion, b: &Motion| {
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
@@ -138,7 +141,12 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
         }
         pair = if is_certain {
             let common = common_histograms(reference.level(level), frame.level(level), &candidates[0]);
-            Pair::cut(reference.level(level), frame.level(level), (&common.0, &common.1), options.exclusion)
+            Pair::cut(
+                reference.level(level),
+                frame.level(level),
+                (&common.0, &common.1),
+                exclusion_at(level, options.exclusion),
+            )
         } else {
             Pair::new(reference, frame, level, options.exclusion)
         };
@@ -174,6 +182,7 @@ struct Pair {
 
 impl Pair {
     fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
+        let exclusion = exclusion_at(level, exclusion);
         let histograms = (reference.histogram(level), frame.histogram(level));
         Pair::cut(reference.level(level), frame.level(level), histograms, exclusion)
     }
@@ -253,17 +262,23 @@ impl Pair {
     }
 }
 
+/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey levels makes.
+fn exclusion_at(level: usize, exclusion: u8) -> u8 {
+    exclusion.div_ceil(1 << level.min(7))
+}
+
 /// A motion of no more than so many times its error is none.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Pixels of the largest level searched: with more nothing is gained.
+/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the full size, which takes
+/// four times as long.
 pub const ENOUGH_PIXELS: usize = 4_000_000;
 
 /// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
 const RIVALS_SIDE: usize = 128;
 
-/// Candidates followed from the coarsest level on, half of them from each level to the next.
-const BEAM: usize = 6;
+/// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
+const BEAM: usize = 9;
 
 /// From a level of this short side on only the best is followed.
 const CERTAIN_SIDE: usize = 200;
