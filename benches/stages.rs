@@ -2,7 +2,7 @@
 //!
 //! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
 use hdralign::align::common_exposure::{CommonExposure, Tones};
 use hdralign::align::comparison::Comparison;
@@ -18,6 +18,7 @@ use hdralign::align::{AlignOptions, Alignment, Model, align};
 use hdralign::bracket::{Bracket, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::{MergeOptions, merge, weight::Weight};
 use hdralign::pipeline;
+use hdralign::plane::Plane;
 use hdralign::response::{ResponseCurve, ResponseModel, recover};
 use hdralign::tonemap::{Operator, tonemap};
 use hdralign::write::{self, Metadata};
@@ -62,16 +63,51 @@ fn pixels(bracket: &Bracket) -> u64 {
     (bracket.width() * bracket.height()) as u64
 }
 
+/// `plane` mirrored to all sides and cut to a size, from `left` pixels on.
+fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) -> Plane<u8> {
+    let fold = |i: usize, n: usize| if (i / n).is_multiple_of(2) { i % n } else { n - 1 - i % n };
+    Plane::from_rows(width, height, |y, row| {
+        for (x, v) in row.iter_mut().enumerate() {
+            *v = plane.at(fold(x + left, plane.width()), fold(y, plane.height()));
+        }
+    })
+}
+
+/// The bitmap search from two grey planes to the motion: `benches/mtb_beside_opencv.py` runs it beside `cv2.AlignMTB`.
+fn bitmaps(c: &mut Criterion) {
+    let bracket = small();
+    let [reference, frame] = [2, 3].map(|i| bracket.frames()[i].grey());
+    let mut group = c.benchmark_group("mtb");
+    for (name, size) in [("12 MP", (4096, 3072)), ("1024x768", (1024, 768))] {
+        let planes = [mirrored_to(&reference, size, 0), mirrored_to(&frame, size, 23)];
+        group.throughput(Throughput::Elements((size.0 * size.1) as u64));
+        let pyramid = |plane: Plane<u8>| GreyPyramid::new(plane);
+        let fresh = || planes.clone();
+        group.bench_function(format!("grey pyramid {name}"), |b| {
+            b.iter_batched(|| planes[0].clone(), pyramid, BatchSize::LargeInput);
+        });
+        let both = planes.clone().map(pyramid);
+        group.bench_function(format!("bitmaps {name}"), |b| {
+            b.iter(|| black_box(&both[0]).bitmaps(0, Percentile::MEDIAN, 4));
+        });
+        for (what, max_rotation_deg) in [("shift", 0.0), ("shift and rotation", 5.0)] {
+            let options = MtbOptions { max_rotation_deg, ..MtbOptions::default() };
+            let search = |planes: [Plane<u8>; 2]| {
+                let [a, b] = planes.map(pyramid);
+                mtb::search(&a, &b, 0, &options)
+            };
+            group.bench_function(format!("{what} {name}"), |b| b.iter_batched(fresh, search, BatchSize::LargeInput));
+        }
+    }
+}
+
 fn alignment(c: &mut Criterion) {
     let bracket = large();
     let [reference, frame] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey()));
     let all = pixels(&bracket);
     let mut group = c.benchmark_group("align");
     group.throughput(Throughput::Elements(all));
-    group.bench_function("grey pyramid", |b| b.iter(|| GreyPyramid::new(black_box(&bracket.frames()[2]).grey())));
-    group.bench_function("bitmaps", |b| b.iter(|| black_box(&reference).bitmaps(0, Percentile::MEDIAN, 4)));
     let options = MtbOptions::default();
-    group.bench_function("mtb search", |b| b.iter(|| mtb::search(black_box(&reference), &frame, 0, &options)));
     let start = mtb::search(&reference, &frame, 0, &options).warp();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
         group.bench_function(name, |b| {
@@ -179,6 +215,6 @@ criterion_group! {
         .sample_size(10)
         .warm_up_time(Duration::from_millis(300))
         .measurement_time(Duration::from_secs(2));
-    targets = alignment, features, radiance, line
+    targets = bitmaps, alignment, features, radiance, line
 }
 criterion_main!(stages);

@@ -13,11 +13,13 @@ mod basis;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
+mod descent;
 mod feature_sets;
 pub mod features;
 pub mod given;
 pub mod homography;
 pub mod intensity_map;
+pub mod lay;
 pub mod lmeds;
 pub mod mtb;
 mod overlap;
@@ -31,17 +33,19 @@ pub mod resample;
 pub(crate) mod scene;
 mod search;
 pub mod sift;
+mod threshold;
 mod tile_fit;
 pub mod warp;
 
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use given::Given;
-use mtb::{GreyPyramid, Histogram, MtbOptions, Percentile};
+use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
 use rayon::prelude::*;
 use search::Search;
 use sift::SiftOptions;
+use threshold::{Histogram, Percentile};
 use warp::Warp;
 
 /// Which methods seek the motion.

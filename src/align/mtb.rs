@@ -1,14 +1,20 @@
 //! Median threshold bitmaps: the shift and the rotation between two exposures, from where they are brighter than their medians.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to a fraction of a pixel, and the share of
-//! pixels that still differ. Cost: some tens of packed comparisons at each level; a third more than those at the finest for all of them.
-//! Source: Ward 2003, section 2; the rotation search that alternates with the shift search is the thesis's (chapter 4), made
-//! continuous by interpolating the XOR counts.
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, how far it may
+//! be off, and the share of pixels that still differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes
+//! on. Source: Ward 2003, section 2; a rotation beside the shift is the thesis's (chapter 4). From a coarsest level on which every shift
+//! and angle is tried a few candidates are followed by whole pixels; where the picture's parts have enough to say, the best goes down to
+//! the lowest point of the counts (`descent`).
 
-use super::bitmap::{Difference, Motion, ThresholdBitmaps, difference_in_circle, difference_shifted};
+use super::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
+use super::descent::{Descent, LEAST_COMPARED};
+use super::lay::{Motion, Rounding};
+pub use super::threshold::{Histogram, Percentile, common_percentile, own_percentile};
+use super::threshold::{common_histograms, matched_zones};
 use super::warp::Warp;
 use crate::plane::Plane;
 use crate::pyramid;
+use std::sync::OnceLock;
 
 /// How the bitmaps are made and searched.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,116 +36,16 @@ impl Default for MtbOptions {
 /// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
 const COARSEST: usize = 32;
 
-/// The percentile of the grey levels that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct Percentile(u8);
-
-impl Percentile {
-    /// The median.
-    pub const MEDIAN: Percentile = Percentile(50);
-
-    /// The one that `percent` of the pixels do not exceed, 1..=99.
-    pub const fn new(percent: u8) -> Self {
-        Percentile(if percent < 1 {
-            1
-        } else if percent > 99 {
-            99
-        } else {
-            percent
-        })
-    }
-}
-
-/// Where the median is black or burnt out in one of two frames, another percentile may still part both: those that are tried instead.
-const OTHERS: std::ops::RangeInclusive<u8> = 1..=19;
-
-/// How many pixels have each grey level.
-#[derive(Debug, Clone)]
-pub struct Histogram([u64; 256]);
-
-impl Histogram {
-    /// The histogram of `plane`.
-    pub fn of(plane: &Plane<u8>) -> Self {
-        // Four tables, so that equal neighbours do not wait for each other.
-        let mut counts = [[0u32; 256]; 4];
-        let mut sum = [0u64; 256];
-        for rows in plane.as_slice().chunks(1 << 30) {
-            for (i, &v) in rows.iter().enumerate() {
-                counts[i % 4][usize::from(v)] += 1;
-            }
-            for (v, s) in sum.iter_mut().enumerate() {
-                *s += counts.iter().map(|c| u64::from(c[v])).sum::<u64>();
-            }
-            counts = [[0; 256]; 4];
-        }
-        Histogram(sum)
-    }
-
-    fn total(&self) -> u64 {
-        self.0.iter().sum()
-    }
-
-    /// The least level that at least `percentile` of the pixels do not exceed.
-    pub fn level(&self, percentile: Percentile) -> u8 {
-        let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
-        let mut below = 0;
-        for (v, n) in self.0.iter().enumerate() {
-            below += n;
-            if below >= wanted {
-                return v as u8;
-            }
-        }
-        u8::MAX
-    }
-
-    /// Of the pixels that count at this threshold, the share on the side that has fewer: 0 where the bitmap is blank.
-    fn balance(&self, percentile: Percentile, exclusion: u8) -> f64 {
-        let level = usize::from(self.level(percentile));
-        let dark: u64 = self.0[..level.saturating_sub(usize::from(exclusion))].iter().sum();
-        let bright: u64 = self.0[(level + usize::from(exclusion) + 1).min(256)..].iter().sum();
-        dark.min(bright) as f64 / self.total().max(1) as f64
-    }
-}
-
-/// A bitmap with a smaller share of its pixels on one side says too little: half of what Ward's outer percentiles can give.
-const LEAST_BALANCE: f64 = 0.085;
-
-/// The percentile at which both frames have something to say: the median unless it is too extreme in either, else of every fifth the one
-/// that parts both best.
-pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
-    let balance = |p| a.balance(p, exclusion).min(b.balance(p, exclusion));
-    if balance(Percentile::MEDIAN) >= LEAST_BALANCE {
-        return Percentile::MEDIAN;
-    }
-    OTHERS
-        .map(|i| Percentile::new(5 * i))
-        .fold(Percentile::MEDIAN, |best, p| if balance(p) > balance(best) { p } else { best })
-}
-
-/// The percentile at which one frame by itself has something to say.
-pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
-    common_percentile(histogram, histogram, exclusion)
-}
-
-/// The grey pyramid of a frame, the largest level first, and the histogram of each level.
+/// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
-    levels: Vec<(Plane<u8>, Histogram)>,
+    levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
 }
 
 impl GreyPyramid {
     /// The pyramid of `grey`, down to a short side of about 32 pixels.
     pub fn new(grey: Plane<u8>) -> Self {
-        let levels = pyramid::halves(grey, COARSEST);
-        GreyPyramid {
-            levels: levels
-                .into_iter()
-                .map(|p| {
-                    let h = Histogram::of(&p);
-                    (p, h)
-                })
-                .collect(),
-        }
+        GreyPyramid { levels: pyramid::halves(grey, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect() }
     }
 
     /// Level `i`, 0 the largest.
@@ -159,13 +65,12 @@ impl GreyPyramid {
 
     /// The histogram of level `i`.
     pub fn histogram(&self, i: usize) -> &Histogram {
-        &self.levels[i].1
+        self.levels[i].1.get_or_init(|| Histogram::of(&self.levels[i].0))
     }
 
     /// The bitmaps of level `i` at `percentile`.
     pub fn bitmaps(&self, i: usize, percentile: Percentile, exclusion: u8) -> ThresholdBitmaps {
-        let (plane, histogram) = &self.levels[i];
-        ThresholdBitmaps::new(plane, histogram.level(percentile), exclusion)
+        ThresholdBitmaps::new(self.level(i), &Zone::about(self.histogram(i).level(percentile), exclusion))
     }
 }
 
@@ -174,9 +79,12 @@ impl GreyPyramid {
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.
     pub motion: Motion,
+    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by what no shift and
+    /// rotation can follow.
+    pub error_px: f64,
     /// The threshold used in both.
     pub percentile: Percentile,
-    /// Within the inscribed circle, how many pixels differ, at the finest level searched.
+    /// Over the whole overlap, how many pixels differ, at the finest level searched.
     pub difference: Difference,
     /// The same where nothing moves.
     pub difference_unmoved: Difference,
@@ -192,33 +100,56 @@ impl MtbMatch {
     }
 }
 
-/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched: 0 for the full size.
+/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched: 0 for the full
+/// size, or for the largest of at most [`ENOUGH_PIXELS`].
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
-    let finest = finest.min(coarsest);
-    let percentile = common_percentile(reference.histogram(finest), frame.histogram(finest), options.exclusion);
-    let pair = |level| Pair {
-        reference: reference.bitmaps(level, percentile, options.exclusion),
-        frame: frame.bitmaps(level, percentile, options.exclusion),
-        max_angle: options.max_rotation_deg.to_radians(),
-    };
-    let mut candidates = pair(coarsest).search_everywhere(options.max_shift);
-    let mut here = pair(coarsest);
-    for level in (finest..coarsest).rev() {
-        here = pair(level);
-        for candidate in &mut candidates {
-            let doubled = Motion { dx: 2.0 * candidate.dx, dy: 2.0 * candidate.dy, ..*candidate };
-            *candidate = here.alternate(doubled);
+    let area = |i: usize| reference.level(i).width() * reference.level(i).height();
+    let enough = (0..coarsest).find(|&i| area(i) <= ENOUGH_PIXELS).unwrap_or(coarsest);
+    let finest = finest.clamp(enough, coarsest);
+    let max_angle = options.max_rotation_deg.to_radians();
+    let mut pair = Pair::new(reference, frame, coarsest, options.exclusion);
+    let mut candidates = pair.search_everywhere(options.max_shift, max_angle);
+    let mut level = coarsest;
+    loop {
+        let is_certain = pair.short_side() >= CERTAIN_SIDE || level == finest;
+        let mut descent = Descent::new(&pair.reference, &pair.frame, max_angle);
+        let rounds = if level == finest { MOST_ROUNDS } else { ROUNDS };
+        let alone = candidates.len() == 1;
+        let place = |&c: &Motion| {
+            if !is_certain {
+                return descent.walk(c);
+            }
+            // After the first such level a candidate is off by less than a pixel, but at first by as much as one.
+            let start = if alone { c } else { descent.walk(c).1 };
+            let settled = descent.settle(start, rounds);
+            (if alone { 0.0 } else { descent.rate(&settled, Rounding::Dithered) }, settled)
+        };
+        let placed = candidates.iter().map(place).collect();
+        let keep = if is_certain { 1 } else { (2 * candidates.len()).div_ceil(3) };
+        let turn = 1.0 / descent.arm();
+        let distinct = |a: &Motion, b: &Motion| {
+            (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
+        };
+        candidates = best_distinct(placed, keep, distinct);
+        if level == finest {
+            return pair.conclude(&mut descent, candidates[0], level, reference.level(0));
         }
-        here.keep_best(&mut candidates, level);
-    }
-    let motion = here.interpolate(candidates[0]);
-    let scale = (1u64 << finest) as f64;
-    MtbMatch {
-        motion: Motion { dx: motion.dx * scale, dy: motion.dy * scale, ..motion },
-        percentile,
-        difference: here.difference(&motion),
-        difference_unmoved: here.difference(&Motion::default()),
+        level -= 1;
+        for c in &mut candidates {
+            *c = Motion { dx: 2.0 * c.dx, dy: 2.0 * c.dy, ..*c };
+        }
+        pair = if is_certain {
+            let common = common_histograms(reference.level(level), frame.level(level), &candidates[0]);
+            Pair::cut(
+                reference.level(level),
+                frame.level(level),
+                (&common.0, &common.1),
+                exclusion_at(level, options.exclusion),
+            )
+        } else {
+            Pair::new(reference, frame, level, options.exclusion)
+        };
     }
 }
 
@@ -234,12 +165,7 @@ pub fn rivals(
     let level = (0..reference.len())
         .find(|&i| reference.level(i).width().min(reference.level(i).height()) < 2 * RIVALS_SIDE)
         .unwrap_or(reference.len() - 1);
-    let percentile = common_percentile(reference.histogram(level), frame.histogram(level), options.exclusion);
-    let pair = Pair {
-        reference: reference.bitmaps(level, percentile, options.exclusion),
-        frame: frame.bitmaps(level, percentile, options.exclusion),
-        max_angle: angle.abs(),
-    };
+    let pair = Pair::new(reference, frame, level, options.exclusion);
     let scale = (1u64 << level) as f64;
     let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
     let distinct = |a: &Motion, b: &Motion| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5;
@@ -251,24 +177,29 @@ pub fn rivals(
 struct Pair {
     reference: ThresholdBitmaps,
     frame: ThresholdBitmaps,
-    max_angle: f64,
+    percentile: Percentile,
 }
 
 impl Pair {
-    /// Radius of the inscribed circle, in pixels.
-    fn radius(&self) -> f64 {
-        self.reference.threshold.width().min(self.reference.threshold.height()) as f64 / 2.0
+    fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
+        let exclusion = exclusion_at(level, exclusion);
+        let histograms = (reference.histogram(level), frame.histogram(level));
+        Pair::cut(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
-    fn difference(&self, motion: &Motion) -> Difference {
-        difference_in_circle(&self.reference, &self.frame, motion)
+    /// Cut at the same ranks of the two histograms.
+    fn cut(reference: &Plane<u8>, frame: &Plane<u8>, histograms: (&Histogram, &Histogram), exclusion: u8) -> Self {
+        let percentile = common_percentile(histograms.0, histograms.1, exclusion);
+        let zones = matched_zones(histograms.0, histograms.1, percentile, exclusion);
+        Pair {
+            reference: ThresholdBitmaps::new(reference, &zones.0),
+            frame: ThresholdBitmaps::new(frame, &zones.1),
+            percentile,
+        }
     }
 
-    /// The share that differs; 1 where so little can be compared that it says nothing.
-    fn rate(&self, motion: &Motion) -> f64 {
-        let difference = self.difference(motion);
-        let circle = std::f64::consts::PI * self.radius() * self.radius();
-        if (difference.compared as f64) < 0.1 * circle { 1.0 } else { difference.rate() }
+    fn short_side(&self) -> usize {
+        self.reference.threshold.width().min(self.reference.threshold.height())
     }
 
     /// The largest shift sought along an axis, in pixels of this level.
@@ -279,28 +210,26 @@ impl Pair {
 
     /// The share that differs at every whole shift up to `reach`, turned by `angle`.
     fn rate_shifts(&self, angle: f64, reach: i64) -> Vec<(f64, Motion)> {
-        let area = (self.reference.threshold.width() * self.reference.threshold.height()) as f64;
+        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let mut turned = ThresholdBitmaps::blank(width, height);
+        self.frame.lay(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
         let mut rated = Vec::with_capacity((2 * reach + 1).pow(2) as usize);
         for dy in -reach..=reach {
             for dx in -reach..=reach {
-                let motion = Motion { dx: dx as f64, dy: dy as f64, angle };
-                // Without a rotation the corners can speak as well.
-                let rate = if angle == 0.0 {
-                    let difference = difference_shifted(&self.reference, &self.frame, dx, dy);
-                    if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
-                } else {
-                    self.rate(&motion)
-                };
-                rated.push((rate, motion));
+                let difference = difference_shifted(&self.reference, &turned, dx, dy);
+                let says = difference.compared as f64 >= LEAST_COMPARED * (width * height) as f64;
+                let motion = Motion { angle, ..Motion::default() }.beside(dx, dy);
+                rated.push((if says { difference.rate() } else { 1.0 }, motion));
             }
         }
         rated
     }
 
-    /// Every whole shift within reach, at every angle that moves the circle's rim by a pixel: the best few that are not neighbours.
-    fn search_everywhere(&self, max_shift: f64) -> Vec<Motion> {
-        let step = 1.0 / self.radius();
-        let turns = libm::floor(self.max_angle / step) as i64;
+    /// Every whole shift within reach, at every angle that moves the rim of the inscribed circle by a pixel: the best few that are not
+    /// neighbours.
+    fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
+        let step = 2.0 / self.short_side() as f64;
+        let turns = libm::floor(max_angle / step) as i64;
         let reach = self.reach(max_shift);
         let rated = (-turns..=turns).flat_map(|turn| self.rate_shifts(turn as f64 * step, reach)).collect();
         best_distinct(rated, BEAM, |a, b| {
@@ -308,87 +237,55 @@ impl Pair {
         })
     }
 
-    /// Shift and rotation in turn, from `start`, until neither changes: the nine neighbours, then the angles that move the rim by
-    /// half a pixel and by a pixel.
-    fn alternate(&self, start: Motion) -> Motion {
-        let step = 0.5 / self.radius();
-        let mut best = (self.rate(&start), start);
-        // Each round that goes on lowers the rate, so this ends; the bound is for plateaus of noise.
-        for _ in 0..8 {
-            let before = best.1;
-            for _ in 0..4 {
-                let centre = best.1;
-                for (dx, dy) in NEIGHBOURS {
-                    self.try_motion(&mut best, Motion { dx: centre.dx + dx, dy: centre.dy + dy, ..centre });
-                }
-                if best.1 == centre {
-                    break;
-                }
-            }
-            if self.max_angle > 0.0 {
-                let centre = best.1;
-                for turn in [-2.0, -1.0, 1.0, 2.0] {
-                    self.try_motion(&mut best, Motion { angle: centre.angle + turn * step, ..centre });
-                }
-            }
-            if best.1.angle == before.angle {
-                break;
-            }
+    /// The motion at full size from `found` at `level`, or none at all where that cannot be told from it.
+    fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: &Plane<u8>) -> MtbMatch {
+        let scale = (1u64 << level) as f64;
+        let here = &self.reference.threshold;
+        let (mut difference, error) = descent.judge(&found);
+        let mut error_px = scale * error;
+        // What halving drops at the right and below moves the centre about which the picture turns.
+        let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
+        let (x, y) = (off(full.width(), here.width()), off(full.height(), here.height()));
+        let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
+        let mut motion = Motion {
+            dx: scale * found.dx + x - (c * x - s * y),
+            dy: scale * found.dy + y - (s * x + c * y),
+            angle: found.angle,
+        };
+        let rim = scale * found.angle * descent.arm();
+        let moved = (motion.dx * motion.dx + motion.dy * motion.dy + rim * rim).sqrt();
+        let difference_unmoved = difference_shifted(&self.reference, &self.frame, 0, 0);
+        if moved <= SIGNIFICANT * error_px {
+            (motion, difference, error_px) = (Motion::default(), difference_unmoved, error_px.max(moved));
         }
-        best.1
-    }
-
-    fn try_motion(&self, best: &mut (f64, Motion), motion: Motion) {
-        if motion.angle.abs() <= self.max_angle {
-            let rate = self.rate(&motion);
-            if rate < best.0 {
-                *best = (rate, motion);
-            }
-        }
-    }
-
-    /// Orders the candidates by what still differs and drops those that are worse by far, all but one from the third level on.
-    fn keep_best(&self, candidates: &mut Vec<Motion>, level: usize) {
-        let mut rated: Vec<(f64, Motion)> = candidates.iter().map(|m| (self.rate(m), *m)).collect();
-        rated.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| smaller(&a.1, &b.1)));
-        let keep = if level == 0 || self.radius() >= 100.0 { 1 } else { BEAM / 2 };
-        *candidates = rated.into_iter().take(keep).map(|(_, m)| m).collect();
-    }
-
-    /// The lowest point between the steps, along each axis by itself, as they are nearly independent.
-    fn interpolate(&self, start: Motion) -> Motion {
-        let turn = 1.0 / self.radius();
-        let angle =
-            if self.max_angle > 0.0 { self.vertex(|t| Motion { angle: start.angle + t * turn, ..start }) } else { 0.0 };
-        let turned = Motion { angle: start.angle + angle * turn, ..start };
-        let dx = self.vertex(|t| Motion { dx: turned.dx + t, ..turned });
-        let dy = self.vertex(|t| Motion { dy: turned.dy + t, ..turned });
-        let motion = Motion { dx: turned.dx + dx, dy: turned.dy + dy, ..turned };
-        // No motion stays exactly no motion unless moving measurably helps.
-        if self.rate(&Motion::default()) <= self.rate(&motion) { Motion::default() } else { motion }
-    }
-
-    /// Where on -1..=1 the rate is lowest. Two pictures of one scene differ in proportion to how far they are displaced, so
-    /// r(t) = r0 + s |t - t0| near the lowest point; with r at -2, -1, 1, 2, s = (r2 + r-2 - r1 - r-1) / 2 and
-    /// t0 = (r-2 + r-1 - r1 - r2) / (4 s), exactly so for |t0| <= 1.
-    fn vertex(&self, along: impl Fn(f64) -> Motion) -> f64 {
-        let [far_left, left, right, far_right] = [-2.0, -1.0, 1.0, 2.0].map(|t| self.rate(&along(t)));
-        let slope = (far_right + far_left - right - left) / 2.0;
-        if slope <= 0.0 { 0.0 } else { ((far_left + left - right - far_right) / (4.0 * slope)).clamp(-1.0, 1.0) }
+        MtbMatch { motion, error_px, percentile: self.percentile, difference, difference_unmoved }
     }
 }
 
-/// Where a smaller share of the pixels can be compared, the rate says nothing.
-const LEAST_COMPARED: f64 = 0.1;
+/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey levels makes.
+fn exclusion_at(level: usize, exclusion: u8) -> u8 {
+    exclusion.div_ceil(1 << level.min(7))
+}
+
+/// A motion of no more than so many times its error is none.
+const SIGNIFICANT: f64 = 2.0;
+
+/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the full size, which takes
+/// four times as long.
+pub const ENOUGH_PIXELS: usize = 4_000_000;
 
 /// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
 const RIVALS_SIDE: usize = 128;
 
-/// Candidates followed from the coarsest level on.
-const BEAM: usize = 6;
+/// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
+const BEAM: usize = 9;
 
-const NEIGHBOURS: [(f64, f64); 8] =
-    [(-1.0, -1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 0.0), (1.0, 0.0), (-1.0, 1.0), (0.0, 1.0), (1.0, 1.0)];
+/// From a level of this short side on only the best is followed.
+const CERTAIN_SIDE: usize = 200;
+
+/// Rounds of the descent on each level, and on the last.
+const ROUNDS: usize = 2;
+const MOST_ROUNDS: usize = 4;
 
 /// The best `most` of the rated motions of which each is `distinct` from those before it.
 fn best_distinct(

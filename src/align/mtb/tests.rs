@@ -36,15 +36,17 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
     let (burnt, black) = (with(255), with(0));
     assert_eq!(own_percentile(&normal, 4), Percentile::MEDIAN);
-    assert_eq!(own_percentile(&burnt, 4), Percentile::new(17));
-    assert_eq!(own_percentile(&black, 4), Percentile::new(83));
-    // Of a pair both must have something to say, in either order.
-    for (other, expected) in
-        [(&normal, Percentile::MEDIAN), (&burnt, Percentile::new(17)), (&black, Percentile::new(83))]
-    {
-        assert_eq!(common_percentile(&normal, other, 4), expected);
-        assert_eq!(common_percentile(other, &normal, 4), expected);
+    // Of the spread part some tenths lie on either side of the threshold, whichever end the others crowd at.
+    let parts = |h: &Histogram, p: Percentile| (55..125).contains(&h.level(p)) || h.level(p) == 139 || h.level(p) == 0;
+    for crowded in [&burnt, &black] {
+        let own = own_percentile(crowded, 4);
+        assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
+        // Of a pair both must have something to say, in either order.
+        let common = common_percentile(&normal, crowded, 4);
+        assert!(common != Percentile::MEDIAN && parts(crowded, common), "{common:?}");
+        assert_eq!(common_percentile(crowded, &normal, 4), common);
     }
+    assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
 }
 
 /// The dark and the bright photograph of a scene, the second under `warp`: two stops apart, the second clipped in its lights.
@@ -63,10 +65,70 @@ fn finds_shift_and_rotation_between_exposures() {
     for warp in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
         let Warp::Rigid { dx, dy, angle } = warp else { unreachable!() };
         let motion = found((768, 512), &warp);
-        // The brief: the rim at 256 px moves by 0.09 px for 0.02 deg, and a third of a pixel is within Ward's whole ones.
-        assert!((motion.angle - angle).to_degrees().abs() < 0.02, "{motion:?} for {warp:?}");
-        assert!((motion.dx - dx).abs() < 0.3 && (motion.dy - dy).abs() < 0.3, "{motion:?} for {warp:?}");
+        // 0.01 deg move the rim at 256 px by 0.045 px. An edge pixel in 100 has some tenths of a pixel to say: 4000 of them 0.01 px.
+        assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {warp:?}");
+        assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {warp:?}");
     }
+}
+
+#[test]
+fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
+    let (mut worst, mut ratios) = (0.0f64, Vec::new());
+    for (i, degrees) in [0.01, -0.02, 0.05, -0.1, 0.2, -0.5, 1.0, -2.0, 4.9].into_iter().enumerate() {
+        let scene = Scene::new(30 + i as u64);
+        let truth = rigid(3.3 * i as f64 - 9.4, 7.7 - 2.1 * i as f64, degrees);
+        let Warp::Rigid { dx, dy, angle } = truth else { unreachable!() };
+        let size = (512, 384);
+        let ev = if i % 2 == 0 { 2.0 } else { -2.0 };
+        let take = |warp: &Warp, ev| GreyPyramid::new(scene.photograph(size, warp, Shot::at(ev)));
+        let found = search(&take(&Warp::Identity, 0.0), &take(&truth, ev), 0, &MtbOptions::default());
+        let motion = found.motion;
+        let off = (motion.angle - angle).to_degrees().abs();
+        assert!(off < 0.01, "{off} deg for {degrees}: {found:?}");
+        let rim = (motion.angle - angle) * ((size.0 * size.0 + size.1 * size.1) as f64 / 12.0).sqrt();
+        let error = ((motion.dx - dx).powi(2) + (motion.dy - dy).powi(2) + rim * rim).sqrt();
+        worst = worst.max(error);
+        ratios.push(found.error_px / error);
+    }
+    assert!(worst < 0.1, "{worst} px");
+    // The estimate is of a root mean square: the error itself is within a third and three times of it in four cases of five.
+    let fair = ratios.iter().filter(|r| (0.33..4.0).contains(*r)).count();
+    assert!(fair >= 7, "{ratios:?}");
+}
+
+#[test]
+fn what_no_rotation_can_follow_is_part_of_the_error() {
+    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), warp, Shot::at(ev)));
+    let reference = take(&Warp::Identity, 0.0);
+    // A picture larger by 0.6 %: a pixel at the middle of the edge, 1.1 px root mean square.
+    let (cx, cy, zoom) = (255.5, 191.5, 1.006);
+    let larger = nalgebra::Matrix3::new(zoom, 0.0, cx * (1.0 - zoom), 0.0, zoom, cy * (1.0 - zoom), 0.0, 0.0, 1.0);
+    let found = search(&reference, &take(&Warp::Homography(larger), 1.0), 0, &MtbOptions::default());
+    let truth = 0.006 * ((512.0f64 * 512.0 + 384.0 * 384.0) / 12.0).sqrt();
+    assert!((0.7..1.4).contains(&(found.error_px / truth)), "{} for {truth}", found.error_px);
+}
+
+#[test]
+fn a_smooth_slope_does_not_pull() {
+    // All is brighter at the top, as in fog; the frame is burnt out in its upper third and cut elsewhere by its own median. Small things move.
+    let scene = Scene::new(9);
+    let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
+    let truth = shift(5.3, -11.6);
+    let take = |warp: &Warp, ev| GreyPyramid::new(photograph((512, 384), warp, Shot::at(ev), fog));
+    let motion = search(&take(&Warp::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
+    // A code is 3 px on the slope: the cut is right to a tenth of one, though it can only be made between codes.
+    assert!((motion.dx - 5.3).abs() < 0.3 && (motion.dy + 11.6).abs() < 0.3, "{motion:?}");
+}
+
+#[test]
+fn a_large_picture_is_searched_at_half_its_size() {
+    // 4.4 MP, of odd size: the centre about which it turns is not that of its half.
+    let truth = rigid(-13.37, 21.8, 1.7);
+    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(12).photograph((2301, 1901), warp, Shot::at(ev)));
+    let found = search(&take(&Warp::Identity, 0.0), &take(&truth, 1.0), 0, &MtbOptions::default());
+    assert!(found.difference.compared < 1150 * 950);
+    let off = found.warp().corner_distance(&truth, 2301, 1901);
+    assert!(off < 0.1, "{off} px: {found:?}");
 }
 
 #[test]
@@ -132,7 +194,7 @@ fn the_packed_search_is_the_textbooks() {
         let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
         assert_eq!(pa.len(), 1);
         let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::MEDIAN, 4);
-        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), max_angle: 0.0 };
+        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN };
         let reach = packed.reach(0.15);
         assert_eq!(reach, 12);
         let slow = textbook(&a, &b, reach, 4);
@@ -140,7 +202,7 @@ fn the_packed_search_is_the_textbooks() {
             packed.rate_shifts(0.0, reach).into_iter().map(|(rate, m)| (rate, m.dx as i64, m.dy as i64)).collect();
         assert_eq!(fast, slow);
         let best = slow.iter().min_by(|p, q| p.0.total_cmp(&q.0)).unwrap();
-        let first = packed.search_everywhere(0.15)[0];
+        let first = packed.search_everywhere(0.15, 0.0)[0];
         assert_eq!((first.dx as i64, first.dy as i64), (best.1, best.2));
         assert_eq!((first.dx, first.dy), (dx, dy));
     }
