@@ -10,6 +10,7 @@
 
 pub mod agreement;
 pub mod bitmap;
+pub mod evidence;
 pub mod features;
 pub mod homography;
 pub mod intensity_map;

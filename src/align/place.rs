@@ -168,7 +168,7 @@ pub(super) fn by_matches(
 const GUIDED_PX: f64 = 10.0;
 
 /// The matches of both sets, in pixels of the full size.
-fn pairs(
+pub(super) fn pairs(
     reference: &FeatureSets,
     frame: &FeatureSets,
     to_full: &Matrix3<f64>,
