@@ -60,7 +60,9 @@ pub(super) fn draw(title: &str, photograph: &Photograph, features: &FrameFeature
     ];
     page.drawing.clipped(area, |inside| {
         for (colour, path) in &layers {
-            inside.stroke(path, Pen { colour: *colour, width: 1.1, opacity: 0.9 });
+            // A dark edge, so that the colours are seen on what is bright.
+            inside.stroke(path, Pen { colour: Colour::INK, width: 2.6, opacity: 0.45 });
+            inside.stroke(path, Pen { colour: *colour, width: 1.2, opacity: 1.0 });
         }
     });
     Ok(page.drawing)

@@ -68,7 +68,8 @@ pub(super) fn draw(
                 dots.circle(*from, 1.6);
                 dots.circle(*to, 1.6);
             }
-            inside.stroke(&lines, Pen { colour, width: 1.0, opacity: 0.65 });
+            inside.stroke(&lines, Pen { colour: Colour::INK, width: 2.2, opacity: 0.3 });
+            inside.stroke(&lines, Pen { colour, width: 1.0, opacity: 0.8 });
             inside.fill(&dots, colour, 0.9);
         }
     });
@@ -92,9 +93,10 @@ mod tests {
         let matching = Matching { pairs, inlier, warp: Some(Warp::Identity) };
         let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
         // Circles are arcs, two each; lines have an L. Every third match has a line.
-        let paths: Vec<&str> = svg.lines().filter(|l| l.starts_with("<path")).collect();
-        let count = |letter| paths.iter().map(|p| p.matches(letter).count()).sum::<usize>();
-        assert_eq!((count("a1.6 1.6"), count("L")), (2 * 2 * 321, 107));
+        let count =
+            |pen, letter| svg.lines().filter(|l| l.contains(pen)).map(|p| p.matches(letter).count()).sum::<usize>();
+        assert_eq!(count("fill-opacity=\"0.9\"", "a1.6 1.6"), 2 * 2 * 321);
+        assert_eq!(count("stroke-opacity=\"0.8\"", "L"), 107);
         assert!(svg.contains("inliers: 161") && svg.contains("outliers: 160") && svg.contains("one in 3"));
     }
 }

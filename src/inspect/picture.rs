@@ -52,7 +52,7 @@ pub(super) struct Photograph {
 
 /// Grey levels that a photograph is shown in: marks in full colours are seen on all of them.
 const DARKEST: f64 = 12.0;
-const BRIGHTEST: f64 = 196.0;
+const BRIGHTEST: f64 = 184.0;
 /// The median is shown at this share of the range at least.
 const LEAST_MEDIAN: f64 = 0.25;
 
