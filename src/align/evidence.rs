@@ -220,12 +220,12 @@ impl FrameFeatures {
 
     /// Those of one kind, the others left out.
     fn only(&self, kind: FeatureKind) -> FeatureSets {
-        let none = Features::default;
-        match kind {
-            FeatureKind::Plain => FeatureSets { mtb: none(), ..self.sets.clone() },
-            FeatureKind::Mtb => FeatureSets { plain: none(), ..self.sets.clone() },
-            FeatureKind::Merged => self.sets.clone(),
-        }
+        let (plain, mtb) = match kind {
+            FeatureKind::Plain => (self.sets.plain.clone(), Features::default()),
+            FeatureKind::Mtb => (Features::default(), self.sets.mtb.clone()),
+            FeatureKind::Merged => (self.sets.plain.clone(), self.sets.mtb.clone()),
+        };
+        FeatureSets { plain, mtb, counts: self.sets.counts }
     }
 }
 
@@ -247,22 +247,22 @@ impl Matching {
     }
 }
 
-/// Matches keypoints of one kind, and asks RANSAC: once, by the ratio alone, without the help that [`align`](super::align) gives.
-pub fn matching(
-    reference: &FrameFeatures,
-    frame: &FrameFeatures,
-    kind: FeatureKind,
-    options: &AlignOptions,
-) -> Matching {
+/// Matches keypoints, by [`FeatureKind`], and asks RANSAC: once, by the ratio alone, without the help that [`align`](super::align) gives.
+pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
-    let pairs = place::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio, None);
+    let of = |kind| place::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio, None);
+    let (plain, mtb) = rayon::join(|| of(FeatureKind::Plain), || of(FeatureKind::Mtb));
+    let mut merged = [&plain[..], &mtb[..]].concat();
+    place::drop_repeated(&mut merged, to_full[(0, 0)]);
     let in_full = RansacOptions { threshold: options.ransac.threshold * to_full[(0, 0)], ..options.ransac.clone() };
-    let found = ransac::search(&pairs, &in_full);
-    let mut inlier = vec![false; pairs.len()];
-    for &i in found.iter().flat_map(|f| &f.inliers) {
-        inlier[i] = true;
-    }
-    Matching { pairs, inlier, warp: found.map(|f| Warp::Homography(f.homography)) }
+    [plain, mtb, merged].map(|pairs| {
+        let found = ransac::search(&pairs, &in_full);
+        let mut inlier = vec![false; pairs.len()];
+        for &i in found.iter().flat_map(|f| &f.inliers) {
+            inlier[i] = true;
+        }
+        Matching { pairs, inlier, warp: found.map(|f| Warp::Homography(f.homography)) }
+    })
 }
 
 /// The root mean square distance over a picture of `size` of where two warps put a pixel, in pixels.
@@ -321,10 +321,13 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let options = AlignOptions::default();
         let [reference, frame] = pair(&truth).map(|p| FrameFeatures::new(&p, &options));
-        let of = |kind| matching(&reference, &frame, kind, &options);
-        let (plain, mtb, merged) = (of(FeatureKind::Plain), of(FeatureKind::Mtb), of(FeatureKind::Merged));
+        let [plain, mtb, merged] = matchings(&reference, &frame, &options);
+        // Merged afterwards as well as before.
+        let both = [&reference, &frame].map(|f| f.only(FeatureKind::Merged));
+        assert_eq!(merged.pairs, place::pairs(&both[0], &both[1], &reference.to_full, options.ratio, None));
         assert!(merged.pairs.len() <= plain.pairs.len() + mtb.pairs.len() && merged.pairs.len() >= plain.pairs.len());
-        assert!(plain.inliers() >= 20 && merged.inliers() >= plain.inliers());
+        let inliers = [&plain, &mtb, &merged].map(Matching::inliers);
+        assert!(inliers[0] >= 10 && inliers[1] >= 10 && inliers[2] >= inliers[0], "{inliers:?}");
         let h = truth.matrix(SIZE.0, SIZE.1);
         let off = |p: &Pair| ransac::distance_squared(&h, p).sqrt();
         for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {

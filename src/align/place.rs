@@ -192,7 +192,7 @@ pub(super) fn pairs(
 
 /// Of pairs that join the same two places, within a pixel of the level, only the first stays: a point found in both pictures, or with two
 /// directions, has one voice.
-fn drop_repeated(pairs: &mut Vec<Pair>, pixel: f64) {
+pub(super) fn drop_repeated(pairs: &mut Vec<Pair>, pixel: f64) {
     let cell = |p: &Pair| [p.0[0], p.0[1], p.1[0], p.1[1]].map(|v| (v / (1.5 * pixel)).floor() as i64);
     let mut seen = std::collections::BTreeSet::new();
     pairs.retain(|p| seen.insert(cell(p)));

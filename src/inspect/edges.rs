@@ -17,6 +17,9 @@ use crate::pyramid::gaussian;
 const REFERENCE: Colour = Colour(255, 140, 0);
 const FRAME: Colour = Colour(0, 115, 255);
 
+/// Around what is shown larger.
+const BOX: Colour = Colour(255, 240, 0);
+
 /// One side, in pixels of the page at the most.
 const SIDE: (usize, usize) = (780, 780);
 /// Paper between the sides and the details.
@@ -43,12 +46,14 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
     let whole = reduce(couple.reference_grey, SIDE);
     let magnified = (SIDE.0 / whole.width()).min(SIDE.1 / whole.height()).max(1) as f64;
     let size = (whole.width() as f64 * magnified, whole.height() as f64 * magnified);
-    let reference = Grey::whole(whole).edges();
+    let reference = Grey::whole(whole).edges(LEAST_FULL);
     let moving = reduce(couple.frame_grey, SIDE);
-    let after = couple.warp.map(|warp| (warp, "after: aligned", laid(&moving, &warp, couple.reference).edges()));
-    let before = (Warp::Identity, "before: as photographed", Grey::whole(moving).edges());
-    let views: Vec<(Warp, &str, Plane<u8>)> = [Some(before), after].into_iter().flatten().collect();
-    let boxes = views.last().map_or_else(Vec::new, |(_, _, view)| details(&reference, view, size, couple));
+    let after =
+        couple.warp.map(|warp| (warp, "after: aligned", laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
+    let before = (Warp::Identity, "before: as photographed", Grey::whole(moving).edges(LEAST_FULL));
+    let views: Vec<(Warp, &str, Edges)> = [Some(before), after].into_iter().flatten().collect();
+    let boxes =
+        views.last().map_or_else(Vec::new, |(_, _, view)| details(&reference.strength, &view.strength, size, couple));
 
     let legend = [
         Entry { mark: Mark::Patch, colour: REFERENCE, words: "edges of the reference".into() },
@@ -71,14 +76,14 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
         let corner = (page.corner.0 + k as f64 * (size.0 + GAP), page.corner.1 + NAMES);
         page.drawing.text((corner.0, corner.1 - 8.0), TEXT, Anchor::Start, Colour::INK, words);
         let area = Area { x: corner.0, y: corner.1, width: size.0, height: size.1 };
-        page.drawing.picture(area, &png_rgb(&two_colours(&reference, view))?);
+        page.drawing.picture(area, &png_rgb(&two_colours(&reference.strength, &view.strength))?);
         for (i, detail) in boxes.iter().enumerate() {
             let place = detail.on_page(corner, size, couple.reference);
-            page.drawing.outline(place, Pen { colour: Colour::WHITE, width: 1.2, opacity: 1.0 });
+            page.drawing.outline(place, Pen { colour: BOX, width: 1.6, opacity: 1.0 });
             let (width, height) = ((detail.width * MAGNIFIED) as f64, (detail.height * MAGNIFIED) as f64);
             let (x, y) = (corner.0 + i as f64 * (width + DETAIL_GAP), corner.1 + size.1 + DETAIL_GAP);
-            let still = detail.grey(couple.reference, &Warp::Identity).edges();
-            let moved = detail.grey(couple.frame, warp).edges();
+            let still = detail.grey(couple.reference, &Warp::Identity).edges(FAINT_DETAIL * reference.full).strength;
+            let moved = detail.grey(couple.frame, warp).edges(FAINT_DETAIL * view.full).strength;
             page.drawing.picture(Area { x, y, width, height }, &png_rgb(&two_colours(&still, &moved))?);
         }
     }
@@ -117,8 +122,7 @@ impl Detail {
     }
 }
 
-/// In each of the picture's upright thirds, by turns in its upper and its lower half, the place where both have most edges; none where
-/// the photograph is hardly larger than that.
+/// Places with many edges in both, far from each other, from left to right; none where the photograph is hardly larger than they are.
 fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
     let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
     let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
@@ -126,33 +130,37 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     if width < 16 || full_w < DETAILS * width || full_h < 2 * height {
         return Vec::new();
     }
-    let scale = reference.width() as f64 / full_w as f64;
+    let (across, down) = (reference.width(), reference.height());
+    let scale = across as f64 / full_w as f64;
     let (w, h) = (((width as f64 * scale) as usize).max(1), ((height as f64 * scale) as usize).max(1));
     let common = |x: usize, y: usize| -> u64 {
-        let row = |v: usize| (x..(x + w).min(reference.width())).map(move |u| (u, v));
-        let inside = (y..(y + h).min(reference.height())).flat_map(row);
+        let inside = (y..(y + h).min(down)).flat_map(|v| (x..(x + w).min(across)).map(move |u| (u, v)));
         inside.map(|(u, v)| u64::from(reference.at(u, v).min(view.at(u, v)))).sum()
     };
-    let (third, half) = (reference.width() / DETAILS, reference.height() / 2);
-    let best = |column: usize, lower: bool| {
-        let (left, top) = (column * third, usize::from(lower) * half);
-        let (right, bottom) = ((left + third.saturating_sub(w)), (top + half.saturating_sub(h)));
-        let steps = ((w / 4).max(1), (h / 4).max(1));
-        let places = (left..=right).step_by(steps.0).flat_map(|x| (top..=bottom).step_by(steps.1).map(move |y| (x, y)));
+    let columns = (0..=across.saturating_sub(w)).step_by((w / 3).max(1));
+    let places = columns.flat_map(|x| (0..=down.saturating_sub(h)).step_by((h / 3).max(1)).map(move |y| (x, y)));
+    let rated: Vec<(f64, (usize, usize))> = places.map(|(x, y)| (common(x, y) as f64, (x, y))).collect();
+    // Beyond this, distance is no merit.
+    let far = APART * ((across * across + down * down) as f64).sqrt();
+    let mut chosen: Vec<(usize, usize)> = Vec::new();
+    while chosen.len() < DETAILS {
+        let apart = |a: (usize, usize), b: (usize, usize)| {
+            let (dx, dy) = (a.0 as f64 - b.0 as f64, a.1 as f64 - b.1 as f64);
+            ((dx * dx + dy * dy).sqrt() / far).min(1.0)
+        };
+        let merit = |(edges, at): (f64, (usize, usize))| chosen.iter().fold(edges, |m, c| m * apart(at, *c));
         // Of equals the first.
-        let rated = places.map(|(x, y)| (common(x, y), x, y));
-        rated.reduce(|a, b| if b.0 > a.0 { b } else { a }).unwrap_or((0, left, top))
-    };
-    // Up, down, up, or down, up, down: whichever leaves the poorest of them richer.
-    let row =
-        |first: bool| -> Vec<(u64, usize, usize)> { (0..DETAILS).map(|i| best(i, first ^ (i % 2 == 1))).collect() };
-    let poorest = |row: &[(u64, usize, usize)]| row.iter().map(|b| b.0).min();
-    let (up, down) = (row(false), row(true));
-    let chosen = if poorest(&down) > poorest(&up) { down } else { up };
+        let best = rated.iter().copied().reduce(|a, b| if merit(b) > merit(a) { b } else { a });
+        chosen.push(best.map_or((0, 0), |b| b.1));
+    }
+    chosen.sort_unstable();
     let at = |v: usize, most: usize| ((v as f64 / scale) as usize).min(most);
-    let detail = |(_, x, y)| Detail { x: at(x, full_w - width), y: at(y, full_h - height), width, height };
+    let detail = |(x, y)| Detail { x: at(x, full_w - width), y: at(y, full_h - height), width, height };
     chosen.into_iter().map(detail).collect()
 }
+
+/// Details this share of the diagonal apart are as far apart as need be.
+const APART: f64 = 0.35;
 
 /// `small`, a reduced frame, on the reference's grid reduced alike.
 fn laid(small: &Plane<u8>, warp: &Warp, reference: &Frame) -> Grey {
@@ -198,6 +206,17 @@ const STRONGEST: f64 = 0.02;
 /// In a picture without contrast noise stays faint: so much is shown in full at the least.
 const LEAST_FULL: f32 = 0.05;
 
+/// In a detail the same, as a share of what is shown in full in the whole.
+const FAINT_DETAIL: f32 = 0.6;
+
+/// How strong the edge is at each pixel.
+struct Edges {
+    /// 0..=255.
+    strength: Plane<u8>,
+    /// Sobel's gradient of log(code) that is shown as 255.
+    full: f32,
+}
+
 /// So many pixels about what is outside, what was smoothed and compared reaches it.
 const REACH: usize = 3;
 
@@ -206,8 +225,8 @@ impl Grey {
         Grey { levels, outside: None }
     }
 
-    /// How strong the edge is at each pixel, 0..=255: Sobel's gradient of log(code), on the scale of the picture's strongest.
-    fn edges(&self) -> Plane<u8> {
+    /// The edges, those that are as strong as `least` or as the picture's strongest shown in full, whichever is more.
+    fn edges(&self, least: f32) -> Edges {
         let (width, height) = (self.levels.width(), self.levels.height());
         let logarithms: [f32; 256] = std::array::from_fn(|v| libm::log(v as f64 + BLACK) as f32);
         let log = Plane::from_rows(width, height, |y, row| {
@@ -231,12 +250,13 @@ impl Grey {
         });
         let mut sorted = strength.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
-        let full = sorted[((sorted.len() - 1) as f64 * (1.0 - STRONGEST)) as usize].max(LEAST_FULL);
-        Plane::from_rows(width, height, |y, row| {
+        let full = sorted[((sorted.len() - 1) as f64 * (1.0 - STRONGEST)) as usize].max(least);
+        let strength = Plane::from_rows(width, height, |y, row| {
             for (v, s) in row.iter_mut().zip(strength.row(y)) {
                 *v = (255.0 * (s / full).min(1.0)).round() as u8;
             }
-        })
+        });
+        Edges { strength, full }
     }
 
     /// Whether nothing outside the frame is near.
@@ -272,17 +292,18 @@ mod tests {
     #[test]
     fn edges_are_alike_in_two_exposures_and_coincide_once_aligned() {
         let (size, scene, truth) = ((360, 240), Scene::new(3), rigid(14.0, -9.0, 1.0));
-        let reference = Grey::whole(scene.photograph(size, &Warp::Identity, Shot::at(0.0))).edges();
+        let reference = Grey::whole(scene.photograph(size, &Warp::Identity, Shot::at(0.0))).edges(LEAST_FULL).strength;
         let grey = scene.photograph(size, &truth, Shot::at(-2.0));
         let samples = crate::bracket::Samples::Eight(vec![0; 3 * size.0 * size.1]);
         let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();
         let frame = Frame::new("x".into(), size.0, size.1, samples, exposure);
-        let after = laid(&grey, &truth, &frame).edges();
+        let after = laid(&grey, &truth, &frame).edges(LEAST_FULL).strength;
         // The edge of what was photographed is no edge of the scene.
         // With 14 px to the right and 1 deg it lies at columns 343 to 347.
         assert!((0..size.1).all(|y| after.row(y)[345..].iter().all(|v| *v == 0)));
         let after = mean_min(&reference, &after);
-        let (before, most) = (mean_min(&reference, &Grey::whole(grey).edges()), mean_min(&reference, &reference));
+        let (before, most) =
+            (mean_min(&reference, &Grey::whole(grey).edges(LEAST_FULL).strength), mean_min(&reference, &reference));
         // What is left is noise, resampling, and a strip of 14 of 360 px that the frame does not reach.
         assert!(most - after < 0.5 * (most - before), "{before} {after} {most}");
     }
@@ -297,6 +318,6 @@ mod tests {
 
     #[test]
     fn a_flat_picture_has_no_edges() {
-        assert!(Grey::whole(Plane::filled(20, 20, 3u8)).edges().as_slice().iter().all(|v| *v == 0));
+        assert!(Grey::whole(Plane::filled(20, 20, 3u8)).edges(LEAST_FULL).strength.as_slice().iter().all(|v| *v == 0));
     }
 }

@@ -15,8 +15,9 @@ mod matches;
 mod page;
 mod picture;
 pub mod tables;
+mod text;
 
-use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matching, xor_curves};
+use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::mtb::GreyPyramid;
 use crate::align::{AlignOptions, Alignment};
 use crate::bracket::{Bracket, Frame};
@@ -133,8 +134,7 @@ pub fn inspect<'a>(
         .map(|i| {
             (i != base).then(|| Against {
                 xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
-                matchings: [FeatureKind::Plain, FeatureKind::Mtb, FeatureKind::Merged]
-                    .map(|kind| matching(&features[base], &features[i], kind, options)),
+                matchings: matchings(&features[base], &features[i], options),
             })
         })
         .collect();
@@ -234,8 +234,8 @@ impl Inspection<'_> {
     /// What is seen, of which frame, and how it was exposed and placed.
     fn title(&self, i: usize, what: &str) -> String {
         let table = &self.tables.frames[i];
-        let status = tables::status_word(table.report.alignment.status);
-        format!("{}: {what} ({} EV, {status})", self.name(i), tables::stops(table.relative_ev))
+        let status = text::status_word(table.report.alignment.status);
+        format!("{}: {what} ({} EV, {status})", self.name(i), text::stops(table.relative_ev))
     }
 }
 

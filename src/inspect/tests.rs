@@ -135,6 +135,17 @@ fn a_rejected_frame_is_drawn_without_an_after() {
 }
 
 #[test]
+fn bitmaps_that_speak_against_a_place_are_told() {
+    let (bracket, options) = (bracket(), AlignOptions::default());
+    let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
+    let told = "its bitmap differs more as aligned than unmoved";
+    assert!(!inspect(&bracket, &alignment, &options, &warnings).tables().to_text().contains(told));
+    alignment.verdicts[0].warp = Some(rigid(-40.0, 30.0, -3.0));
+    let text = inspect(&bracket, &alignment, &options, &warnings).tables().to_text();
+    assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
+}
+
+#[test]
 fn the_same_bracket_gives_the_same_bytes_on_any_number_of_threads() {
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
