@@ -14,6 +14,9 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+/// Files in memory.
+type Named = Vec<(PathBuf, Vec<u8>)>;
+
 const TEXT: &str = "tables.txt";
 const JSON: &str = "tables.json";
 
@@ -65,7 +68,7 @@ pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {
         let stem = stem(frame.path());
         let kinds = inspection.kinds(i);
-        let drawn: Vec<Result<Vec<(PathBuf, Vec<u8>)>>> = kinds
+        let drawn: Vec<Result<Named>> = kinds
             .par_iter()
             .map(|&kind| {
                 let at = |extension| path(folder, &stem, kind, extension);
