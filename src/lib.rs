@@ -37,7 +37,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`plane`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`write`], [`report`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`write`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -47,6 +47,7 @@
 pub mod align;
 pub mod bracket;
 pub mod error;
+pub mod inspect;
 pub mod merge;
 pub mod pipeline;
 pub mod plane;

@@ -7,6 +7,7 @@ use crate::align::given::SavedAlignment;
 use crate::align::{self, AlignOptions, Alignment, Rect};
 use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
+use crate::inspect::{self, files, tables::Tables};
 use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
@@ -95,6 +96,8 @@ pub enum Stage {
     Tonemap,
     /// Writing.
     Write,
+    /// Gathering what the alignment rests on, and drawing it.
+    Inspect,
 }
 
 /// What is going on, for whoever watches; called from any thread.
@@ -157,16 +160,51 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
     })
 }
 
+/// Aligns the bracket `images` and writes what that rests on into `folder`: tables, bitmaps and drawings. Of `options` those for loading,
+/// alignment, threads and overwriting count. Gives the tables, which name the files.
+///
+/// # Errors
+/// See [`Error`]; on any of them nothing is there that was not before.
+pub fn inspect(
+    images: &[PathBuf],
+    options: &Options,
+    folder: &Path,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<Tables> {
+    in_pool(options.threads, || {
+        options.align.validate()?;
+        files::check(folder, images, options.write.overwrite)?;
+        let mut line = Line::new(watch);
+        let bracket = line.load(images, options)?;
+        let alignment = line.align(&bracket, options)?;
+        let (tables, _) = line.timed(Stage::Inspect, || {
+            let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings);
+            files::write(&inspection, folder, options.write.overwrite)
+        });
+        tables
+    })
+}
+
 /// Where results go when no output is named: beside the first of the inputs by name, named after the first and the last, as
 /// `IMG_0001-IMG_0003.exr` and `.png`.
 pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
+    named_after(images, &["exr", "png"])
+}
+
+/// The folder that an inspection goes to when none is named: as [`default_outputs`], but `.inspect`.
+pub fn default_folder(images: &[PathBuf]) -> PathBuf {
+    named_after(images, &["inspect"]).pop().unwrap_or_default()
+}
+
+/// Beside the first of `images` by name, named after the first and the last, with each of `extensions`.
+fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
     let mut sorted: Vec<&PathBuf> = images.iter().collect();
     sorted.sort_by(|a, b| natural(a, b));
     let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else {
         return Vec::new();
     };
     let stem = |p: &Path| p.file_stem().unwrap_or_default().to_os_string();
-    ["exr", "png"]
+    extensions
         .iter()
         .map(|extension| {
             let mut name = stem(first);
@@ -419,6 +457,7 @@ mod tests {
         assert_eq!(default_outputs(&paths(&["d/10.jpg", "d/9.jpg", "d/11.jpg"])), paths(&["d/9-11.exr", "d/9-11.png"]));
         let expected = paths(&["IMG_0001-IMG_0003.exr", "IMG_0001-IMG_0003.png"]);
         assert_eq!(default_outputs(&paths(&["IMG_0003.JPG", "IMG_0001.JPG", "IMG_0002.JPG"])), expected);
+        assert_eq!(default_folder(&paths(&["d/10.jpg", "d/9.jpg"])), PathBuf::from("d/9-10.inspect"));
         assert!(default_outputs(&[]).is_empty());
     }
 

@@ -33,6 +33,31 @@ pub(super) struct FeatureSets {
     pub(super) counts: KeypointCounts,
 }
 
+impl FeatureSets {
+    /// The keypoints of the bitmaps; what several have, once, as they are counted.
+    pub(super) fn of_bitmaps(&self) -> Vec<Keypoint> {
+        let mut places = Places::default();
+        let mut all = Vec::with_capacity(self.counts.mtb);
+        for set in &self.mtb {
+            all.extend(set.keypoints.iter().filter(|k| !places.has(k)).copied());
+            places.add(&set.keypoints);
+        }
+        all
+    }
+}
+
+/// Which of `points` are also among `others`: within a pixel, and of like scale.
+pub(super) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
+    let mut places = Places::default();
+    places.add(others);
+    points.iter().map(|k| places.has(k)).collect()
+}
+
+/// The matches of all sets by the ratio alone, in pixels of the full size.
+pub(super) fn pairs(reference: &FeatureSets, frame: &FeatureSets, to_full: &Matrix3<f64>, ratio: f64) -> Vec<Pair> {
+    Matches::new(reference, frame, to_full, ratio, None).pairs
+}
+
 /// Percent of the pixels that are not above the threshold of each bitmap: Ward's 17, 50 and 83, those halfway, and two beyond.
 const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 /// Smoothing before the threshold, in pixels: it takes the grain off the bitmap's edges.

@@ -14,6 +14,7 @@ pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
 mod descent;
+pub mod evidence;
 mod feature_sets;
 pub mod features;
 pub mod given;
@@ -33,7 +34,7 @@ pub mod resample;
 pub(crate) mod scene;
 mod search;
 pub mod sift;
-mod threshold;
+pub mod threshold;
 mod tile_fit;
 pub mod warp;
 
@@ -305,6 +306,11 @@ fn pyramid(frame: &Frame) -> (GreyPyramid, bool) {
     // What is brighter than nearly all may burn out: a lamp still has its edge.
     let stops = nearly_most.leading_zeros().min(MOST_STOPS);
     (GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) }), is_blank)
+}
+
+/// The grey pyramid in which the motion of `frame` is sought.
+pub fn grey_pyramid(frame: &Frame) -> GreyPyramid {
+    pyramid(frame).0
 }
 
 /// A frame within so many codes of black, or of white, may hold nothing but noise.

@@ -26,6 +26,11 @@ impl Percentile {
         })
     }
 
+    /// The percent, 1..=99.
+    pub fn percent(self) -> u8 {
+        self.0
+    }
+
     /// Those that may part two frames in one of which the median is black or burnt out.
     fn others() -> impl Iterator<Item = Percentile> {
         (1..=19).map(|i| Percentile(5 * i))

@@ -25,9 +25,9 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let bar = Bar::new(args.common.images.len(), args.common.quiet);
+    let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
     let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
-    let report = pipeline::align_only(&args.common.images, &options, &|p| bar.show(p));
+    let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();
     super::finish(&report?, &args.common)
 }

@@ -9,9 +9,9 @@ use hdralign::pipeline::{Crop, Options};
 use hdralign::write;
 use std::path::PathBuf;
 
-/// What the photographs are, how they are aligned, and how it is told.
+/// What the photographs are, and how they are aligned.
 #[derive(Debug, Args)]
-pub struct Common {
+pub struct Aligned {
     /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
@@ -44,25 +44,9 @@ pub struct Common {
     #[arg(long, value_name = "FILE")]
     unmoved: Vec<PathBuf>,
 
-    /// Transforms as JSON: taken from FILE where it exists, else found and written to it; never replaced
-    #[arg(long, value_name = "FILE")]
-    transforms: Option<PathBuf>,
-
-    /// Which part of the reference the results show
-    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
-    crop: CropArg,
-
     /// Threads that compute [default: one for each core]; the results are the same
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-
-    /// Write a report of everything that was done, as JSON
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-
-    /// Print the report to standard output instead of the paths written
-    #[arg(long)]
-    pub json: bool,
 
     /// Exit with 3 when a frame was left out or doubtful, or an exposure or the response guessed
     #[arg(long)]
@@ -73,11 +57,34 @@ pub struct Common {
     force: bool,
 
     /// Say nothing but errors
-    #[arg(short, long, conflicts_with = "verbose")]
+    #[arg(short, long)]
     pub quiet: bool,
+}
+
+/// The same, and how what comes of it is cut and told.
+#[derive(Debug, Args)]
+pub struct Common {
+    #[command(flatten)]
+    pub aligned: Aligned,
+
+    /// Transforms as JSON: taken from FILE where it exists, else found and written to it; never replaced
+    #[arg(long, value_name = "FILE")]
+    transforms: Option<PathBuf>,
+
+    /// Which part of the reference the results show
+    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
+    crop: CropArg,
+
+    /// Write a report of everything that was done, as JSON
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+
+    /// Print the report to standard output instead of the paths written
+    #[arg(long)]
+    pub json: bool,
 
     /// Say more: a line for each frame, the time of each stage
-    #[arg(short, long)]
+    #[arg(short, long, conflicts_with = "quiet")]
     pub verbose: bool,
 }
 
@@ -115,7 +122,7 @@ enum CropArg {
     None,
 }
 
-impl Common {
+impl Aligned {
     /// The library's options that these arguments stand for; all others as by default.
     pub fn options(&self) -> Options {
         Options {
@@ -135,13 +142,7 @@ impl Common {
                 given: self.given(),
                 ..AlignOptions::default()
             },
-            transforms: self.transforms.clone(),
-            crop: match self.crop {
-                CropArg::Common => Crop::Common,
-                CropArg::None => Crop::None,
-            },
             write: write::Options { overwrite: self.force, ..write::Options::default() },
-            report: self.report.clone(),
             threads: self.threads,
             ..Options::default()
         }
@@ -167,5 +168,16 @@ impl Common {
                 _ => ReferenceChoice::File(text.into()),
             },
         }
+    }
+}
+
+impl Common {
+    /// The library's options that these arguments stand for; all others as by default.
+    pub fn options(&self) -> Options {
+        let crop = match self.crop {
+            CropArg::Common => Crop::Common,
+            CropArg::None => Crop::None,
+        };
+        Options { crop, transforms: self.transforms.clone(), report: self.report.clone(), ..self.aligned.options() }
     }
 }

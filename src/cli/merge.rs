@@ -90,8 +90,11 @@ enum OperatorArg {
 
 impl Args {
     fn options(&self) -> Options {
-        let outputs =
-            if self.output.is_empty() { pipeline::default_outputs(&self.common.images) } else { self.output.clone() };
+        let outputs = if self.output.is_empty() {
+            pipeline::default_outputs(&self.common.aligned.images)
+        } else {
+            self.output.clone()
+        };
         Options {
             outputs,
             response: match self.response_model {
@@ -117,8 +120,8 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let bar = Bar::new(args.common.images.len(), args.common.quiet);
-    let outcome = pipeline::run(&args.common.images, &args.options(), &|p| bar.show(p));
+    let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
+    let outcome = pipeline::run(&args.common.aligned.images, &args.options(), &|p| bar.show(p));
     bar.clear();
     super::finish(&outcome?.report, &args.common)
 }

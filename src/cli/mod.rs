@@ -4,6 +4,7 @@
 
 mod align;
 mod input;
+mod inspect;
 mod merge;
 mod progress;
 mod summary;
@@ -29,6 +30,8 @@ enum Command {
     Merge(merge::Args),
     /// Align only: transforms as JSON, aligned frames as TIFF
     Align(align::Args),
+    /// Tables and drawings of what the alignment rests on: look before, or find out why
+    Inspect(inspect::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -41,13 +44,15 @@ Exit codes:
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
   hdralign merge *.jpg -o room.exr -o room.png
-  hdralign align *.jpg --save-aligned aligned_";
+  hdralign align *.jpg --save-aligned aligned_
+  hdralign inspect *.jpg -d look";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Merge(args) => merge::run(&args),
         Command::Align(args) => align::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
     };
     match outcome {
         Ok(code) => code,
@@ -60,7 +65,7 @@ pub fn run() -> ExitCode {
 
 /// Tells what was done, and gives the exit code.
 fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
-    if !common.quiet {
+    if !common.aligned.quiet {
         summary::print(report, common.verbose);
     }
     let mut results = String::new();
@@ -72,6 +77,17 @@ fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
             results.push('\n');
         }
     }
+    tell(&results)?;
+    Ok(exit_code(common.aligned.strict && report.is_degraded()))
+}
+
+/// 3 where the result is less than what was asked for and that matters.
+fn exit_code(degraded: bool) -> ExitCode {
+    if degraded { ExitCode::from(3) } else { ExitCode::SUCCESS }
+}
+
+/// Puts results on stdout.
+fn tell(results: &str) -> Result<(), Error> {
     // A reader that has heard enough is no failure: the files are written.
     let told = std::io::stdout().lock().write_all(results.as_bytes());
     if let Err(source) = told
@@ -79,5 +95,5 @@ fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
     {
         return Err(Error::Write { path: "standard output".into(), source });
     }
-    Ok(if common.strict && report.is_degraded() { ExitCode::from(3) } else { ExitCode::SUCCESS })
+    Ok(())
 }

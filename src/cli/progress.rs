@@ -36,6 +36,7 @@ impl Bar {
             Progress::Begins(Stage::Response) => ("response", 1),
             Progress::Begins(Stage::Merge) => ("merging", 2),
             Progress::Begins(Stage::Tonemap) => ("tone mapping", 3),
+            Progress::Begins(Stage::Inspect) => ("drawing", 1),
             Progress::Begins(Stage::Write) => ("writing", 4),
         };
         self.bar.set_message(words);

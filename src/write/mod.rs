@@ -24,7 +24,7 @@ use crate::tonemap::DisplayImage;
 use std::path::{Path, PathBuf};
 
 use bands::Bands;
-pub use target::{Pending, check_targets, commit};
+pub use target::{Pending, Whole, check_targets, commit, place};
 
 /// The formats written, told by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -259,6 +259,16 @@ pub fn text(path: &Path, text: &str) -> Result<Written> {
     let mut file = Pending::create(path)?;
     file.put(text.as_bytes())?;
     Ok(Written { file, warnings: Vec::new() })
+}
+
+/// A file of `bytes`, on the disk but not yet named.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn whole(path: &Path, bytes: &[u8]) -> Result<Whole> {
+    let mut file = Pending::create(path)?;
+    file.put(bytes)?;
+    file.complete()
 }
 
 /// All of `plane` through `writer`.

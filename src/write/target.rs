@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use std::fs;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, TempPath};
 
 /// Whether all `outputs` can be written, before any work is done: folders that exist, no name twice, none of the
 /// `inputs`, and nothing there already unless `overwrite`.
@@ -130,20 +130,50 @@ impl Seek for Pending {
     }
 }
 
-/// Gives all `files` their names: first every one is brought to the disk, then all are renamed. When a renaming fails, the files
-/// placed before it are removed again, but for those that replaced an older file, which cannot be had back.
+/// A file that is whole and on the disk, under its temporary name; dropped, it is gone. It is not open, so that there can be many.
+#[derive(Debug)]
+pub struct Whole {
+    target: PathBuf,
+    file: TempPath,
+}
+
+impl Whole {
+    /// The name it will have.
+    pub fn target(&self) -> &Path {
+        &self.target
+    }
+}
+
+impl Pending {
+    /// Ends the file: everything is brought to the disk, and it is closed.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn complete(self) -> Result<Whole> {
+        let Pending { target, file } = self;
+        let synced =
+            file.into_inner().map_err(|e| e.into_error()).and_then(|file| file.as_file().sync_all().map(|()| file));
+        let file = synced.map_err(|source| write_error(&target, source))?.into_temp_path();
+        Ok(Whole { target, file })
+    }
+}
+
+/// Gives all `files` their names: first every one is brought to the disk, then all are renamed, as [`place`] does.
 ///
 /// # Errors
 /// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
 pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
-    let mut ready = Vec::new();
-    for Pending { target, file } in files {
-        let synced =
-            file.into_inner().map_err(|e| e.into_error()).and_then(|file| file.as_file().sync_all().map(|()| file));
-        ready.push((synced.map_err(|source| write_error(&target, source))?, target));
-    }
+    place(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
+}
+
+/// Gives all `files` their names. When a renaming fails, the files placed before it are removed again, but for those that replaced an
+/// older file, which cannot be had back.
+///
+/// # Errors
+/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
+pub fn place(files: Vec<Whole>, overwrite: bool) -> Result<()> {
     let mut placed: Vec<PathBuf> = Vec::new();
-    for (file, target) in ready {
+    for Whole { target, file } in files {
         let is_new = fs::symlink_metadata(&target).is_err();
         let outcome = if overwrite { file.persist(&target) } else { file.persist_noclobber(&target) };
         match outcome {

@@ -1,0 +1,54 @@
+//! `hdralign inspect`.
+
+use super::input::Aligned;
+use super::progress::Bar;
+use hdralign::error::Error;
+use hdralign::pipeline;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Into the folder go, for each photograph NAME:
+  NAME.threshold.png, NAME.exclusion.png   the median threshold bitmap, and what of it counts
+  NAME.keypoints.svg, .png                 keypoints: plain, of the bitmap, both
+  NAME.matches.svg, .png                   matches with the reference, inliers and outliers
+  NAME.xor.svg, .png                       differing pixels against rotation and shift
+  NAME.edges.svg, .png                     edges in two colours, before and after alignment
+and tables.txt, tables.json: exposures, keypoints, matches, places, bitmaps.
+
+Examples:
+  hdralign inspect *.jpg                   beside them, FIRST-LAST.inspect
+  hdralign inspect *.jpg -d look --json";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    #[command(flatten)]
+    aligned: Aligned,
+
+    /// The folder for everything, made if it is not there [default: FIRST-LAST.inspect beside the photographs]
+    #[arg(short = 'd', long, value_name = "FOLDER")]
+    folder: Option<PathBuf>,
+
+    /// Print the tables to standard output, as JSON, instead of the paths written
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let Aligned { images, quiet, strict, .. } = &args.aligned;
+    let folder = args.folder.clone().unwrap_or_else(|| pipeline::default_folder(images));
+    let bar = Bar::new(images.len(), *quiet);
+    let tables = pipeline::inspect(images, &args.aligned.options(), &folder, &|p| bar.show(p));
+    bar.clear();
+    let tables = tables?;
+    if !quiet {
+        for warning in &tables.warnings {
+            eprintln!("warning: {}", warning.message);
+        }
+        eprint!("{}", tables.to_text());
+    }
+    let paths = || tables.outputs.iter().map(|path| format!("{path}\n")).collect();
+    super::tell(&if args.json { tables.to_json() } else { paths() })?;
+    Ok(super::exit_code(*strict && tables.is_degraded()))
+}

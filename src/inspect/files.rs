@@ -1,0 +1,178 @@
+//! Files: every sheet of an inspection and its tables, into a folder, all of them or none.
+//!
+//! In: an [`Inspection`] and a folder. Out: files named after the photographs: `NAME.keypoints.svg`, ..., and `tables.txt`,
+//! `tables.json`. Cost: that of drawing; one frame's sheets are in memory at a time.
+
+use super::drawing::rasterise;
+use super::picture::png_rgb;
+use super::tables::Tables;
+use super::{Inspection, Sheet, SheetKind};
+use crate::error::{Error, Result};
+use crate::write::{self, Whole};
+use rayon::prelude::*;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Files in memory.
+type Named = Vec<(PathBuf, Vec<u8>)>;
+
+const TEXT: &str = "tables.txt";
+const JSON: &str = "tables.json";
+
+/// Whether the inspection of `images` can be written into `folder`, before any work is done: the folder is there, or its parent is;
+/// no two photographs have one name; nothing is there already unless `overwrite`.
+///
+/// # Errors
+/// [`Error::Option`] for two photographs of one name, [`Error::Write`] where the folder cannot be, [`Error::OutputExists`].
+pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
+    let mut stems: Vec<String> = Vec::new();
+    for image in images {
+        let stem = stem(image);
+        if stems.contains(&stem) {
+            let reason = format!("two photographs would both be drawn as {stem}; rename one of them");
+            return Err(Error::Option { option: "--folder", reason });
+        }
+        stems.push(stem);
+    }
+    match fs::metadata(folder) {
+        Ok(there) if !there.is_dir() => {
+            Err(write_error(folder, io::Error::other("it is no folder; name another with -d")))
+        }
+        Ok(_) => {
+            let every = |stem: &String| {
+                let of = |kind: SheetKind| kind.extensions().iter().map(move |e| (kind, *e));
+                SheetKind::ALL.into_iter().flat_map(of).map(|(k, e)| path(folder, stem, k, e)).collect::<Vec<_>>()
+            };
+            let mut files: Vec<PathBuf> = stems.iter().flat_map(every).collect();
+            files.extend([TEXT, JSON].map(|name| folder.join(name)));
+            write::check_targets(&files, images, overwrite)
+        }
+        Err(e) if e.kind() == io::ErrorKind::NotFound => {
+            // The folder is made when there is something to put into it; whether that will be possible is seen from its parent.
+            write::check_targets(&[folder.to_owned()], images, true)
+        }
+        Err(e) => Err(write_error(folder, e)),
+    }
+}
+
+/// Draws and writes everything into `folder`, which is made if it is not there; gives the tables, which name the files, in the order
+/// written. On an error nothing is there that was not before.
+///
+/// # Errors
+/// [`Error::Write`]; [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off.
+pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
+    // Declared first and so dropped last: a folder is only removed once the temporary files in it are gone.
+    let mut made = Made::new(folder)?;
+    let mut files: Vec<Whole> = Vec::new();
+    for (i, frame) in inspection.bracket.frames().iter().enumerate() {
+        let stem = stem(frame.path());
+        let kinds = inspection.kinds(i);
+        let drawn: Vec<Result<Named>> = kinds
+            .par_iter()
+            .map(|&kind| {
+                let at = |extension| path(folder, &stem, kind, extension);
+                let failed = |reason: String| write_error(&at("png"), io::Error::other(reason));
+                match inspection.sheet(i, kind).map_err(failed)? {
+                    None => Ok(Vec::new()),
+                    Some(Sheet::Bitmap(_, png)) => Ok(vec![(at("png"), png)]),
+                    Some(Sheet::Drawing(_, drawing)) => {
+                        let svg = drawing.to_svg();
+                        let png = rasterise(&svg).and_then(|pixels| png_rgb(&pixels)).map_err(failed)?;
+                        Ok(vec![(at("svg"), svg.into_bytes()), (at("png"), png)])
+                    }
+                }
+            })
+            .collect();
+        for some in drawn {
+            for (path, bytes) in some? {
+                files.push(write::whole(&path, &bytes)?);
+            }
+        }
+    }
+    let mut tables = inspection.tables().clone();
+    let mut names: Vec<PathBuf> = files.iter().map(|f| f.target().to_owned()).collect();
+    names.extend([TEXT, JSON].map(|name| folder.join(name)));
+    tables.add_outputs(&names);
+    files.push(write::whole(&folder.join(TEXT), tables.to_text().as_bytes())?);
+    files.push(write::whole(&folder.join(JSON), tables.to_json().as_bytes())?);
+    write::place(files, overwrite)?;
+    made.keep();
+    Ok(tables)
+}
+
+/// A folder that goes again, if it was made here, unless it is kept.
+struct Made<'a>(Option<&'a Path>);
+
+impl<'a> Made<'a> {
+    fn new(folder: &'a Path) -> Result<Self> {
+        match fs::create_dir(folder) {
+            Ok(()) => Ok(Made(Some(folder))),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(Made(None)),
+            Err(e) => Err(write_error(folder, e)),
+        }
+    }
+
+    fn keep(&mut self) {
+        self.0 = None;
+    }
+}
+
+impl Drop for Made<'_> {
+    fn drop(&mut self) {
+        if let Some(folder) = self.0 {
+            // What went wrong before is what is told; a folder that is not empty stays.
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+fn stem(image: &Path) -> String {
+    image.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn path(folder: &Path, stem: &str, kind: SheetKind, extension: &str) -> PathBuf {
+    folder.join(format!("{stem}.{}.{extension}", kind.word()))
+}
+
+fn write_error(path: &Path, source: io::Error) -> Error {
+    Error::Write { path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_is_refused_before_any_work() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let images = [at("a.jpg"), at("b.jpg")];
+        let fails = |folder: &str, images: &[PathBuf], said: &str| {
+            let message = check(&at(folder), images, false).unwrap_err().to_string();
+            assert!(message.contains(said), "{message}");
+        };
+        check(&at("new"), &images, false).unwrap();
+        assert!(!at("new").exists());
+        fails("none/new", &images, "mkdir");
+        fails("new", &[at("a.jpg"), at("sub/a.png")], "rename one");
+        fs::write(at("file"), "x").unwrap();
+        fails("file", &images, "no folder");
+        fs::create_dir(at("old")).unwrap();
+        check(&at("old"), &images, false).unwrap();
+        fs::write(at("old/b.xor.svg"), "x").unwrap();
+        fails("old", &images, "--force");
+        check(&at("old"), &images, true).unwrap();
+    }
+
+    #[test]
+    fn a_folder_made_in_vain_goes_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("new");
+        drop(Made::new(&folder).unwrap());
+        assert!(!folder.exists());
+        Made::new(&folder).unwrap().keep();
+        drop(Made::new(&folder).unwrap());
+        assert!(folder.exists());
+    }
+}

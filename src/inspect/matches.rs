@@ -1,0 +1,102 @@
+//! Matches: the reference and a frame side by side, and lines between what looks alike.
+//!
+//! In: two frames and their matches. Out: a drawing, inliers of RANSAC and outliers in two colours. Cost: some 50 bytes a match.
+
+use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
+use super::page::{Entry, Mark, Page, TEXT};
+use super::picture::Photograph;
+use crate::align::evidence::Matching;
+
+const INLIER: Colour = Colour(86, 196, 255);
+const OUTLIER: Colour = Colour(255, 122, 46);
+
+/// More lines than this hide each other.
+const MOST_LINES: usize = 160;
+/// Paper between the two frames, in pixels.
+const GAP: f64 = 16.0;
+/// Room for the names above the frames.
+const NAMES: f64 = 26.0;
+
+/// Of all matches every so manieth is drawn as a line, so that there are at most [`MOST_LINES`].
+fn stride(matches: usize) -> usize {
+    matches.div_ceil(MOST_LINES).max(1)
+}
+
+/// `matching` between two frames, given with their names, the reference on the left.
+pub(super) fn draw(
+    title: &str,
+    [reference, frame]: [(&str, &Photograph); 2],
+    matching: &Matching,
+) -> Result<Drawing, String> {
+    let inliers = matching.inliers();
+    let entry = |colour, words: String| Entry { mark: Mark::Line, colour, words };
+    let legend = [
+        entry(INLIER, format!("inliers: {inliers}")),
+        entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
+    ];
+    let mut notes = "Matches of plain and bitmap keypoints, merged, by the ratio test and mutually; inliers: those that RANSAC's homography \
+                     explains."
+        .to_owned();
+    let stride = stride(matching.pairs.len());
+    if stride > 1 {
+        notes += &format!(" All are dots; one in {stride} has a line.");
+    }
+    if reference.1.brightened || frame.1.brightened {
+        notes += " Dark frames are shown brighter than they are.";
+    }
+    let (left, right) = (reference.1.size(), frame.1.size());
+    let mut page = Page::new(title, &legend, (left.0 + GAP + right.0, NAMES + left.1.max(right.1)), &notes);
+    let corners = [page.corner, (page.corner.0 + left.0 + GAP, page.corner.1)].map(|(x, y)| (x, y + NAMES));
+    for ((name, photograph), corner) in [reference, frame].into_iter().zip(corners) {
+        page.drawing.text((corner.0, corner.1 - 8.0), TEXT, Anchor::Start, Colour::INK, name);
+        photograph.put(&mut page.drawing, corner)?;
+    }
+    let ends: Vec<[(f64, f64); 2]> = matching
+        .pairs
+        .iter()
+        .map(|(a, b)| [reference.1.place(corners[0], a[0], a[1]), frame.1.place(corners[1], b[0], b[1])])
+        .collect();
+    let all = Area { x: corners[0].0, y: corners[0].1, width: left.0 + GAP + right.0, height: left.1.max(right.1) };
+    page.drawing.clipped(all, |inside| {
+        // What is wrong lies below, so that it does not hide what is right.
+        for (wanted, colour) in [(false, OUTLIER), (true, INLIER)] {
+            let (mut lines, mut dots) = (Path::default(), Path::default());
+            for (i, [from, to]) in ends.iter().enumerate().filter(|(i, _)| matching.inlier[*i] == wanted) {
+                if i % stride == 0 {
+                    lines.line(*from, *to);
+                }
+                dots.circle(*from, 1.6);
+                dots.circle(*to, 1.6);
+            }
+            inside.stroke(&lines, Pen { colour: Colour::INK, width: 2.2, opacity: 0.3 });
+            inside.stroke(&lines, Pen { colour, width: 1.0, opacity: 0.8 });
+            inside.fill(&dots, colour, 0.9);
+        }
+    });
+    Ok(page.drawing)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::warp::Warp;
+    use crate::plane::Plane;
+
+    #[test]
+    fn lines_are_few_and_dots_are_all() {
+        assert_eq!([0, 1, 160, 161, 1600].map(stride), [1, 1, 1, 2, 10]);
+        let grey = Plane::filled(320, 200, 128u8);
+        let photograph = Photograph::new(&grey, (800, 800));
+        let pairs: Vec<_> =
+            (0..321).map(|i| ([f64::from(i % 300), f64::from(i / 3)], [f64::from(i % 290), 50.0])).collect();
+        let inlier = (0..321).map(|i| i % 2 == 0).collect();
+        let matching = Matching { pairs, inlier, warp: Some(Warp::Identity) };
+        let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
+        // Circles are arcs, two each; lines have an L. Every third match has a line.
+        let count =
+            |pen, letter| svg.lines().filter(|l| l.contains(pen)).map(|p| p.matches(letter).count()).sum::<usize>();
+        assert_eq!(count("fill-opacity=\"0.9\"", "a1.6 1.6"), 2 * 2 * 321);
+        assert_eq!(count("stroke-opacity=\"0.8\"", "L"), 107);
+        assert!(svg.contains("inliers: 161") && svg.contains("outliers: 160") && svg.contains("one in 3"));
+    }
+}

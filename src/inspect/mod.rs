@@ -1,0 +1,243 @@
+//! Inspection: what the alignment of a bracket rests on, in tables and drawings, for people who look before, or want to find out why.
+//!
+//! In: a [`Bracket`], its [`Alignment`] and the options that it was found with. Out: an [`Inspection`]: [`Tables`] of exposures, places,
+//! bitmaps, keypoints and matches; for each frame its bitmaps, keypoints, matches, XOR curves and edges, as [`Sheet`]s, drawn when asked
+//! for. Cost: bitmaps and features of all frames, some tenths of a second each, whatever the alignment needed itself; and the same again to
+//! draw. Source: the thesis's chapter 4, its tables and figures, for any bracket.
+
+mod curves;
+pub mod drawing;
+mod edges;
+pub mod files;
+mod keypoints;
+mod lettering;
+mod matches;
+mod page;
+mod picture;
+pub mod tables;
+mod text;
+
+use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
+use crate::align::mtb::GreyPyramid;
+use crate::align::{AlignOptions, Alignment, grey_pyramid};
+use crate::bracket::{Bracket, Frame};
+use crate::error::Warning;
+use crate::report::{Report, WarningReport};
+use drawing::Drawing;
+use edges::Couple;
+use picture::Photograph;
+use rayon::prelude::*;
+use tables::{Found, Tables};
+
+/// Long side of a drawn photograph, in pixels, at the most.
+const DRAWN: (usize, usize) = (1600, 1600);
+/// ... of one of two side by side.
+const DRAWN_BESIDE: (usize, usize) = (792, 1000);
+
+/// What one frame's place rests on.
+#[derive(Debug, Clone)]
+struct Evidence {
+    bitmaps: FrameBitmaps,
+    features: FrameFeatures,
+    /// None for the reference.
+    against: Option<Against>,
+}
+
+/// How a frame compares with the reference.
+#[derive(Debug, Clone)]
+struct Against {
+    xor: XorCurves,
+    /// By [`FeatureKind`].
+    matchings: [Matching; 3],
+}
+
+/// What the alignment of a bracket rests on.
+#[derive(Debug, Clone)]
+pub struct Inspection<'a> {
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    pyramids: Vec<GreyPyramid>,
+    evidence: Vec<Evidence>,
+    tables: Tables,
+}
+
+/// One thing to look at.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Sheet {
+    /// A bitmap, one bit a pixel, as a PNG file.
+    Bitmap(SheetKind, Vec<u8>),
+    /// A drawing, for SVG and PNG.
+    Drawing(SheetKind, Drawing),
+}
+
+/// What a sheet shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SheetKind {
+    /// The median threshold bitmap.
+    Threshold,
+    /// What of it counts.
+    Exclusion,
+    /// Keypoints on the frame.
+    Keypoints,
+    /// Matches with the reference.
+    Matches,
+    /// What differs between the bitmaps against rotation and shift.
+    Xor,
+    /// Edges in two colours, before and after.
+    Edges,
+}
+
+impl SheetKind {
+    /// All kinds; of the reference there are only the first three.
+    pub const ALL: [SheetKind; 6] = [
+        SheetKind::Threshold,
+        SheetKind::Exclusion,
+        SheetKind::Keypoints,
+        SheetKind::Matches,
+        SheetKind::Xor,
+        SheetKind::Edges,
+    ];
+
+    /// The word for it in the names of files.
+    pub fn word(self) -> &'static str {
+        match self {
+            SheetKind::Threshold => "threshold",
+            SheetKind::Exclusion => "exclusion",
+            SheetKind::Keypoints => "keypoints",
+            SheetKind::Matches => "matches",
+            SheetKind::Xor => "xor",
+            SheetKind::Edges => "edges",
+        }
+    }
+
+    /// The extensions under which it is written.
+    pub fn extensions(self) -> &'static [&'static str] {
+        match self {
+            SheetKind::Threshold | SheetKind::Exclusion => &["png"],
+            _ => &["svg", "png"],
+        }
+    }
+}
+
+/// Gathers what speaks for and against every place of `alignment`, which was found with `options` and gave `warnings`.
+pub fn inspect<'a>(
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    options: &AlignOptions,
+    warnings: &[Warning],
+) -> Inspection<'a> {
+    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(grey_pyramid).collect();
+    let base = bracket.reference_index();
+    let features: Vec<FrameFeatures> = pyramids.par_iter().map(|p| FrameFeatures::new(p, options)).collect();
+    let against: Vec<Option<Against>> = (0..pyramids.len())
+        .into_par_iter()
+        .map(|i| {
+            (i != base).then(|| Against {
+                xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
+                matchings: matchings(&features[base], &features[i], options),
+            })
+        })
+        .collect();
+    let evidence: Vec<Evidence> = features
+        .into_iter()
+        .zip(against)
+        .zip(&pyramids)
+        .map(|((features, against), pyramid)| Evidence {
+            bitmaps: FrameBitmaps::new(&pyramids[base], pyramid, options),
+            features,
+            against,
+        })
+        .collect();
+    let found: Vec<Found> = evidence
+        .iter()
+        .zip(&alignment.verdicts)
+        .map(|(evidence, verdict)| Found {
+            bitmaps: &evidence.bitmaps,
+            features: &evidence.features,
+            xor: evidence.against.as_ref().map(|a| &a.xor),
+            matchings: evidence.against.as_ref().map(|a| &a.matchings),
+            warp: verdict.warp.as_ref(),
+        })
+        .collect();
+    let mut report = Report::new(bracket, alignment, alignment.overlap);
+    report.warnings = warnings.iter().map(WarningReport::from).collect();
+    let tables = Tables::new(report, &found);
+    Inspection { bracket, alignment, pyramids, evidence, tables }
+}
+
+impl Inspection<'_> {
+    /// The tables.
+    pub fn tables(&self) -> &Tables {
+        &self.tables
+    }
+
+    /// The kinds of sheets that there are of frame `i`.
+    pub fn kinds(&self, i: usize) -> &'static [SheetKind] {
+        if self.evidence[i].against.is_some() { &SheetKind::ALL } else { SheetKind::ALL.split_at(3).0 }
+    }
+
+    /// Draws one sheet of frame `i`; none where the frame has no such sheet.
+    ///
+    /// # Errors
+    /// In words, where a picture is too large for a PNG file.
+    pub fn sheet(&self, i: usize, kind: SheetKind) -> Result<Option<Sheet>, String> {
+        let evidence = &self.evidence[i];
+        let against = evidence.against.as_ref();
+        let drawn = |drawing| Ok(Some(Sheet::Drawing(kind, drawing)));
+        match (kind, against) {
+            (SheetKind::Threshold | SheetKind::Exclusion, _) => {
+                let bitmaps = &evidence.bitmaps.bitmaps;
+                let bitmap = if kind == SheetKind::Threshold { &bitmaps.threshold } else { &bitmaps.exclusion };
+                Ok(Some(Sheet::Bitmap(kind, picture::png_bitmap(bitmap)?)))
+            }
+            (SheetKind::Keypoints, _) => {
+                let photograph = Photograph::new(self.pyramids[i].level(0), DRAWN);
+                drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, &evidence.features)?)
+            }
+            (SheetKind::Matches, Some(against)) => {
+                let [left, right] =
+                    [self.bracket.reference_index(), i].map(|k| (self.name(k), self.photograph_beside(k)));
+                let title = self.title(i, "matches with the reference");
+                let both = [(left.0.as_str(), &left.1), (right.0.as_str(), &right.1)];
+                drawn(matches::draw(&title, both, &against.matchings[FeatureKind::Merged as usize])?)
+            }
+            (SheetKind::Xor, Some(against)) => {
+                let placed = self.alignment.verdicts[i].warp.is_some();
+                drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
+            }
+            (SheetKind::Edges, Some(_)) => {
+                let couple = Couple {
+                    reference: self.bracket.reference(),
+                    frame: self.frame(i),
+                    reference_grey: self.pyramids[self.bracket.reference_index()].level(0),
+                    frame_grey: self.pyramids[i].level(0),
+                    warp: self.alignment.verdicts[i].warp,
+                };
+                drawn(edges::draw(&self.title(i, "edges"), &couple)?)
+            }
+            (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
+        }
+    }
+
+    fn frame(&self, i: usize) -> &Frame {
+        &self.bracket.frames()[i]
+    }
+
+    fn photograph_beside(&self, i: usize) -> Photograph {
+        Photograph::new(self.pyramids[i].level(0), DRAWN_BESIDE)
+    }
+
+    fn name(&self, i: usize) -> String {
+        self.frame(i).path().file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// What is seen, of which frame, and how it was exposed and placed.
+    fn title(&self, i: usize, what: &str) -> String {
+        let table = &self.tables.frames[i];
+        let status = text::status_word(table.report.alignment.status);
+        format!("{}: {what} ({} EV, {status})", self.name(i), text::stops(table.relative_ev))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,118 @@
+//! The page: a title, a legend, room for what is drawn, and notes below, laid out for any width.
+//!
+//! In: words. Out: a [`Drawing`] and the corner from which its content goes. Cost: none.
+
+use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
+use super::lettering;
+
+/// Sizes of text, in pixels.
+pub(super) const TITLE: f64 = 22.0;
+pub(super) const TEXT: f64 = 17.0;
+/// Paper around everything, in pixels.
+const MARGIN: f64 = 20.0;
+/// From one line of text to the next.
+const LEADING: f64 = 1.45;
+/// Paper between a sample of the legend and its words, and between entries.
+const SAMPLE: f64 = 34.0;
+const GAP: f64 = 28.0;
+/// A page is at least so wide, so that words have room.
+const LEAST_WIDTH: f64 = 700.0;
+
+/// Behind samples whose colours are chosen for photographs.
+const DARK: Colour = Colour(56, 56, 56);
+
+/// What a colour of the drawing means.
+pub(super) struct Entry {
+    pub(super) mark: Mark,
+    pub(super) colour: Colour,
+    pub(super) words: String,
+}
+
+/// What the sample of a legend looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mark {
+    /// A circle with a tick, on a dark ground.
+    Keypoint,
+    /// A line, on a dark ground.
+    Line,
+    /// The colour itself.
+    Patch,
+}
+
+/// A drawing with its words, and where its content begins.
+pub(super) struct Page {
+    pub(super) drawing: Drawing,
+    pub(super) corner: (f64, f64),
+}
+
+impl Page {
+    /// A page around content of `size` pixels.
+    pub(super) fn new(title: &str, legend: &[Entry], size: (f64, f64), notes: &str) -> Self {
+        let inner = size.0.max(LEAST_WIDTH - 2.0 * MARGIN);
+        let lines = if notes.is_empty() { Vec::new() } else { lettering::wrap(notes, TEXT, inner) };
+        let rows = rows(legend, inner);
+        let line = TEXT * LEADING;
+        let first = MARGIN + TITLE;
+        let legend_from = first + 0.75 * TITLE;
+        let content_from =
+            if rows.is_empty() { first + 0.6 * TITLE } else { legend_from + rows.len() as f64 * line + 8.0 };
+        let below = content_from + size.1 + 0.4 * line;
+        let height = below + lines.len() as f64 * line + MARGIN * 0.6;
+        let mut drawing = Drawing::new((inner + 2.0 * MARGIN).ceil() as usize, height.ceil() as usize, title);
+        let title = lettering::shorten(title, TITLE, inner);
+        drawing.text((MARGIN, first - 3.0), TITLE, Anchor::Start, Colour::INK, &title);
+        for (i, row) in rows.iter().enumerate() {
+            let mut x = MARGIN;
+            let y = legend_from + (i as f64 + 0.5) * line;
+            for entry in row {
+                sample(&mut drawing, (x, y), entry);
+                drawing.text((x + SAMPLE + 9.0, y + 0.35 * TEXT), TEXT, Anchor::Start, Colour::INK, &entry.words);
+                x += entry_width(entry);
+            }
+        }
+        for (i, words) in lines.iter().enumerate() {
+            let y = below + (i as f64 + 0.8) * line;
+            drawing.text((MARGIN, y), TEXT, Anchor::Start, Colour::FAINT, words);
+        }
+        Page { drawing, corner: (MARGIN, content_from.round()) }
+    }
+}
+
+/// The legend's entries in rows no wider than `most`.
+fn rows(legend: &[Entry], most: f64) -> Vec<Vec<&Entry>> {
+    let mut rows: Vec<(f64, Vec<&Entry>)> = Vec::new();
+    for entry in legend {
+        let width = entry_width(entry);
+        match rows.last_mut() {
+            Some((taken, row)) if *taken + width - GAP <= most => {
+                *taken += width;
+                row.push(entry);
+            }
+            _ => rows.push((width, vec![entry])),
+        }
+    }
+    rows.into_iter().map(|(_, row)| row).collect()
+}
+
+fn entry_width(entry: &Entry) -> f64 {
+    SAMPLE + 9.0 + lettering::width(&entry.words, TEXT) + GAP
+}
+
+fn sample(drawing: &mut Drawing, (x, y): (f64, f64), entry: &Entry) {
+    let area = Area { x, y: y - 9.0, width: SAMPLE, height: 18.0 };
+    let pen = Pen { colour: entry.colour, width: 1.8, opacity: 1.0 };
+    let mut path = Path::default();
+    match entry.mark {
+        Mark::Patch => {
+            drawing.fill_area(area, entry.colour);
+            return drawing.outline(area, Pen { colour: Colour::FAINT, width: 0.8, opacity: 1.0 });
+        }
+        Mark::Line => path.line((x + 5.0, y), (x + SAMPLE - 5.0, y)),
+        Mark::Keypoint => {
+            path.circle((x + SAMPLE / 2.0, y), 6.0);
+            path.line((x + SAMPLE / 2.0, y), (x + SAMPLE / 2.0 + 6.0, y));
+        }
+    }
+    drawing.fill_area(area, DARK);
+    drawing.stroke(&path, pen);
+}

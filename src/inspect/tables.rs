@@ -1,0 +1,243 @@
+//! Tables: exposures, places, bitmaps, keypoints and matches of every frame, for programs.
+//!
+//! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
+
+use crate::align::Status;
+use crate::align::evidence::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
+use crate::align::threshold::Percentile;
+use crate::align::warp::Warp;
+use crate::report::{FrameReport, Report, WarningReport};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// The version of the JSON: keys are only ever added to it.
+pub const SCHEMA: &str = "hdralign-inspect/1";
+
+/// All tables of a bracket.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Tables {
+    /// [`SCHEMA`].
+    pub schema: &'static str,
+    /// The program and its version.
+    pub software: &'static str,
+    /// Width of every frame, orientation applied.
+    pub width_px: usize,
+    /// Height of every frame, orientation applied.
+    pub height_px: usize,
+    /// Width of the level on which bitmaps are shown and features sought.
+    pub level_width_px: usize,
+    /// Its height.
+    pub level_height_px: usize,
+    /// The frame that the others are aligned to.
+    pub reference: String,
+    /// The frames by rising exposure.
+    pub frames: Vec<FrameTable>,
+    /// The files written.
+    pub outputs: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<WarningReport>,
+}
+
+/// What is known of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrameTable {
+    /// Exposure and place, as in the report of a run.
+    #[serde(flatten)]
+    pub report: FrameReport,
+    /// Exposure over the reference's, in stops.
+    pub relative_ev: f64,
+    /// Its bitmaps.
+    pub mtb: BitmapTable,
+    /// Its keypoints, and what they are worth.
+    pub features: FeatureTable,
+}
+
+/// The bitmaps of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BitmapTable {
+    /// The percentile of the grey levels that is the threshold.
+    pub percentile: Percentile,
+    /// The threshold, a grey level 0..=255.
+    pub threshold_level: u8,
+    /// The share of the pixels that are too near the threshold to count.
+    pub excluded_share: f64,
+    /// How it compares with the reference's; null for the reference.
+    pub xor: Option<XorTable>,
+}
+
+/// What differs between two bitmaps, as a share of the pixels that count in both.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct XorTable {
+    /// Where nothing moves.
+    pub before_share: f64,
+    /// Under the motion found.
+    pub after_share: f64,
+    /// At each rotation, in degrees, shifted as found.
+    pub by_angle_deg: Samples,
+    /// At each shift to the right, in pixels, turned as found.
+    pub by_dx_px: Samples,
+    /// At each shift downwards, in pixels, turned as found.
+    pub by_dy_px: Samples,
+}
+
+/// A curve.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Samples {
+    /// Where.
+    pub at: Vec<f64>,
+    /// What differs there.
+    pub share: Vec<f64>,
+}
+
+impl From<&Curve> for Samples {
+    fn from(curve: &Curve) -> Self {
+        Samples { at: curve.at.clone(), share: curve.share.clone() }
+    }
+}
+
+/// The three kinds of keypoints.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FeatureTable {
+    /// SIFT on the plain picture.
+    pub plain: KindTable,
+    /// SIFT on its median threshold bitmap.
+    pub mtb: KindTable,
+    /// Both, points found twice counted once.
+    pub merged: KindTable,
+}
+
+impl FeatureTable {
+    /// The three of them.
+    pub(super) fn kinds(&self) -> [&KindTable; 3] {
+        [&self.plain, &self.mtb, &self.merged]
+    }
+}
+
+/// Keypoints of one kind; all but their number is null for the reference.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct KindTable {
+    /// How many.
+    pub keypoints: usize,
+    /// Of these, matched with the reference's.
+    pub matches: Option<usize>,
+    /// Of these, believed by RANSAC.
+    pub inliers: Option<usize>,
+    /// Root mean square distance over the picture between the motion that they agree on and the place found; null without either.
+    pub off_px: Option<f64>,
+    /// What they alone would have led to.
+    pub verdict: Option<KindVerdict>,
+}
+
+/// Whether keypoints of one kind lead to the place found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KindVerdict {
+    /// They do, within [`NEAR_PX`].
+    Agrees,
+    /// They lead elsewhere.
+    Differs,
+    /// Too few agree on any motion.
+    NoMotion,
+    /// They agree on a motion, but the frame was rejected, so there is no place to hold it against.
+    NoPlace,
+}
+
+/// Motions no farther apart are the same, in pixels for each 1000 of the picture's diagonal (root mean square): what matches that are
+/// good to a pixel or so of their level tell apart.
+const NEAR_PX: f64 = 1.0;
+/// Fewer inliers are chance: four are always right.
+const LEAST_INLIERS: usize = 10;
+
+/// What was found for one frame beside its report; the last two are none for the reference.
+pub(super) struct Found<'a> {
+    pub(super) bitmaps: &'a FrameBitmaps,
+    pub(super) features: &'a FrameFeatures,
+    pub(super) xor: Option<&'a XorCurves>,
+    pub(super) matchings: Option<&'a [Matching; 3]>,
+    pub(super) warp: Option<&'a Warp>,
+}
+
+impl Tables {
+    /// The tables of the frames of `report`, of which each has its `found`.
+    pub(super) fn new(report: Report, found: &[Found]) -> Self {
+        let size = (report.width_px, report.height_px);
+        let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
+        let exposure = reference.map_or(1.0, |f| f.relative_exposure);
+        let level = found.first().map_or(size, |f| f.features.size());
+        let frames = report.frames.into_iter().zip(found).map(|(report, found)| FrameTable {
+            relative_ev: libm::log2(report.relative_exposure / exposure),
+            mtb: bitmap_table(found),
+            features: feature_table(found, size),
+            report,
+        });
+        Tables {
+            schema: SCHEMA,
+            software: report.software,
+            width_px: size.0,
+            height_px: size.1,
+            level_width_px: level.0,
+            level_height_px: level.1,
+            reference: report.reference,
+            frames: frames.collect(),
+            outputs: Vec::new(),
+            warnings: report.warnings,
+        }
+    }
+
+    /// Records the files written.
+    pub(super) fn add_outputs(&mut self, paths: &[PathBuf]) {
+        self.outputs.extend(paths.iter().map(|p| p.to_string_lossy().into_owned()));
+    }
+
+    /// Whether the result is less than what was asked for: with `--strict` the exit code is 3.
+    pub fn is_degraded(&self) -> bool {
+        self.warnings.iter().any(|w| w.degrades)
+    }
+
+    /// The tables as JSON, ended by a line feed.
+    pub fn to_json(&self) -> String {
+        // Strings, numbers and lists of them: nothing in it can fail.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
+fn bitmap_table(found: &Found) -> BitmapTable {
+    BitmapTable {
+        percentile: found.bitmaps.percentile,
+        threshold_level: found.bitmaps.threshold,
+        excluded_share: found.bitmaps.excluded_share(),
+        xor: found.xor.map(|xor| XorTable {
+            before_share: xor.before,
+            after_share: xor.after,
+            by_angle_deg: (&xor.by_angle).into(),
+            by_dx_px: (&xor.by_dx).into(),
+            by_dy_px: (&xor.by_dy).into(),
+        }),
+    }
+}
+
+fn feature_table(found: &Found, size: (usize, usize)) -> FeatureTable {
+    let counts = found.features.counts();
+    let of = |kind: FeatureKind, keypoints| {
+        let blank = KindTable { keypoints, matches: None, inliers: None, off_px: None, verdict: None };
+        let Some(matchings) = found.matchings else { return blank };
+        let matching = &matchings[kind as usize];
+        let inliers = matching.inliers();
+        let motion = matching.warp.filter(|_| inliers >= LEAST_INLIERS);
+        let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, place, size));
+        let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
+        let verdict = match (motion, off_px) {
+            (None, _) => KindVerdict::NoMotion,
+            (Some(_), None) => KindVerdict::NoPlace,
+            (Some(_), Some(off)) if off <= NEAR_PX * (diagonal / 1000.0).max(1.0) => KindVerdict::Agrees,
+            (Some(_), Some(_)) => KindVerdict::Differs,
+        };
+        let matches = Some(matching.pairs.len());
+        KindTable { matches, inliers: Some(inliers), off_px, verdict: Some(verdict), ..blank }
+    };
+    FeatureTable {
+        plain: of(FeatureKind::Plain, counts.plain),
+        mtb: of(FeatureKind::Mtb, counts.mtb),
+        merged: of(FeatureKind::Merged, counts.merged),
+    }
+}

@@ -1,0 +1,164 @@
+//! A bracket with a known motion, inspected: what the tables and sheets say.
+
+use super::*;
+use crate::align::scene::{Scene, Shot, rigid};
+use crate::align::warp::Warp;
+use crate::align::{self, Status};
+use crate::bracket::exposure::Exposure;
+use crate::bracket::{ReferenceChoice, Samples};
+use crate::plane::Plane;
+
+const SIZE: (usize, usize) = (420, 300);
+
+/// Three exposures of a scene; the second is the reference.
+fn bracket() -> Bracket {
+    let scene = Scene::new(11);
+    let frame = |name: &str, ev: f64, warp: Warp| {
+        let grey: Plane<u8> = scene.photograph(SIZE, &warp, Shot::at(ev));
+        let rgb = grey.as_slice().iter().flat_map(|v| [*v; 3]).collect();
+        Frame::new(name.into(), SIZE.0, SIZE.1, Samples::Eight(rgb), Exposure::given(ev).unwrap())
+    };
+    let frames = vec![
+        frame("dark <1>.png", -2.0, rigid(7.0, 4.0, 1.2)),
+        frame("middle.png", 0.0, Warp::Identity),
+        frame("bright.png", 2.0, rigid(-3.0, 5.0, -0.8)),
+    ];
+    Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap()
+}
+
+fn with_inspection(check: impl FnOnce(Inspection)) {
+    let (bracket, options) = (bracket(), AlignOptions::default());
+    let (alignment, warnings) = align::align(&bracket, &options).unwrap();
+    check(inspect(&bracket, &alignment, &options, &warnings));
+}
+
+fn drawn(sheet: Option<Sheet>) -> Drawing {
+    match sheet {
+        Some(Sheet::Drawing(_, drawing)) => drawing,
+        other => panic!("no drawing: {other:?}"),
+    }
+}
+
+#[test]
+fn tables_say_what_is_known() {
+    with_inspection(|inspection| {
+        let tables = inspection.tables();
+        let json: serde_json::Value = serde_json::from_str(&tables.to_json()).unwrap();
+        assert_eq!((&json["schema"], &json["reference"]), (&"hdralign-inspect/1".into(), &"middle.png".into()));
+        let dark = &json["frames"][0];
+        assert_eq!((&dark["relative_ev"], &dark["exposure_source"]), (&(-2.0).into(), &"given".into()));
+        assert_eq!(dark["alignment"]["status"], "aligned");
+        for kind in ["plain", "mtb", "merged"] {
+            let of = &dark["features"][kind];
+            assert!(
+                of["keypoints"].as_u64() > of["matches"].as_u64() && of["matches"].as_u64() >= of["inliers"].as_u64()
+            );
+        }
+        assert_eq!(dark["features"]["merged"]["verdict"], "agrees");
+        let xor = &dark["mtb"]["xor"];
+        assert!(xor["after_share"].as_f64() < xor["before_share"].as_f64());
+        assert_eq!(
+            xor["by_angle_deg"]["at"].as_array().unwrap().len(),
+            xor["by_angle_deg"]["share"].as_array().unwrap().len()
+        );
+        assert!(
+            json["frames"][1]["mtb"]["xor"].is_null() && json["frames"][1]["features"]["plain"]["matches"].is_null()
+        );
+    });
+}
+
+#[test]
+fn the_text_has_every_table_and_a_row_for_each_photograph() {
+    with_inspection(|inspection| {
+        let text = inspection.tables().to_text();
+        for number in 1..=6 {
+            let from = text.find(&format!("Table {number}.")).unwrap_or_else(|| panic!("no table {number}:\n{text}"));
+            let table: Vec<&str> = text[from..].lines().skip(1).take_while(|l| !l.is_empty()).collect();
+            for name in ["dark <1>.png", "middle.png", "bright.png"] {
+                assert_eq!(table.iter().filter(|l| l.starts_with(name)).count(), 1, "table {number}: {name}\n{text}");
+            }
+            // The rule below the header is as wide as the table.
+            let widest = table.iter().take(5).map(|l| l.chars().count()).max();
+            assert_eq!(Some(table[1].chars().count()), widest, "table {number}\n{text}");
+        }
+        assert!(text.contains("-2.00") && text.contains("+2.00") && text.contains("agrees"));
+    });
+}
+
+#[test]
+fn every_sheet_is_well_formed_and_as_large_as_it_says() {
+    with_inspection(|inspection| {
+        for i in 0..3 {
+            let expected = if i == 1 { 3 } else { 6 };
+            assert_eq!(inspection.kinds(i).len(), expected);
+            for &kind in inspection.kinds(i) {
+                match inspection.sheet(i, kind).unwrap() {
+                    Some(Sheet::Bitmap(_, png)) => {
+                        let reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+                        assert_eq!((reader.info().width, reader.info().height), (SIZE.0 as u32, SIZE.1 as u32));
+                    }
+                    sheet => {
+                        let drawing = drawn(sheet);
+                        let svg = drawing.to_svg();
+                        resvg::usvg::roxmltree::Document::parse(&svg).unwrap();
+                        // But for the pictures, in whose letters anything may occur.
+                        let marks = svg.lines().filter(|l| !l.starts_with("<image"));
+                        assert!(marks.clone().all(|l| !l.contains("NaN") && !l.contains("inf")), "{kind:?}");
+                        let pixels = drawing::rasterise(&svg).unwrap();
+                        assert_eq!((pixels.width(), pixels.height()), (drawing.width(), drawing.height()));
+                        // Something is drawn: not all of it is paper.
+                        let marked = pixels.as_slice().iter().filter(|p| **p != [255; 3]).count();
+                        assert!(marked * 20 > pixels.as_slice().len(), "{kind:?}");
+                    }
+                }
+            }
+        }
+        assert_eq!(inspection.sheet(1, SheetKind::Matches), Ok(None));
+    });
+}
+
+#[test]
+fn a_rejected_frame_is_drawn_without_an_after() {
+    let (bracket, options) = (bracket(), AlignOptions::default());
+    let mut alignment = Alignment::unmoved(&bracket);
+    alignment.verdicts[0].status = Status::Rejected;
+    alignment.verdicts[0].warp = None;
+    alignment.verdicts[0].reason = Some("a reason".into());
+    let inspection = inspect(&bracket, &alignment, &options, &[]);
+    assert!(inspection.tables().to_text().contains("dark <1>.png: left out: a reason"));
+    let merged = inspection.tables().frames[0].features.merged;
+    assert_eq!((merged.off_px, merged.verdict), (None, Some(tables::KindVerdict::NoPlace)));
+    let edges = drawn(inspection.sheet(0, SheetKind::Edges).unwrap()).to_svg();
+    assert!(edges.contains("before: as photographed") && !edges.contains("after: aligned"));
+    let xor = drawn(inspection.sheet(0, SheetKind::Xor).unwrap()).to_svg();
+    assert!(xor.contains("the bitmaps&apos; own best") || xor.contains("the bitmaps' own best"));
+}
+
+#[test]
+fn bitmaps_that_speak_against_a_place_are_told() {
+    let (bracket, options) = (bracket(), AlignOptions::default());
+    let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
+    let told = "its bitmap differs more as aligned than unmoved";
+    assert!(!inspect(&bracket, &alignment, &options, &warnings).tables().to_text().contains(told));
+    alignment.verdicts[0].warp = Some(rigid(-40.0, 30.0, -3.0));
+    let text = inspect(&bracket, &alignment, &options, &warnings).tables().to_text();
+    assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
+}
+
+#[test]
+fn the_same_bracket_gives_the_same_bytes_on_any_number_of_threads() {
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut all = Vec::new();
+            with_inspection(|inspection| {
+                all.push(inspection.tables().to_json());
+                for kind in [SheetKind::Keypoints, SheetKind::Matches, SheetKind::Xor, SheetKind::Edges] {
+                    all.push(drawn(inspection.sheet(0, kind).unwrap()).to_svg());
+                }
+            });
+            all
+        })
+    };
+    assert!(on(1) == on(3));
+}

@@ -1,0 +1,239 @@
+//! Text: the tables in columns, for people.
+//!
+//! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 4 are Tables 4.1 to 4.3 of the thesis, for any bracket: keypoints, matches and
+//! what they are worth, for the plain picture, for its bitmap, and for both merged.
+
+use super::tables::{FrameTable, KindTable, KindVerdict, Tables};
+use crate::align::threshold::Percentile;
+use crate::align::{Model, Status};
+use crate::bracket::exposure::ExposureSource;
+use std::path::Path;
+
+/// Bitmaps speak against a motion under which they differ so many times more, and by such a share more, than unmoved: little enough that
+/// a wrong motion is seen, more than the rounding to whole pixels does.
+const AGAINST: (f64, f64) = (1.5, 0.005);
+
+impl Tables {
+    /// The tables in columns, for people.
+    pub fn to_text(&self) -> String {
+        let mut text = format!(
+            "{}: {} frames of {} x {} pixels; reference {}\nBitmaps and keypoints on the level of {} x {} pixels.\n",
+            self.software,
+            self.frames.len(),
+            self.width_px,
+            self.height_px,
+            file_name(&self.reference),
+            self.level_width_px,
+            self.level_height_px,
+        );
+        let mut add = |title: &str, note: &str, header: &[&str], row: &dyn Fn(&FrameTable) -> Vec<String>| {
+            text += &format!("\n{title}\n{}", columns(header, self.frames.iter().map(row)));
+            if !note.is_empty() {
+                text += &format!("{note}\n");
+            }
+        };
+        add(
+            "Table 1. Exposures",
+            "",
+            &["photograph", "time", "f", "ISO", "EV to reference", "known from"],
+            &exposure_row,
+        );
+        add(
+            "Table 2. Keypoints: plain SIFT, SIFT on the MTB, both merged",
+            "Merged counts a point that was found in both only once. gain: merged over plain.",
+            &["photograph", "EV", "plain", "MTB", "merged", "gain"],
+            &keypoint_row,
+        );
+        add(
+            "Table 3. Matches with the reference, and of these inliers of RANSAC",
+            "Matched by the ratio test and mutually, without a guide; alignment itself goes further.",
+            &["photograph", "EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
+            &match_row,
+        );
+        add(
+            "Table 4. What each kind of keypoint by itself would have led to, held against the alignment",
+            "px: root mean square distance over the picture between its motion and the alignment's.",
+            &["photograph", "EV", "plain", "px", "MTB", "px", "merged", "px"],
+            &verdict_row,
+        );
+        add(
+            "Table 5. Alignment",
+            "Shift of the picture's centre and rotation, reference to frame: right, down, right towards down.",
+            &["photograph", "status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
+            &place_row,
+        );
+        add(
+            "Table 6. Median threshold bitmaps",
+            "XOR: share of the pixels counting in both bitmaps, within the inscribed circle, that differ, unmoved and as aligned.",
+            &["photograph", "percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
+            &bitmap_row,
+        );
+        for frame in &self.frames {
+            if frame.mtb.xor.as_ref().is_some_and(|x| x.after_share > AGAINST.0 * x.before_share + AGAINST.1) {
+                let name = file_name(&frame.report.path);
+                text += &format!("{name}: its bitmap differs more as aligned than unmoved; look at its edges.\n");
+            }
+        }
+        let reasons = self.frames.iter().filter_map(|f| f.report.alignment.reason.as_ref().map(|r| (f, r)));
+        for (frame, reason) in reasons {
+            text += &format!("\n{}: left out: {reason}\n", file_name(&frame.report.path));
+        }
+        text
+    }
+}
+
+/// `rows` under `header`: the first column from the left, the others to the right, two spaces between.
+fn columns(header: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut all: Vec<Vec<String>> = vec![header.iter().map(|h| (*h).to_owned()).collect()];
+    all.extend(rows);
+    let width = |c: usize| all.iter().map(|row| row[c].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..header.len()).map(width).collect();
+    let rule: Vec<String> = widths.iter().map(|w| "-".repeat(*w)).collect();
+    all.insert(1, rule);
+    let mut text = String::new();
+    for row in &all {
+        let cells = row.iter().zip(&widths).enumerate();
+        let line: Vec<String> =
+            cells.map(|(c, (cell, &w))| if c == 0 { format!("{cell:<w$}") } else { format!("{cell:>w$}") }).collect();
+        text += line.join("  ").trim_end();
+        text.push('\n');
+    }
+    text
+}
+
+const NOTHING: &str = "-";
+
+fn or_nothing<T>(value: Option<T>, show: impl Fn(T) -> String) -> String {
+    value.map_or_else(|| NOTHING.to_owned(), show)
+}
+
+/// The name of the photograph, without its folder.
+fn file_name(path: &str) -> String {
+    Path::new(path).file_name().map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned())
+}
+
+/// A shutter time as photographers write it.
+fn shutter(seconds: f64) -> String {
+    if seconds < 0.3 { format!("1/{:.0} s", 1.0 / seconds) } else { format!("{} s", (seconds * 10.0).round() / 10.0) }
+}
+
+/// Stops with their sign.
+pub(super) fn stops(ev: f64) -> String {
+    // What rounds to nothing has no sign.
+    if ev.abs() < 0.005 { "0.00".into() } else { format!("{ev:+.2}") }
+}
+
+fn exposure_row(frame: &FrameTable) -> Vec<String> {
+    let report = &frame.report;
+    let source = match report.exposure_source {
+        ExposureSource::Exif => "EXIF",
+        ExposureSource::Given => "-e",
+        ExposureSource::Estimated => "the pixels",
+    };
+    vec![
+        file_name(&report.path),
+        or_nothing(report.time_s, shutter),
+        or_nothing(report.f_number, |n| format!("{}", (n * 10.0).round() / 10.0)),
+        or_nothing(report.iso, |s| format!("{s:.0}")),
+        stops(frame.relative_ev),
+        source.to_owned(),
+    ]
+}
+
+fn keypoint_row(frame: &FrameTable) -> Vec<String> {
+    let [plain, mtb, merged] = frame.features.kinds().map(|k| k.keypoints);
+    let gain = if plain == 0 { NOTHING.to_owned() } else { format!("{:.1}", merged as f64 / plain as f64) };
+    let counts = [plain, mtb, merged].map(|n| n.to_string());
+    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(counts).chain([gain]).collect()
+}
+
+fn match_row(frame: &FrameTable) -> Vec<String> {
+    let count = |n: Option<usize>| or_nothing(n, |n| n.to_string());
+    let cells = frame.features.kinds().into_iter().flat_map(|k| [count(k.matches), count(k.inliers)]);
+    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(cells).collect()
+}
+
+fn verdict_row(frame: &FrameTable) -> Vec<String> {
+    let word = |v: KindVerdict| match v {
+        KindVerdict::Agrees => "agrees".to_owned(),
+        KindVerdict::Differs => "differs".to_owned(),
+        KindVerdict::NoMotion => "no motion".to_owned(),
+        KindVerdict::NoPlace => "no place".to_owned(),
+    };
+    let cells = |k: &KindTable| [or_nothing(k.verdict, word), or_nothing(k.off_px, |d| format!("{d:.2}"))];
+    let kinds = frame.features.kinds().into_iter().flat_map(cells);
+    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(kinds).collect()
+}
+
+/// What became of a frame, in words.
+pub(super) fn status_word(status: Status) -> &'static str {
+    match status {
+        Status::Reference => "reference",
+        Status::Aligned => "aligned",
+        Status::Unmoved => "unmoved",
+        Status::Rejected => "left out",
+    }
+}
+
+fn place_row(frame: &FrameTable) -> Vec<String> {
+    let place = &frame.report.alignment;
+    let model = place.model.map(|m| match m {
+        Model::Unmoved => "none",
+        Model::Shift => "shift",
+        Model::Rigid => "rigid",
+        Model::Homography => "homography",
+    });
+    let shift = |axis: usize| or_nothing(place.shift_px, |s| format!("{:.2}", s[axis] + 0.0));
+    vec![
+        file_name(&frame.report.path),
+        status_word(place.status).to_owned(),
+        or_nothing(model, str::to_owned),
+        shift(0),
+        shift(1),
+        or_nothing(place.rotation_deg, |a| format!("{a:.3}")),
+        or_nothing(place.error_px, |e| format!("{e:.2}")),
+        format!("{:.2}", place.confidence),
+    ]
+}
+
+/// The percentile in words.
+fn percentile_word(percentile: Percentile) -> String {
+    match percentile.percent() {
+        50 => "median".into(),
+        n if n % 10 == 1 && n != 11 => format!("{n}st"),
+        n if n % 10 == 2 && n != 12 => format!("{n}nd"),
+        n if n % 10 == 3 && n != 13 => format!("{n}rd"),
+        n => format!("{n}th"),
+    }
+}
+
+fn bitmap_row(frame: &FrameTable) -> Vec<String> {
+    let mtb = &frame.mtb;
+    let percent = |share: f64| format!("{:.2}", 100.0 * share);
+    vec![
+        file_name(&frame.report.path),
+        percentile_word(mtb.percentile),
+        mtb.threshold_level.to_string(),
+        percent(mtb.excluded_share),
+        or_nothing(mtb.xor.as_ref(), |x| percent(x.before_share)),
+        or_nothing(mtb.xor.as_ref(), |x| percent(x.after_share)),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_aligned_whatever_is_in_them() {
+        let rows = [vec!["Zwölf.jpg".to_owned(), "7".into()], vec!["a".into(), "123456".into()]];
+        let text = columns(&["photograph", "n"], rows.into_iter());
+        assert_eq!(text, "photograph       n\n----------  ------\nZwölf.jpg        7\na           123456\n");
+    }
+
+    #[test]
+    fn times_and_stops_are_as_photographers_write_them() {
+        assert_eq!([1.0 / 512.0, 0.25, 0.5, 2.0, 32.0].map(shutter), ["1/512 s", "1/4 s", "0.5 s", "2 s", "32 s"]);
+        assert_eq!([-2.0, 0.0, -1e-12, 1.333].map(stops), ["-2.00", "0.00", "0.00", "+1.33"]);
+    }
+}
