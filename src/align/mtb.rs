@@ -115,23 +115,26 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
         let is_certain = pair.short_side() >= CERTAIN_SIDE || level == finest;
         let mut descent = Descent::new(&pair.reference, &pair.frame, max_angle);
         let rounds = if level == finest { MOST_ROUNDS } else { ROUNDS };
-        let alone = candidates.len() == 1;
-        let place = |&c: &Motion| {
-            if !is_certain {
-                return descent.walk(c);
-            }
-            // After the first such level a candidate is off by less than a pixel, but at first by as much as one.
-            let start = if alone { c } else { descent.walk(c).1 };
-            let settled = descent.settle(start, rounds);
-            (if alone { 0.0 } else { descent.rate(&settled, Rounding::Dithered) }, settled)
-        };
-        let placed = candidates.iter().map(place).collect();
-        let keep = if is_certain { 1 } else { (2 * candidates.len()).div_ceil(3) };
         let turn = 1.0 / descent.arm();
         let distinct = |a: &Motion, b: &Motion| {
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
         };
-        candidates = best_distinct(placed, keep, distinct);
+        if candidates.len() > 1 || !is_certain {
+            // One that is much worse by whole pixels is not made better by their fractions.
+            let walked: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.walk(c)).collect();
+            let least = walked.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
+            let near = walked.into_iter().filter(|(rate, _)| !is_certain || *rate <= HOPELESS * least).collect();
+            candidates = best_distinct(near, (2 * candidates.len()).div_ceil(3), distinct);
+        }
+        if is_certain {
+            for c in &mut candidates {
+                *c = descent.settle(*c, rounds);
+            }
+        }
+        if is_certain && candidates.len() > 1 {
+            let settled = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
+            candidates = best_distinct(settled, 1, distinct);
+        }
         if level == finest {
             return pair.conclude(&mut descent, candidates[0], level, reference.level(0));
         }
@@ -279,6 +282,9 @@ const RIVALS_SIDE: usize = 128;
 
 /// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
 const BEAM: usize = 9;
+
+/// A candidate of which so many times more differs than of the best is given up.
+const HOPELESS: f64 = 1.5;
 
 /// From a level of this short side on only the best is followed.
 const CERTAIN_SIDE: usize = 200;
