@@ -72,8 +72,10 @@ impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
     pub(super) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
-            let warp = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb).warp();
-            placed(&self.judged(i, warp), Found::default())
+            let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
+            let seen = self.judged(i, found.warp());
+            // Each sees errors that the other does not.
+            placed(&Candidate { error_px: seen.error_px.max(found.error_px), ..seen }, Found::default())
         })
     }
 
