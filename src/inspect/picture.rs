@@ -95,7 +95,8 @@ impl Photograph {
     }
 }
 
-/// What each grey level is shown as: white where the frame's brightest hundredth begins, and its median not too dark to see.
+/// What each grey level is shown as: white where the frame's brightest few pixels in a thousand begin, its median not too dark to see, and in
+/// a dark frame the camera's black level black.
 fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
     let mut counts = [0usize; 256];
     for &v in grey.as_slice() {
@@ -110,12 +111,13 @@ fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
         });
         found.unwrap_or(255) as f64
     };
-    let white = quantile(0.99).max(4.0);
-    let median = (quantile(0.5) / white).clamp(0.02, 1.0);
+    let white = quantile(0.998).max(4.0);
+    let black = if white < 128.0 { quantile(0.01).min(white - 2.0) } else { 0.0 };
+    let median = ((quantile(0.5) - black) / (white - black)).clamp(0.02, 1.0);
     let power = (libm::log(LEAST_MEDIAN) / libm::log(median)).clamp(0.45, 1.0);
     let power = if median >= LEAST_MEDIAN { 1.0 } else { power };
     let level = |v: usize| {
-        let share = libm::pow((v as f64 / white).min(1.0), power);
+        let share = libm::pow(((v as f64 - black) / (white - black)).clamp(0.0, 1.0), power);
         (DARKEST + (BRIGHTEST - DARKEST) * share).round() as u8
     };
     (std::array::from_fn(level), white < 200.0 || power < 1.0)
