@@ -19,6 +19,8 @@ const LEAST_CONFIDENCE: f64 = 0.35;
 const LEAST_VOICES: usize = 3;
 /// Confidence in a frame that says nothing itself, where all the others are unmoved.
 pub(super) const BY_COMPANY: f64 = 0.6;
+/// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
+const COMPANY_PX: f64 = 1.0;
 /// Fewest matches that make a motion: a homography needs four, chance may add as many.
 const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features that lead to places no farther apart bear each other out, in pixels of the full size for each 1000 of the
@@ -259,11 +261,13 @@ impl Search<'_> {
         Some(Base { pyramid, error_px: verdict.error_px.unwrap_or(0.0), confidence: verdict.confidence })
     }
 
-    /// A frame too dark or too bright to say anything is unmoved where all the others are: it stood on the same tripod.
+    /// A frame too dark or too bright to say anything is unmoved where all the others are, or as good as: it stood on the same tripod.
     fn keep_company(&self, verdicts: &mut [Verdict]) {
-        let still = verdicts.iter().filter(|v| v.status == Status::Unmoved).count();
-        let moved = verdicts.iter().any(|v| v.status == Status::Aligned);
-        if still == 0 || moved {
+        let (width, height) = self.size();
+        let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.warp);
+        let moves: Vec<f64> = others.map(|w| place::distance(&w, &Warp::Identity, width, height)).collect();
+        let farthest = moves.iter().copied().fold(0.0, f64::max);
+        if moves.is_empty() || farthest > COMPANY_PX {
             return;
         }
         for (i, verdict) in verdicts.iter_mut().enumerate() {
@@ -273,6 +277,7 @@ impl Search<'_> {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
                     *verdict = placed(&here, found);
                     verdict.confidence = verdict.confidence.max(BY_COMPANY);
+                    verdict.error_px = Some(here.error_px.max(farthest));
                 }
             }
         }
@@ -332,7 +337,7 @@ impl Pool {
     fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (base, best) = self.best()?;
         let rivals = self.rivals(base, best, |c| !alike(c, best));
-        let winner = rivals.into_iter().fold(best, |w, c| if c.survey.against(&w.survey) > 0.0 { c } else { w });
+        let winner = rivals.into_iter().fold(best, |w, c| if c.survey.against(&w.survey) > DECISIVE { c } else { w });
         Some((base, winner))
     }
 
@@ -354,7 +359,7 @@ impl Pool {
 
 /// A candidate rivals another where so many times as much speaks for it.
 const RIVALRY: f64 = 0.4;
-/// So many nats leave it undecided which is right.
+/// Fewer nats leave it undecided which is right.
 const DECISIVE: f64 = 2.0;
 
 fn why(candidate: Option<&Candidate>) -> String {
