@@ -5,8 +5,8 @@
 //! over the reference for the points.
 
 use super::common_exposure::{CommonExposure, Tones};
+use super::cubic::BORDER;
 use super::mtb::GreyPyramid;
-use super::refine::BORDER;
 use super::warp::Warp;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
@@ -17,7 +17,7 @@ const MEASURED_PIXELS: usize = 600_000;
 /// ... and the largest on which single points are compared: more add nothing but time.
 const REFINED_PIXELS: usize = 4_000_000;
 /// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which only lead to it.
-const CELLS: (f64, f64) = (10_000.0, 4_000.0);
+const CELLS: (f64, f64) = (16_000.0, 4_000.0);
 /// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one of the frames.
 const JITTER: f32 = 0.15;
 

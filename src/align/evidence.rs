@@ -302,7 +302,11 @@ mod tests {
         let [reference, frame] = pair(&Warp::Identity);
         let options = AlignOptions::default();
         let bitmaps = FrameBitmaps::new(&reference, &frame, &options);
-        let near = frame.level(0).as_slice().iter().filter(|v| v.abs_diff(bitmaps.threshold) <= options.mtb.exclusion);
+        let level = 0;
+        let (a, b) = (reference.histogram(level), frame.histogram(level));
+        let zone = matched_zones(a, b, bitmaps.percentile, options.mtb.exclusion).1;
+        assert_eq!(zone.threshold, bitmaps.threshold);
+        let near = frame.level(level).as_slice().iter().filter(|v| (zone.low..=zone.high).contains(v));
         let expected = near.count() as f64 / (SIZE.0 * SIZE.1) as f64;
         assert!((bitmaps.excluded_share() - expected).abs() < 1e-12 && bitmaps.scale == 1.0);
     }

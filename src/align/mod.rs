@@ -13,6 +13,7 @@ mod basis;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
+mod cubic;
 mod descent;
 pub mod evidence;
 mod feature_sets;

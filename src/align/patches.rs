@@ -5,7 +5,7 @@
 //! when a point leaves its patch.
 
 use super::comparison::{Comparison, Point, level_to_full};
-use super::refine::keys;
+use super::cubic::keys;
 use super::warp::map;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
@@ -146,8 +146,8 @@ fn cubic(patch: &Patch<SEEN>, u: f64, v: f64) -> Option<f32> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cubic;
     use super::super::mtb::GreyPyramid;
-    use super::super::refine;
     use super::super::scene::{Scene, Shot, rigid};
     use super::super::warp::Warp;
     use super::*;
@@ -180,7 +180,7 @@ mod tests {
             let mut compared = 0;
             for (p, r) in patches.points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
-                if let (Some(r), Some(f)) = (r, refine::cubic(&whole.frame, u, v)) {
+                if let (Some(r), Some(f)) = (r, cubic::cubic(&whole.frame, u, v)) {
                     // As above.
                     assert!((f - p.level - r).abs() < 1e-3);
                     compared += 1;

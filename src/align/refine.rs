@@ -2,23 +2,21 @@
 //!
 //! In: a [`Comparison`] of two frames and a warp that is about right. Out: the warp of a chosen model under which their pixels agree
 //! best, and how well the pixels determine it. Cost: two planes at a common exposure for each level up to
-//! [`measured_level`], then some 10,000 [`patches`](super::patches) of the finest; 0.1 us a point and step.
+//! [`measured_level`], then some 16,000 [`patches`](super::patches) of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
 use super::Model;
 use super::basis::Basis;
 use super::comparison::{Comparison, Point, measured_level, off_level, on_level};
+use super::cubic::cubic;
 use super::patches::Patches;
 use super::warp::{Warp, map};
-use crate::plane::Plane;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Steps at each level, at the most.
 const MOST_STEPS: usize = 12;
 /// A step that moves no corner by more than this ends the level, in pixels of the level: the finest, and those that only lead to it.
 const STILL: (f64, f64) = (0.005, 0.05);
-/// Pixels nearest the border that are not used: the reach of the derivative and of the interpolation.
-pub(super) const BORDER: usize = 3;
 /// Fewer points than this say nothing.
 const LEAST_POINTS: usize = 50;
 /// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
@@ -191,32 +189,6 @@ fn spread(points: &[Point], residuals: &[Option<f32>]) -> Option<f32> {
     let middle = absolutes.len() / 2;
     let (_, median, _) = absolutes.select_nth_unstable_by(middle, f32::total_cmp);
     Some((1.4826 * *median).max(0.5))
-}
-
-/// Keys' cubic convolution at (u, v); none within [`BORDER`] - 1 pixels of the border.
-pub(super) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
-    let margin = (BORDER - 1) as f64;
-    if !(u >= margin
-        && v >= margin
-        && u < plane.width() as f64 - 1.0 - margin
-        && v < plane.height() as f64 - 1.0 - margin)
-    {
-        return None;
-    }
-    let (x, y) = (u as usize, v as usize);
-    let (wx, wy) = (keys((u - x as f64) as f32), keys((v - y as f64) as f32));
-    let mut sum = 0.0;
-    for (j, w) in wy.iter().enumerate() {
-        let row = &plane.row(y + j - 1)[x - 1..x + 3];
-        sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
-    }
-    Some(sum)
-}
-
-/// Weights of the four samples about a place `t` of the way from the second to the third (Keys 1981, a = -1/2).
-pub(super) fn keys(t: f32) -> [f32; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
 }
 
 #[cfg(test)]

@@ -66,7 +66,7 @@ fn noise_about_a_threshold_makes_few_points() {
     let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };
     let points = |exclusion| sift::detect(&bitmap(&smooth, median, exclusion), &options).len();
     // The bitmap with hard edges is all speckles; one that goes over in proportion has less contrast than a speckle.
-    assert!(points(1) > 500 && points(4) * 4 < points(1), "{} {}", points(1), points(4));
+    assert!(points(1) > 200 && points(4) * 10 < points(1), "{} {}", points(1), points(4));
 }
 
 #[test]

@@ -11,6 +11,10 @@ use std::ops::Range;
 const CELLS: usize = 4;
 /// Directions in each.
 const BINS: usize = 8;
+/// Numbers of a cell while it is filled: one direction more, which is the first again.
+const CELL_BINS: usize = BINS + 1;
+/// Numbers of a row of cells while it is filled: one cell more at either end.
+const ROW: usize = (CELLS + 2) * CELL_BINS;
 /// Width of a cell, in units of the keypoint's scale.
 const CELL: f64 = 3.0;
 /// No entry of the normalised descriptor exceeds this: large gradients may be a matter of light.
@@ -35,7 +39,7 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
         (weights(columns.clone(), extremum.x, falloff), weights(rows.clone(), extremum.y, falloff));
     let mut gradients = Gradients::default();
     // One cell more on each side and one direction more, so that the spreading below needs no test.
-    let mut histogram = [[[0.0f32; BINS + 1]; CELLS + 2]; CELLS + 2];
+    let mut histogram = [0.0f32; (CELLS + 2) * ROW];
     for (y, weight_y) in rows.zip(weights_y) {
         let dy = (y as f64 - extremum.y) as f32;
         let inside = crossing(extremum.x, dy, (sin, cos), half + 0.5);
@@ -59,20 +63,27 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
             let (c, r, o) = (column as usize, row as usize, turn as usize);
             let (fc, fr, fo) = (column - c as f32, row - r as f32, turn - o as f32);
             let o = o % BINS;
-            for (i, wr) in [(0, 1.0 - fr), (1, fr)] {
-                for (j, wc) in [(0, 1.0 - fc), (1, fc)] {
-                    let w = weighted * wr * wc;
-                    let bins = &mut histogram[r + i][c + j];
-                    bins[o] += w * (1.0 - fo);
-                    bins[o + 1] += w * fo;
-                }
+            // Two rows, two cells and two directions: the last lies ROW + CELL_BINS + 1 after the first.
+            let at = r * ROW + c * CELL_BINS + o;
+            let Some(near) = histogram.get_mut(at..at + ROW + CELL_BINS + 2) else {
+                continue;
+            };
+            let (upper, lower) = (weighted * (1.0 - fr), weighted * fr);
+            for (w, k) in [
+                (upper * (1.0 - fc), 0),
+                (upper * fc, CELL_BINS),
+                (lower * (1.0 - fc), ROW),
+                (lower * fc, ROW + CELL_BINS),
+            ] {
+                near[k] += w * (1.0 - fo);
+                near[k + 1] += w * fo;
             }
         }
     }
     let mut vector = [0.0f32; CELLS * CELLS * BINS];
     for (i, v) in vector.iter_mut().enumerate() {
-        let bins = &histogram[1 + i / (CELLS * BINS)][1 + i / BINS % CELLS];
-        *v = bins[i % BINS] + if i % BINS == 0 { bins[BINS] } else { 0.0 };
+        let cell = (1 + i / (CELLS * BINS)) * ROW + (1 + i / BINS % CELLS) * CELL_BINS;
+        *v = histogram[cell + i % BINS] + if i % BINS == 0 { histogram[cell + BINS] } else { 0.0 };
     }
     normalise(&mut vector);
     vector.iter_mut().for_each(|v| *v = v.min(CLAMP));

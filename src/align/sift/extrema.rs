@@ -50,11 +50,16 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     let mut found = Vec::new();
     for (index, octave) in space.octaves.iter().enumerate() {
         for interval in 1..=options.intervals {
-            let height = octave.differences[interval].height();
+            let height = octave.gaussians[interval].height();
             let bands = map_bands(height, |rows| {
-                let (mut band, mut candidates) = (Vec::new(), Vec::new());
-                for y in rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER)) {
-                    find_in_row(space, index, interval, y, options, &mut candidates, &mut band);
+                let mut band = Vec::new();
+                let rows = rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER));
+                let mut window = Window::new(octave, interval);
+                for y in rows {
+                    window.go_to(y);
+                    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the contrast.
+                    window.mark((0.5 * options.contrast) as f32);
+                    find_in_row(space, index, interval, y, options, &window.candidates, &mut band);
                 }
                 band
             });
@@ -64,23 +69,65 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     found
 }
 
-/// Sets `candidates` to 1 where D of row `y` is larger than `least` and no smaller than its four neighbours in the plane, or the same
-/// below zero: a tenth of the samples is left for closer looks. Side by side and without a branch, so that the compiler takes four at a
-/// time.
-fn stands_out(plane: &Plane<f32>, y: usize, least: f32, candidates: &mut Vec<u8>) {
-    let width = plane.width();
-    candidates.clear();
-    candidates.resize(width, 0);
-    let n = width.max(2) - 2;
-    let (up, row, down) = (&plane.row(y - 1)[1..][..n], plane.row(y), &plane.row(y + 1)[1..][..n]);
-    let (left, here, right) = (&row[..n], &row[1..][..n], &row[2..][..n]);
-    let out = &mut candidates[1..][..n];
-    for i in 0..n {
-        let v = here[i];
-        let high = (v > least) & (v >= left[i]) & (v >= right[i]) & (v >= up[i]) & (v >= down[i]);
-        let low = (v < -least) & (v <= left[i]) & (v <= right[i]) & (v <= up[i]) & (v <= down[i]);
-        out[i] = u8::from(high | low);
+/// Three rows of D, and where the middle one may have an extremum.
+struct Window<'a> {
+    octave: &'a Octave,
+    interval: usize,
+    /// The row below the middle one, and what D is there, above it and in it.
+    next: Option<usize>,
+    up: Vec<f32>,
+    here: Vec<f32>,
+    down: Vec<f32>,
+    candidates: Vec<bool>,
+}
+
+impl<'a> Window<'a> {
+    fn new(octave: &'a Octave, interval: usize) -> Self {
+        let row = || vec![0.0; octave.gaussians[interval].width()];
+        let candidates = vec![false; octave.gaussians[interval].width()];
+        Window { octave, interval, next: None, up: row(), here: row(), down: row(), candidates }
     }
+
+    /// Makes `y`, not the first or the last row, the middle one.
+    fn go_to(&mut self, y: usize) {
+        let row = |y: usize, out: &mut [f32]| self.octave.difference_row(self.interval, y, out);
+        if self.next == Some(y) {
+            std::mem::swap(&mut self.up, &mut self.here);
+            std::mem::swap(&mut self.here, &mut self.down);
+        } else {
+            row(y - 1, &mut self.up);
+            row(y, &mut self.here);
+        }
+        row(y + 1, &mut self.down);
+        self.next = Some(y + 1);
+    }
+
+    /// Marks where D is larger than `least` and no smaller than its four neighbours in the plane, or the same below zero: few samples
+    /// are left for closer looks. Side by side and without a branch, so that the compiler takes four at a time.
+    fn mark(&mut self, least: f32) {
+        let n = self.here.len().max(2) - 2;
+        let (up, down) = (&self.up[1..][..n], &self.down[1..][..n]);
+        let (left, here, right) = (&self.here[..n], &self.here[1..][..n], &self.here[2..][..n]);
+        let out = &mut self.candidates[1..][..n];
+        for i in 0..n {
+            let v = here[i];
+            let high = larger(larger(left[i], right[i]), larger(larger(up[i], down[i]), least));
+            let low = smaller(smaller(left[i], right[i]), smaller(smaller(up[i], down[i]), -least));
+            out[i] = (v >= high) | (v <= low);
+        }
+    }
+}
+
+/// The larger, in one instruction.
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller, in one instruction.
+#[inline(always)]
+fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
 }
 
 fn find_in_row(
@@ -89,23 +136,18 @@ fn find_in_row(
     interval: usize,
     y: usize,
     options: &SiftOptions,
-    candidates: &mut Vec<u8>,
+    candidates: &[bool],
     found: &mut Vec<Extremum>,
 ) {
     let octave = &space.octaves[index];
-    let [below, here, above] = [-1, 0, 1].map(|d: isize| &octave.differences[interval.wrapping_add_signed(d)]);
-    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the contrast.
-    stands_out(here, y, (0.5 * options.contrast) as f32, candidates);
-    let width = here.width();
-    for x in (BORDER..width.saturating_sub(BORDER)).filter(|&x| candidates[x] != 0) {
-        let v = here.at(x, y);
+    for x in (BORDER..candidates.len().saturating_sub(BORDER)).filter(|&x| candidates[x]) {
+        let v = octave.difference(interval, x, y);
         let beats = |w: f32| if v > 0.0 { v >= w } else { v <= w };
-        let beside = |r: &[f32]| beats(r[x - 1]) && beats(r[x]) && beats(r[x + 1]);
-        let is_extremum =
-            [below, above, here].iter().all(|p| beside(p.row(y)) && beside(p.row(y - 1)) && beside(p.row(y + 1)));
+        let is_extremum = (interval - 1..=interval + 1)
+            .all(|i| (y - 1..=y + 1).all(|r| (x - 1..=x + 1).all(|c| beats(octave.difference(i, c, r)))));
         if is_extremum && let Some((interval, x, y, offset, value)) = localise(octave, interval, x, y, options) {
             let response = value.abs();
-            if response >= options.contrast && !is_edge(&octave.differences[interval], x, y, options.edge_ratio) {
+            if response >= options.contrast && !is_edge(octave, interval, x, y, options.edge_ratio) {
                 found.push(Extremum {
                     octave: index,
                     interval,
@@ -130,9 +172,8 @@ fn localise(
 ) -> Option<(usize, usize, usize, Vector3<f64>, f64)> {
     for _ in 0..MOST_MOVES {
         let d = |dx: isize, dy: isize, ds: isize| -> f64 {
-            octave.differences[interval.wrapping_add_signed(ds)]
-                .at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
-                .into()
+            let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
+            octave.difference(interval.wrapping_add_signed(ds), x, y).into()
         };
         let v = d(0, 0, 0);
         let gradient = 0.5 * Vector3::new(d(1, 0, 0) - d(-1, 0, 0), d(0, 1, 0) - d(0, -1, 0), d(0, 0, 1) - d(0, 0, -1));
@@ -158,7 +199,7 @@ fn localise(
         if offset.iter().any(|o| !o.is_finite() || o.abs() > 100.0) {
             return None;
         }
-        let plane = &octave.differences[interval];
+        let plane = &octave.gaussians[interval];
         let step = |i: usize, o: f64, low: usize, high: usize| -> Option<usize> {
             let moved = i as f64 + (o + 0.5).floor();
             (moved >= low as f64 && moved < high as f64).then_some(moved as usize)
@@ -171,9 +212,10 @@ fn localise(
 }
 
 /// Whether the principal curvatures differ by more than r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
-fn is_edge(difference: &Plane<f32>, x: usize, y: usize, r: f64) -> bool {
-    let d =
-        |dx: isize, dy: isize| -> f64 { difference.at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)).into() };
+fn is_edge(octave: &Octave, interval: usize, x: usize, y: usize, r: f64) -> bool {
+    let d = |dx: isize, dy: isize| -> f64 {
+        octave.difference(interval, x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)).into()
+    };
     let v = d(0, 0);
     let (xx, yy) = (d(1, 0) + d(-1, 0) - 2.0 * v, d(0, 1) + d(0, -1) - 2.0 * v);
     let xy = 0.25 * (d(1, 1) - d(-1, 1) - d(1, -1) + d(-1, -1));

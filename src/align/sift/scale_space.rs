@@ -9,10 +9,26 @@ const CAMERA_SIGMA: f64 = 0.5;
 /// Short side under which an octave holds no more extrema worth having, in pixels.
 const LEAST_SIDE: usize = 16;
 
-/// One octave: s + 3 Gaussians L and the s + 2 differences D between them.
+/// One octave: s + 3 Gaussians L. The s + 2 differences D between them are taken where they are looked at: to keep them would take as much
+/// memory again, and more time than to subtract.
 pub(super) struct Octave {
     pub(super) gaussians: Vec<Plane<f32>>,
-    pub(super) differences: Vec<Plane<f32>>,
+}
+
+impl Octave {
+    /// D at column `x` of row `y`, the difference of L at `interval + 1` and at `interval`.
+    #[inline]
+    pub(super) fn difference(&self, interval: usize, x: usize, y: usize) -> f32 {
+        self.gaussians[interval + 1].at(x, y) - self.gaussians[interval].at(x, y)
+    }
+
+    /// Row `y` of D.
+    pub(super) fn difference_row(&self, interval: usize, y: usize, out: &mut [f32]) {
+        let (smoother, sharper) = (self.gaussians[interval + 1].row(y), self.gaussians[interval].row(y));
+        for (d, (p, q)) in out.iter_mut().zip(smoother.iter().zip(sharper)) {
+            *d = p - q;
+        }
+    }
 }
 
 /// All octaves of a picture.
@@ -41,9 +57,8 @@ impl ScaleSpace {
                 gaussians.push(gaussian(&gaussians[gaussians.len() - 1], step));
                 reached = next;
             }
-            let differences = gaussians.windows(2).map(|pair| subtract(&pair[1], &pair[0])).collect();
             base = every_second(&gaussians[s]);
-            octaves.push(Octave { gaussians, differences });
+            octaves.push(Octave { gaussians });
         }
         ScaleSpace { octaves, intervals: s, sigma, first_step: if options.double { 0.5 } else { 1.0 } }
     }
@@ -57,12 +72,4 @@ impl ScaleSpace {
     pub(super) fn sigma_at(&self, interval: f64) -> f64 {
         self.sigma * libm::exp2(interval / self.intervals as f64)
     }
-}
-
-fn subtract(a: &Plane<f32>, b: &Plane<f32>) -> Plane<f32> {
-    Plane::from_rows(a.width(), a.height(), |y, row| {
-        for (d, (p, q)) in row.iter_mut().zip(a.row(y).iter().zip(b.row(y))) {
-            *d = p - q;
-        }
-    })
 }
