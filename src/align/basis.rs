@@ -25,6 +25,9 @@ pub(super) struct Basis {
     size: (usize, usize),
 }
 
+/// A number of a motion, the standard deviation it is known to have beforehand, and how it changes with the numbers of a step.
+type Known = (f64, f64, &'static [(usize, f64)]);
+
 impl Basis {
     pub(super) fn new(model: Model, width: usize, height: usize) -> Self {
         let half = |n: usize| n as f64 / 2.0;
@@ -78,7 +81,7 @@ impl Basis {
         if self.model != Model::Homography {
             return;
         }
-        let n = self.to_units() * h * self.from_units();
+        let n = self.to_units() * h * self.to_pixels();
         let n = n / n[(2, 2)];
         // The derivative at the centre, turned back: S = R(-phi) A, near the identity, and the perspective as it is.
         let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
@@ -91,8 +94,7 @@ impl Basis {
         let (cos, sin) = (sum / length, turn / length);
         let (s_xx, s_xy, s_yx, s_yy) =
             (cos * xx + sin * yx, cos * xy + sin * yy, cos * yx - sin * xx, cos * yy - sin * xy);
-        // Each is a number of `h`, and how it changes with the step's numbers d2..d7.
-        let known: [(f64, f64, &[(usize, f64)]); 5] = [
+        let known: [Known; 5] = [
             (0.5 * (s_xx + s_yy) - 1.0, SCALE, &[(2, 0.5), (5, 0.5)]),
             (0.5 * (s_xx - s_yy), STRETCH, &[(2, 0.5), (5, -0.5)]),
             (0.5 * (s_xy + s_yx), STRETCH, &[(3, 0.5), (4, 0.5)]),
@@ -117,7 +119,7 @@ impl Basis {
     }
 
     /// Back to pixels.
-    fn from_units(&self) -> Matrix3<f64> {
+    fn to_pixels(&self) -> Matrix3<f64> {
         let (cx, cy) = self.centre;
         Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0)
     }
@@ -139,7 +141,7 @@ impl Basis {
             }
             Model::Homography => Matrix3::new(1.0 + d[2], d[3], d[0], d[4], 1.0 + d[5], d[1], d[6], d[7], 1.0),
         };
-        self.from_units() * m * self.to_units()
+        self.to_pixels() * m * self.to_units()
     }
 
     /// The farthest that the motion `d` moves a corner, in pixels.

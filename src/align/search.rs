@@ -19,6 +19,10 @@ const LEAST_CONFIDENCE: f64 = 0.35;
 const LEAST_VOICES: usize = 3;
 /// Confidence in a frame that says nothing itself, where all the others are unmoved.
 pub(super) const BY_COMPANY: f64 = 0.6;
+/// ... and to places that are so many times as far apart are rivals.
+const RIVAL_APART: f64 = 3.0;
+/// With less trust in a place no number of tiles makes it one.
+const LEAST_TRUST: f64 = 0.25;
 /// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
 const COMPANY_PX: f64 = 1.0;
 /// Fewest matches that make a motion: a homography needs four, chance may add as many.
@@ -238,10 +242,13 @@ impl Search<'_> {
                 }
             }
         }
-        let Some((b, best)) = pool.winner(|a, b| alike(&a.warp, &b.warp)) else {
+        // What lies a few pixels off is the same place, known less well; a rival is another.
+        let same =
+            |a: &Candidate, b: &Candidate| place::distance(&a.warp, &b.warp, width, height) <= RIVAL_APART * near;
+        let Some((b, best)) = pool.winner(same) else {
             return rejected(why(None), 0.0, found);
         };
-        let doubt = pool.doubt((b, best), |c| !alike(&c.warp, &best.warp));
+        let doubt = pool.doubt((b, best), |c| !same(c, best));
         let best = Candidate { trust: best.trust * doubt, ..best.clone() };
         if !is_a_place(&best) {
             return rejected(why(Some(&best)), best.confidence(), found);
@@ -301,7 +308,8 @@ impl Base<'_> {
 fn is_a_place(candidate: &Candidate) -> bool {
     let agreement = &candidate.agreement;
     let unopposed = agreement.confirm >= LEAST_VOICES && agreement.contradict * 8 <= agreement.confirm;
-    candidate.confidence() >= LEAST_CONFIDENCE || (unopposed && candidate.error_px < candidate.tolerance_px)
+    candidate.confidence() >= LEAST_CONFIDENCE
+        || (unopposed && candidate.trust >= LEAST_TRUST && candidate.error_px < candidate.tolerance_px)
 }
 
 /// The places that were found for a frame, and the base against which each was.
@@ -332,16 +340,26 @@ impl Pool {
         any
     }
 
-    /// The best, or one held against the same base for which nearly as much speaks and which, of the tiles that speak under both, has
-    /// more on its side: under a shift by a facade's period other tiles lie outside the frame, and say nothing.
+    /// The best; or, where another held against the same base, for which nearly as much speaks, has decidedly more of the tiles on its
+    /// side that speak under both, the one that comes off best against all others. (Under a shift by a facade's period other tiles lie
+    /// outside the frame, and say nothing.)
     fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (base, best) = self.best()?;
-        let rivals = self.rivals(base, best, |c| !alike(c, best));
-        let winner = rivals.into_iter().fold(best, |w, c| if c.survey.against(&w.survey) > DECISIVE { c } else { w });
-        Some((base, winner))
+        let contenders = self.rivals(base, best, |_| true);
+        let worst_lead = |c: &Candidate| {
+            let others = contenders.iter().filter(|o| !alike(o, c));
+            others.map(|o| c.survey.against(&o.survey)).fold(f64::INFINITY, f64::min)
+        };
+        if worst_lead(best) >= -DECISIVE {
+            return Some((base, best));
+        }
+        let leads = contenders.iter().map(|c| (worst_lead(c), *c));
+        let winner = leads.reduce(|w, c| if c.0 > w.0 { c } else { w })?;
+        Some((base, winner.1))
     }
 
-    /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for.
+    /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for; `best` itself
+    /// may be.
     fn rivals(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = RIVALRY * best.evidence();
         let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
@@ -353,7 +371,7 @@ impl Pool {
     fn doubt(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
         let leads = self.rivals(base, best, others).into_iter().map(|c| best.survey.against(&c.survey));
         let lead = leads.fold(f64::INFINITY, f64::min);
-        if lead.is_infinite() { 1.0 } else { (lead / (lead + DECISIVE)).max(0.0) }
+        if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
     }
 }
 

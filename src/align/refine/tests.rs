@@ -3,6 +3,7 @@
 use super::super::mtb::GreyPyramid;
 use super::super::scene::{Scene, Shot, perspective, photograph, rigid, shift};
 use super::*;
+use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (400, 300);
 
