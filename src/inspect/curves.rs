@@ -44,7 +44,7 @@ pub(super) fn draw(title: &str, curves: &XorCurves, placed: bool) -> Drawing {
     ];
     let notes = format!(
         "Unmoved {:.2} % of the pixels that count in both bitmaps differ, under the motion {:.2} %. Each curve varies one number and keeps \
-         the two others. Within the inscribed circle, to the nearest pixel of the level.",
+         the two others. To the nearest pixel of the level.",
         100.0 * curves.before,
         100.0 * curves.after
     );

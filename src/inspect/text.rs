@@ -64,7 +64,7 @@ impl Tables {
         );
         add(
             "Table 6. Median threshold bitmaps",
-            "XOR: share of the pixels counting in both bitmaps, within the inscribed circle, that differ, unmoved and as aligned.",
+            "XOR: share of the pixels counting in both bitmaps that differ, unmoved and as aligned.",
             &["photograph", "percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );
