@@ -3,10 +3,11 @@
 //! In: a [`Bracket`]. Out: an [`Alignment`]: a [`Verdict`] for each frame, by the smallest [`Model`] that explains its motion, each
 //! straight to the reference. Cost: about a second of one core for a frame of 12 MP that settles at once, some times as much for one in doubt.
 //!
-//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]); the
-//! same against a neighbour in exposure, laid on the reference's grid, where the reference itself shows too little of what the frame
-//! shows; features ([`sift`] on the plain picture and on its bitmap); the bitmaps' other minima. What a stage finds is only ever a start
-//! for [`refine`], and only [`agreement`], which no stage optimises, says whether it is right.
+//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]), and by
+//! the tiles where these see it off; the same against a neighbour in exposure, laid on the reference's grid, where the reference itself
+//! shows too little of what the frame shows; features ([`sift`] on the plain picture and on its bitmaps); the bitmaps' other minima. What a
+//! stage finds is only ever a start for [`refine`]; [`agreement`] says whether it is right, and which of several is; of a picture that
+//! repeats itself all are asked for.
 
 pub mod agreement;
 mod basis;
