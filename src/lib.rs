@@ -37,7 +37,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`plane`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`write`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`mod@write`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!

@@ -118,11 +118,11 @@ pub enum Progress {
 /// See [`Error`]; the text names the file and the remedy.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
     in_pool(options.threads, || {
-        let taken = check_names(images, options)?;
-        let options = &with_transforms(options, taken.as_ref());
+        check_names(images, options)?;
+        let (options, taken) = &with_transforms(options)?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
-        check_transforms(&bracket, taken.as_ref(), options)?;
+        check_taken(taken, &bracket)?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
@@ -130,7 +130,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
-        report.transforms_from = taken.and(options.transforms.clone()).map(|p| p.to_string_lossy().into_owned());
+        report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
         let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
@@ -145,15 +145,15 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
 /// See [`Error`].
 pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
     in_pool(options.threads, || {
-        let taken = check_names(images, options)?;
-        let options = &with_transforms(options, taken.as_ref());
+        check_names(images, options)?;
+        let (options, taken) = &with_transforms(options)?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
-        check_transforms(&bracket, taken.as_ref(), options)?;
+        check_taken(taken, &bracket)?;
         let alignment = line.align(&bracket, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
-        report.transforms_from = taken.and(options.transforms.clone()).map(|p| p.to_string_lossy().into_owned());
+        report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         let files = line.write(&bracket, &alignment, region, None, options)?;
         line.report(&mut report, files, options)?;
         Ok(report)
@@ -262,8 +262,8 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
     pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)
 }
 
-/// Whether everything asked for can be written, before any work is done; and the transforms that are there already.
-fn check_names(images: &[PathBuf], options: &Options) -> Result<Option<SavedAlignment>> {
+/// Whether everything asked for can be written, before any work is done.
+fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
@@ -271,40 +271,39 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<Option<SavedAlig
     let mut files = options.outputs.clone();
     files.extend(options.save_response.clone());
     files.extend(options.report.clone());
+    files.extend(options.transforms.clone().filter(|path| !path.exists()));
     if let Some(prefix) = &options.save_aligned {
         files.extend(aligned::names(prefix, images)?);
     }
-    let there = options.transforms.as_ref().filter(|path| path.exists());
-    if there.is_none() {
-        files.extend(options.transforms.clone());
-    }
-    write::check_targets(&files, images, options.write.overwrite)?;
-    there.map(|path| SavedAlignment::read(path)).transpose()
+    write::check_targets(&files, images, options.write.overwrite)
 }
 
-/// `options` with the reference and the places of `taken`, where the user does not say otherwise.
-fn with_transforms(options: &Options, taken: Option<&SavedAlignment>) -> Options {
+/// Transforms that were there already, and their file.
+type Taken = Option<(PathBuf, SavedAlignment)>;
+
+/// `options` with the reference and the places of the file of transforms, where there is one and the user does not say otherwise; then
+/// there is none to be written.
+fn with_transforms(options: &Options) -> Result<(Options, Taken)> {
     let mut options = options.clone();
-    if let Some(saved) = taken {
-        let is_open = match &options.load.reference {
-            ReferenceChoice::Auto => true,
-            ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),
-            ReferenceChoice::Number(_) | ReferenceChoice::File(_) => false,
-        };
-        if is_open {
-            options.load.reference = ReferenceChoice::File(saved.reference.clone());
-        }
-        options.align.given.extend(saved.frames.iter().cloned());
+    let Some(path) = options.transforms.take_if(|path| path.exists()) else {
+        return Ok((options, None));
+    };
+    let saved = SavedAlignment::read(&path)?;
+    let is_open = match &options.load.reference {
+        ReferenceChoice::Auto => true,
+        ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),
+        ReferenceChoice::Number(_) | ReferenceChoice::File(_) => false,
+    };
+    if is_open {
+        options.load.reference = ReferenceChoice::File(saved.reference.clone());
     }
-    options
+    options.align.given.extend(saved.frames.iter().cloned());
+    Ok((options, Some((path, saved))))
 }
 
-/// Whether the transforms taken from a file are of `bracket`.
-fn check_transforms(bracket: &Bracket, taken: Option<&SavedAlignment>, options: &Options) -> Result<()> {
-    match (taken, &options.transforms) {
-        (Some(saved), Some(path)) => saved.check(bracket, path),
-        _ => Ok(()),
-    }
+/// Whether the transforms that were taken are of `bracket`.
+fn check_taken(taken: &Taken, bracket: &Bracket) -> Result<()> {
+    taken.as_ref().map_or(Ok(()), |(path, saved)| saved.check(bracket, path))
 }
 
 /// Whether there is more to merge than the reference.
@@ -416,7 +415,7 @@ impl<'a> Line<'a> {
                     files.push(write::text(path, &saved.to_json())?);
                 }
             }
-            if let Some(path) = options.transforms.as_ref().filter(|path| !path.exists()) {
+            if let Some(path) = &options.transforms {
                 files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
             }
             if let Some(prefix) = &options.save_aligned {

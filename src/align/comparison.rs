@@ -106,6 +106,8 @@ pub struct Comparison<'a> {
     start: Matrix3<f64>,
     tones: Vec<OnceLock<Tones>>,
     levels: Vec<OnceLock<Level>>,
+    /// See [`fine_points`](Self::fine_points).
+    fine_points: OnceLock<Vec<Point>>,
 }
 
 impl<'a> Comparison<'a> {
@@ -114,7 +116,7 @@ impl<'a> Comparison<'a> {
         let start = start.matrix(reference.level(0).width(), reference.level(0).height());
         let tones = (0..reference.len()).map(|_| OnceLock::new()).collect();
         let levels = (0..reference.len()).map(|_| OnceLock::new()).collect();
-        Comparison { reference, frame, start, tones, levels }
+        Comparison { reference, frame, start, tones, levels, fine_points: OnceLock::new() }
     }
 
     /// The reference.
@@ -132,6 +134,11 @@ impl<'a> Comparison<'a> {
     pub fn tones(&self, i: usize) -> &Tones {
         let h = || on_level(&self.start, i);
         self.tones[i].get_or_init(|| Tones::between(self.reference.level(i), self.frame.level(i), &h()))
+    }
+
+    /// The points of [`finest_level`]: what `choose` gives, which is asked once.
+    pub(super) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
+        self.fine_points.get_or_init(choose)
     }
 
     /// Width and height of the frames.

@@ -138,8 +138,9 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the votes leave open of a shift and a
-    /// rotation, and what they would still change about it if they could agree on any homography, less what chance makes of that.
+    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the votes leave
+    /// open of a shift and a rotation, and what they would still change about it if they could agree on any homography, less what chance
+    /// makes of that.
     pub(super) fn judge(&mut self, motion: &Motion) -> (Difference, f64) {
         let votes = self.votes(motion);
         let difference = difference_shifted(self.reference, &self.laid, 0, 0);

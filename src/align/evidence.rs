@@ -1,12 +1,12 @@
 //! Evidence: what the bitmaps and the features of a frame say of its place, for people to look at.
 //!
 //! In: the grey pyramids of the reference and a frame, and the place that was found. Out: the bitmaps with the share of pixels that
-//! differ as the frame is turned and shifted; the keypoints; the matches of each kind of keypoint and whether RANSAC believes them.
+//! differ as the frame is turned and shifted; the keypoints; the matches of each kind of keypoint and whether the robust method believes them.
 //! Cost: that of both methods run to the end, some tenths of a second a frame. Nothing here decides anything: that is [`align`](super::align)'s.
 //! Source: Ward 2003, section 2; Lowe 2004, section 7.1; Tables 4.1 to 4.3 of the thesis, which hold plain, bitmap and merged keypoints
 //! against each other.
 
-use super::bitmap::{ThresholdBitmaps, difference_shifted};
+use super::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
 use super::comparison::{level_to_full, measured_level};
 use super::feature_sets::{self, FeatureSets};
 use super::features::{Features, Keypoint};
@@ -14,8 +14,8 @@ use super::homography::Pair;
 use super::lay::{Motion, Rounding};
 use super::mtb::{self, GreyPyramid};
 use super::place;
-use super::ransac::{self, RansacOptions};
-use super::threshold::{Percentile, common_percentile, matched_zones};
+use super::ransac::RansacOptions;
+use super::threshold::Percentile;
 use super::warp::{Warp, map};
 use super::{AlignOptions, KeypointCounts};
 use nalgebra::Matrix3;
@@ -26,8 +26,8 @@ use rayon::prelude::*;
 pub struct FrameBitmaps {
     /// The threshold's percentile.
     pub percentile: Percentile,
-    /// The threshold, a grey level.
-    pub threshold: u8,
+    /// The threshold, and the grey levels about it that do not count.
+    pub zone: Zone,
     /// What is brighter, and what counts.
     pub bitmaps: ThresholdBitmaps,
     /// Pixels of the full size along a pixel of the bitmaps.
@@ -37,19 +37,19 @@ pub struct FrameBitmaps {
 impl FrameBitmaps {
     /// The bitmaps of `frame` at the percentile at which it is compared with `reference`; that of the reference is its own.
     pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
-        Self::pair(reference, frame, options)[1].clone()
+        let [_, frame] = Self::pair(reference, frame, options);
+        frame
     }
 
-    /// The bitmaps of both, cut at the same radiance.
+    /// The bitmaps of both, as the search has them on the level on which frames are compared.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
-        let (a, b) = (reference.histogram(level), frame.histogram(level));
-        let percentile = common_percentile(a, b, options.mtb.exclusion);
-        let zones = matched_zones(a, b, percentile, options.mtb.exclusion);
-        [(reference, zones.0), (frame, zones.1)].map(|(pyramid, zone)| FrameBitmaps {
-            percentile,
-            threshold: zone.threshold,
-            bitmaps: ThresholdBitmaps::new(pyramid.level(level), &zone),
+        let pair = mtb::Pair::new(reference, frame, level, options.mtb.exclusion);
+        let [a, b] = pair.zones;
+        [(pair.reference, a), (pair.frame, b)].map(|(bitmaps, zone)| FrameBitmaps {
+            percentile: pair.percentile,
+            zone,
+            bitmaps,
             scale: (1u64 << level) as f64,
         })
     }
@@ -227,27 +227,27 @@ impl FrameFeatures {
 pub struct Matching {
     /// The reference's place and the frame's, in pixels of the full size.
     pub pairs: Vec<Pair>,
-    /// Whether RANSAC believes each.
+    /// Whether the robust method believes each.
     pub inlier: Vec<bool>,
     /// The motion that those agree on.
     pub warp: Option<Warp>,
 }
 
 impl Matching {
-    /// How many RANSAC believes.
+    /// How many it believes.
     pub fn inliers(&self) -> usize {
         self.inlier.iter().filter(|i| **i).count()
     }
 }
 
-/// Matches keypoints, by [`FeatureKind`], and asks RANSAC: once, by the ratio alone, without the help that [`align`](super::align) gives.
+/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that [`align`](super::align) gives.
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
     let of = |kind| feature_sets::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
     let pairs = [FeatureKind::Plain, FeatureKind::Mtb, FeatureKind::Merged].map(of);
     let in_full = RansacOptions { threshold: options.ransac.threshold * to_full[(0, 0)], ..options.ransac.clone() };
     pairs.map(|pairs| {
-        let found = ransac::search(&pairs, &in_full);
+        let found = feature_sets::agreed(&pairs, &in_full, options.robust);
         let mut inlier = vec![false; pairs.len()];
         for &i in found.iter().flat_map(|f| &f.inliers) {
             inlier[i] = true;
@@ -264,6 +264,7 @@ pub fn distance_px(a: &Warp, b: &Warp, size: (usize, usize)) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::ransac::distance_squared;
     use crate::align::scene::{Scene, Shot, rigid};
 
     const SIZE: (usize, usize) = (420, 300);
@@ -302,11 +303,8 @@ mod tests {
         let [reference, frame] = pair(&Warp::Identity);
         let options = AlignOptions::default();
         let bitmaps = FrameBitmaps::new(&reference, &frame, &options);
-        let level = 0;
-        let (a, b) = (reference.histogram(level), frame.histogram(level));
-        let zone = matched_zones(a, b, bitmaps.percentile, options.mtb.exclusion).1;
-        assert_eq!(zone.threshold, bitmaps.threshold);
-        let near = frame.level(level).as_slice().iter().filter(|v| (zone.low..=zone.high).contains(v));
+        let zone = bitmaps.zone;
+        let near = frame.level(0).as_slice().iter().filter(|v| (zone.low..=zone.high).contains(v));
         let expected = near.count() as f64 / (SIZE.0 * SIZE.1) as f64;
         assert!((bitmaps.excluded_share() - expected).abs() < 1e-12 && bitmaps.scale == 1.0);
     }
@@ -321,9 +319,9 @@ mod tests {
         let inliers = [&plain, &mtb, &merged].map(Matching::inliers);
         assert!(inliers[0] >= 10 && inliers[1] >= 10 && inliers[2] >= inliers[0], "{inliers:?}");
         let h = truth.matrix(SIZE.0, SIZE.1);
-        let off = |p: &Pair| ransac::distance_squared(&h, p).sqrt();
+        let off = |p: &Pair| distance_squared(&h, p).sqrt();
         for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {
-            // Within the threshold of RANSAC's motion, which is itself off by less than a pixel.
+            // Within the threshold of the motion found, which is itself off by less than a pixel.
             assert!(!inlier || off(pair) < options.ransac.threshold + 1.0);
         }
         assert!(distance_px(&truth, &merged.warp.unwrap(), SIZE) < 1.0);

@@ -176,10 +176,7 @@ pub(super) fn by_matches(
 ) -> Option<Consensus> {
     let pixel = to_full[(0, 0)];
     let in_full = RansacOptions { threshold: options.ransac.threshold * pixel, ..options.ransac.clone() };
-    let search = |matches: &Matches| match options.robust {
-        RobustMethod::Ransac => ransac::search(&matches.pairs, &in_full),
-        RobustMethod::Lmeds => lmeds::search(&matches.pairs, &in_full),
-    };
+    let search = |matches: &Matches| agreed(&matches.pairs, &in_full, options.robust);
     let mut matches = Matches::new(reference, frame, to_full, options.ratio, None);
     let mut best = search(&matches)?;
     if best.inliers.len() < LEAST_GUIDES {
@@ -194,6 +191,14 @@ pub(super) fn by_matches(
         }
     }
     Some(matches.settle(best, pixel))
+}
+
+/// The motion on which most of `pairs` agree, by `method`.
+pub(super) fn agreed(pairs: &[Pair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
+    match method {
+        RobustMethod::Ransac => ransac::search(pairs, options),
+        RobustMethod::Lmeds => lmeds::search(pairs, options),
+    }
 }
 
 /// Where fewer agree it may be by chance, and a guide made of them would find others that do.

@@ -1,7 +1,8 @@
 //! Alignment: where every frame's pixels lie in the reference, and how sure that is.
 //!
 //! In: a [`Bracket`]. Out: an [`Alignment`]: a [`Verdict`] for each frame, by the smallest [`Model`] that explains its motion, each
-//! straight to the reference. Cost: about a second of one core for a frame of 12 MP that settles at once, some times as much for one in doubt.
+//! straight to the reference. Cost: some 0.1 s of one core for a frame of 1.5 MP that settles at once, up to ten times as much for one in doubt;
+//! 0.3 s for one of 8 MP.
 //!
 //! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]), and by
 //! the tiles where these see it off; the same against a neighbour in exposure, laid on the reference's grid, where the reference itself
@@ -60,7 +61,7 @@ pub enum AlignMode {
     Auto,
     /// Median threshold bitmaps alone: shift and rotation.
     Mtb,
-    /// SIFT on the plain picture and its bitmap, and RANSAC: a homography.
+    /// SIFT on the plain picture and its bitmaps, and a robust fit ([`RobustMethod`]): a homography.
     Sift,
     /// None: the frames are taken as they lie.
     None,
@@ -327,6 +328,7 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
         match verdict.status {
+            // Only the user's own word is as sure as that: nothing to tell.
             Status::Rejected if verdict.confidence == 1.0 => {}
             Status::Rejected => {
                 let reason = verdict.reason.clone().unwrap_or_default();

@@ -9,8 +9,7 @@
 use super::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
 use super::descent::{Descent, LEAST_COMPARED};
 use super::lay::{Motion, Rounding};
-pub use super::threshold::{Histogram, Percentile, common_percentile, own_percentile};
-use super::threshold::{common_histograms, matched_zones};
+use super::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
 use super::warp::Warp;
 use crate::plane::Plane;
 use crate::pyramid;
@@ -176,15 +175,17 @@ pub fn rivals(
     found.into_iter().map(|m| Motion { dx: m.dx * scale, dy: m.dy * scale, ..m }).collect()
 }
 
-/// The bitmaps of two frames at one level.
-struct Pair {
-    reference: ThresholdBitmaps,
-    frame: ThresholdBitmaps,
-    percentile: Percentile,
+/// The bitmaps of two frames at one level, cut at the same radiance.
+pub(super) struct Pair {
+    pub(super) reference: ThresholdBitmaps,
+    pub(super) frame: ThresholdBitmaps,
+    pub(super) percentile: Percentile,
+    /// Where each was cut.
+    pub(super) zones: [Zone; 2],
 }
 
 impl Pair {
-    fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
+    pub(super) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
         let exclusion = exclusion_at(level, exclusion);
         let histograms = (reference.histogram(level), frame.histogram(level));
         Pair::cut(reference.level(level), frame.level(level), histograms, exclusion)
@@ -198,6 +199,7 @@ impl Pair {
             reference: ThresholdBitmaps::new(reference, &zones.0),
             frame: ThresholdBitmaps::new(frame, &zones.1),
             percentile,
+            zones: [zones.0, zones.1],
         }
     }
 

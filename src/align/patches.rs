@@ -1,10 +1,10 @@
 //! Patches: the finest level of a large picture, only where it is looked at.
 //!
-//! In: a [`Comparison`], and points chosen on a coarser level. Out: points of the finest level, one near each of them, and the frame's
-//! level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
+//! In: a [`Comparison`], with its points on the level on which agreement is measured. Out: points of the finest level, one near each of
+//! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
-use super::comparison::{Comparison, Point, level_to_full};
+use super::comparison::{Comparison, Point, finest_level, level_to_full, measured_level};
 use super::cubic::keys;
 use super::warp::map;
 use crate::plane::Plane;
@@ -59,17 +59,11 @@ impl<const N: usize> Patch<N> {
     }
 }
 
-/// Points of the finest level with what surrounds them in both frames.
-#[derive(Debug)]
-pub struct Patches {
-    /// The points, in pixels of the finest level.
-    pub points: Vec<Point>,
-    seen: Vec<Option<Patch<SEEN>>>,
-}
-
-impl Patches {
-    /// Near each of the points of level `from`, the point of level `to` (from > to) that says most about where it is.
-    pub fn new(pair: &Comparison, from: usize, to: usize) -> Self {
+/// Near each of the points of the level on which agreement is measured, the point of the finest level, which is larger, that says most
+/// about where it is.
+pub(super) fn points<'a>(pair: &'a Comparison) -> &'a [Point] {
+    pair.fine_points(|| {
+        let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
         let (plane, tones) = (pair.reference().level(to), pair.tones(to));
         let finer = level_to_full(from - to);
         let chosen = pair.level(from).points.iter().filter_map(|p| {
@@ -83,15 +77,26 @@ impl Patches {
                 Point::new((patch.left + i, patch.top + j), v[j][i], around, tones)
             })
         });
-        let points: Vec<Point> = chosen.collect();
-        Patches { seen: vec![None; points.len()], points }
+        chosen.collect()
+    })
+}
+
+/// What the frame shows near its places of the points, on the finest level; read when it is first looked at.
+#[derive(Debug)]
+pub(super) struct Patches(Vec<Option<Patch<SEEN>>>);
+
+impl Patches {
+    /// None read yet, for so many points.
+    pub(super) fn unread(points: usize) -> Self {
+        Patches(vec![None; points])
     }
 
     /// The frame's level less the reference's at every point under `h`; none where the frame does not reach.
-    pub fn residuals(&mut self, pair: &Comparison, level: usize, h: &Matrix3<f64>, out: &mut Vec<Option<f32>>) {
+    pub(super) fn residuals(&mut self, pair: &Comparison, h: &Matrix3<f64>, out: &mut Vec<Option<f32>>) {
+        let level = finest_level(pair.reference());
         let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
         out.clear();
-        out.extend(self.points.iter().zip(&mut self.seen).map(|(p, seen)| {
+        out.extend(points(pair).iter().zip(&mut self.0).map(|(p, seen)| {
             let (u, v) = map(h, p.x, p.y);
             if let Some(level) = seen.as_ref().and_then(|patch| cubic(patch, u, v)) {
                 return Some(level - p.level);
@@ -152,7 +157,8 @@ mod tests {
     use super::super::warp::Warp;
     use super::*;
 
-    const SIZE: (usize, usize) = (400, 300);
+    /// Large enough for the finest level to be below that of agreement.
+    const SIZE: (usize, usize) = (1000, 700);
 
     fn pair() -> (GreyPyramid, GreyPyramid, Warp) {
         let truth = rigid(2.3, -1.6, 0.4);
@@ -165,9 +171,10 @@ mod tests {
         let (reference, frame, truth) = pair();
         let pair = Comparison::new(&reference, &frame, &truth);
         let whole = &pair.level(0).both;
-        let mut patches = Patches::new(&pair, 1, 0);
-        assert!(patches.points.len() > 3000, "{}", patches.points.len());
-        for p in &patches.points {
+        let points = points(&pair);
+        let mut patches = Patches::unread(points.len());
+        assert!(points.len() > 3000, "{}", points.len());
+        for p in points {
             // The same sums, along before down, of values below 256.
             assert!((p.level - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
@@ -176,9 +183,9 @@ mod tests {
         // Twice: from new patches, and from those that are there; then from such as must be read again.
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for h in [h, h, away] {
-            patches.residuals(&pair, 0, &h, &mut out);
+            patches.residuals(&pair, &h, &mut out);
             let mut compared = 0;
-            for (p, r) in patches.points.iter().zip(&out) {
+            for (p, r) in points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (Some(r), Some(f)) = (r, cubic::cubic(&whole.frame, u, v)) {
                     // As above.
@@ -186,7 +193,7 @@ mod tests {
                     compared += 1;
                 }
             }
-            assert!(compared * 10 > 9 * patches.points.len(), "{compared}");
+            assert!(compared * 10 > 9 * points.len(), "{compared}");
         }
     }
 

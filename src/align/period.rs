@@ -5,28 +5,26 @@
 //! about half its pixels, or by less and less towards there; a facade hardly differs at its period, and much half-way.
 
 use super::bitmap::difference_shifted;
-use super::mtb::{GreyPyramid, own_percentile};
+use super::mtb::{GreyPyramid, MtbOptions};
+use super::threshold::own_percentile;
 
 /// Short side of the level that is looked at: fine enough for the windows of a facade.
 const SIDE: usize = 256;
-/// Shifts up to this share of the long side are tried; a frame is not farther off.
-const REACH: f64 = 0.15;
 /// At its period a picture differs by no more than this share of what it does on the way there.
 const ALIKE: f64 = 0.6;
 /// Shifts smaller than this are not told apart from none, in pixels of the level.
 const LEAST: i64 = 5;
 /// Where the picture differs from itself by less than this on the way, it is plain rather than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;
-/// Pixels nearer to the threshold than this do not count (Ward: 4).
-const EXCLUSION: u8 = 4;
 
-/// Whether `picture` looks the same again, shifted by more than a few pixels.
-pub(super) fn repeats(picture: &GreyPyramid) -> bool {
+/// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames sought.
+pub(super) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     let fits = |i: &usize| picture.level(*i).width().min(picture.level(*i).height()) < SIDE;
     let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);
     let plane = picture.level(level);
-    let bitmaps = picture.bitmaps(level, own_percentile(picture.histogram(level), EXCLUSION), EXCLUSION);
-    let reach = (REACH * plane.width().max(plane.height()) as f64) as i64;
+    let bitmaps =
+        picture.bitmaps(level, own_percentile(picture.histogram(level), options.exclusion), options.exclusion);
+    let reach = (options.max_shift * plane.width().max(plane.height()) as f64) as i64;
     // Shifts by d and by -d compare the same pixels.
     let side = (2 * reach + 1) as usize;
     let rate = |dx: i64, dy: i64| difference_shifted(&bitmaps, &bitmaps, dx, dy).rate();
@@ -61,24 +59,28 @@ mod tests {
             let taken = |radiance: &(dyn Fn(f64, f64) -> f64 + Sync)| {
                 GreyPyramid::new(photograph(SIZE, &Warp::Identity, Shot::at(0.0), radiance))
             };
-            assert!(!repeats(&taken(&|x, y| scene.radiance(x, y))), "{seed}");
+            assert!(!repeats(&taken(&|x, y| scene.radiance(x, y)), &MtbOptions::default()), "{seed}");
             // A skyline looks much the same a little to the side, and more so the less it is shifted.
             assert!(
-                !repeats(&taken(&|x, y| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) })),
+                !repeats(
+                    &taken(&|x, y| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) }),
+                    &MtbOptions::default()
+                ),
                 "{seed}"
             );
             let facade = |x: f64, y: f64| {
                 let wall = x > 60.0;
                 if wall { scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)) } else { scene.radiance(x, y) }
             };
-            assert!(repeats(&taken(&facade)), "{seed}");
+            assert!(repeats(&taken(&facade), &MtbOptions::default()), "{seed}");
         }
     }
 
     #[test]
     fn nothing_does_not_repeat() {
         for (width, height) in [(1, 1), (3, 200), (300, 200)] {
-            assert!(!repeats(&GreyPyramid::new(crate::plane::Plane::filled(width, height, 77))));
+            let plain = GreyPyramid::new(crate::plane::Plane::filled(width, height, 77));
+            assert!(!repeats(&plain, &MtbOptions::default()));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Placing one frame: from the bitmaps, from features, from a neighbour; judged by the pixels; reduced to the smallest model that does.
 //!
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
-//! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`agreement::measure`] for each start.
+//! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
 use super::Model;
 use super::agreement::{Agreement, Survey, survey};
@@ -27,9 +27,7 @@ const UNMOVED_PX: f64 = 0.2;
 pub(super) struct Candidate {
     /// Reference pixel -> frame pixel.
     pub(super) warp: Warp,
-    /// The tiles' opinion.
-    pub(super) agreement: Agreement,
-    /// ... each by itself.
+    /// The tiles' opinion, all together and each by itself.
     pub(super) survey: Arc<Survey>,
     /// What noise leaves, and what the tiles see, in pixels of the full size.
     pub(super) error_px: f64,
@@ -46,10 +44,15 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
+    /// The tiles' opinion, all together.
+    pub(super) fn agreement(&self) -> &Agreement {
+        &self.survey.agreement
+    }
+
     /// 0..=1: how much the tiles speak for it, less where they see it off by half a pixel or more.
     pub(super) fn confidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
-        let tiles = self.agreement.share() * self.agreement.coverage();
+        let tiles = self.agreement().share() * self.agreement().coverage();
         let word = if self.corroborated { tiles.max(TWO_WITNESSES) } else { tiles };
         self.trust * word / (1.0 + off * off)
     }
@@ -57,14 +60,14 @@ impl Candidate {
     /// How much speaks for it against others: the tiles that do, less those that speak against it.
     pub(super) fn evidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
-        let tiles = self.agreement.confirm as f64 - self.agreement.contradict as f64;
+        let tiles = self.agreement().confirm as f64 - self.agreement().contradict as f64;
         self.trust * tiles / (1.0 + off * off)
     }
 
     /// Whether nothing more need be tried: nearly all tiles confirm, many of them, and none of them is off.
     pub(super) fn is_settled(&self) -> bool {
-        let spoke = self.agreement.confirm + self.agreement.contradict;
-        self.agreement.confirm >= 12 && self.agreement.contradict * 40 <= spoke && self.error_px < 0.5
+        let spoke = self.agreement().confirm + self.agreement().contradict;
+        self.agreement().confirm >= 12 && self.agreement().contradict * 40 <= spoke && self.error_px < 0.5
     }
 }
 
@@ -178,7 +181,7 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
     let h = on_level(&warp.matrix(width, height), level);
     let both = &pair.level(level).both;
     let survey = survey(both, &h);
-    let fit = tile_fit::fit(&survey, &h, Model::Homography, (both.reference.width(), both.reference.height()));
+    let fit = tile_fit::fit(&survey, &h, (both.reference.width(), both.reference.height()));
     let diagonal = ((width * width + height * height) as f64).sqrt();
     let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
     // What is beyond the tiles' own error is the warp's.
@@ -188,10 +191,8 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
     };
     let seen_px = level_to_full(level)[(0, 0)] * seen;
     let error_px = (noise_px * noise_px + seen_px * seen_px).sqrt();
-    let agreement = survey.agreement;
     let candidate = Candidate {
         warp,
-        agreement,
         survey: Arc::new(survey),
         error_px,
         seen_px,
@@ -254,7 +255,7 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
     let still = distance(&whole.warp, &Warp::Identity, width, height);
     if still <= UNMOVED_PX.max(whole.error_px) {
         let unmoved = opinion(Warp::Identity, 0.0, still);
-        if unmoved.agreement.share() >= whole.agreement.share() - 0.02 {
+        if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
             return Candidate { error_px, ..unmoved };
         }
@@ -278,8 +279,8 @@ pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
             // What the whole could not tell from this, this cannot either.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
             let candidate = opinion(smaller.warp, noise_px, apart);
-            if candidate.agreement.share() >= whole.agreement.share() - 0.02
-                && candidate.agreement.offset <= whole.agreement.offset + 0.01
+            if candidate.agreement().share() >= whole.agreement().share() - 0.02
+                && candidate.agreement().offset <= whole.agreement().offset + 0.01
             {
                 return candidate;
             }

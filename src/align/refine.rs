@@ -2,14 +2,14 @@
 //!
 //! In: a [`Comparison`] of two frames and a warp that is about right. Out: the warp of a chosen model under which their pixels agree
 //! best, and how well the pixels determine it. Cost: two planes at a common exposure for each level up to
-//! [`measured_level`], then some 16,000 [`patches`](super::patches) of the finest; 0.1 us a point and step.
+//! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
 use super::Model;
 use super::basis::Basis;
-use super::comparison::{Comparison, Point, measured_level, off_level, on_level};
+use super::comparison::{Comparison, Point, finest_level, measured_level, off_level, on_level};
 use super::cubic::cubic;
-use super::patches::Patches;
+use super::patches::{self, Patches};
 use super::warp::{Warp, map};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -34,8 +34,8 @@ pub struct Refined {
     pub error_px: f64,
 }
 
-/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a warp of `model`. Levels larger than
-/// [`measured_level`] but the finest are passed over.
+/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a warp of `model`. Of the levels larger than
+/// [`measured_level`] only [`finest_level`] is looked at, in patches, where `finest` asks for any of them.
 ///
 /// None where the overlap holds too little to go by, or the steps run away.
 pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usize)) -> Option<Refined> {
@@ -58,10 +58,10 @@ pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usi
         (state, last) = (h, Some(error_px));
     }
     if finest < measured {
-        let mut patches = Patches::new(pair, measured, finest);
-        let points = patches.points.clone();
-        let residuals = |h: &Matrix3<f64>, out: &mut Vec<Option<f32>>| patches.residuals(pair, finest, h, out);
-        let stage = Stage::new(pair, finest, true, &points)?;
+        let points = patches::points(pair);
+        let mut seen = Patches::unread(points.len());
+        let residuals = |h: &Matrix3<f64>, out: &mut Vec<Option<f32>>| seen.residuals(pair, h, out);
+        let stage = Stage::new(pair, finest_level(pair.reference()), true, points)?;
         let (h, error_px) = stage.solve(state, model, residuals)?;
         (state, last) = (h, Some(error_px));
     }

@@ -19,8 +19,6 @@ const LEAST_CONFIDENCE: f64 = 0.35;
 const LEAST_VOICES: usize = 3;
 /// Confidence in a frame that says nothing itself, where all the others are unmoved.
 pub(super) const BY_COMPANY: f64 = 0.6;
-/// ... and to places that are so many times as far apart are rivals.
-const RIVAL_APART: f64 = 3.0;
 /// With less trust in a place no number of tiles makes it one.
 const LEAST_TRUST: f64 = 0.25;
 /// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
@@ -30,6 +28,8 @@ const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features that lead to places no farther apart bear each other out, in pixels of the full size for each 1000 of the
 /// diagonal.
 const CORROBORATED: f64 = 2.0;
+/// Places up to so many times as far apart are one, known less well; others are rivals.
+const RIVAL_APART: f64 = 3.0;
 
 /// One run over a bracket.
 pub(super) struct Search<'a> {
@@ -108,7 +108,7 @@ impl Search<'_> {
 
     /// By all means, as far as needed.
     pub(super) fn auto(&self) -> Vec<Verdict> {
-        let repeats = period::repeats(self.base());
+        let repeats = period::repeats(self.base(), &self.options.mtb);
         let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i, repeats)).collect();
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
@@ -242,7 +242,6 @@ impl Search<'_> {
                 }
             }
         }
-        // What lies a few pixels off is the same place, known less well; a rival is another.
         let same =
             |a: &Candidate, b: &Candidate| place::distance(&a.warp, &b.warp, width, height) <= RIVAL_APART * near;
         let Some((b, best)) = pool.winner(same) else {
@@ -280,7 +279,7 @@ impl Search<'_> {
         for (i, verdict) in verdicts.iter_mut().enumerate() {
             if verdict.status == Status::Rejected && self.given[i].is_none() {
                 let here = self.judged(i, Warp::Identity);
-                if self.blank[i] || here.agreement.contradict <= here.agreement.confirm {
+                if self.blank[i] || here.agreement().contradict <= here.agreement().confirm {
                     let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
                     *verdict = placed(&here, found);
                     verdict.confidence = verdict.confidence.max(BY_COMPANY);
@@ -306,7 +305,7 @@ impl Base<'_> {
 
 /// Whether a candidate is good enough to merge by.
 fn is_a_place(candidate: &Candidate) -> bool {
-    let agreement = &candidate.agreement;
+    let agreement = candidate.agreement();
     let unopposed = agreement.confirm >= LEAST_VOICES && agreement.contradict * 8 <= agreement.confirm;
     candidate.confidence() >= LEAST_CONFIDENCE
         || (unopposed && candidate.trust >= LEAST_TRUST && candidate.error_px < candidate.tolerance_px)
@@ -383,13 +382,13 @@ const DECISIVE: f64 = 2.0;
 fn why(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to tell how it moved".into(),
-        Some(c) if c.agreement.confirm + c.agreement.contradict < 8 => {
+        Some(c) if c.agreement().confirm + c.agreement().contradict < 8 => {
             "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
         }
         Some(c) => format!(
             "no motion makes it agree with the reference: {} of {} parts contradict the best one",
-            c.agreement.contradict,
-            c.agreement.confirm + c.agreement.contradict
+            c.agreement().contradict,
+            c.agreement().confirm + c.agreement().contradict
         ),
     }
 }
@@ -402,7 +401,7 @@ fn placed(candidate: &Candidate, found: Found) -> Verdict {
         warp: Some(candidate.warp),
         inliers: found.inliers,
         keypoints: found.keypoints,
-        error_px: (candidate.agreement.confirm > 0).then_some(candidate.error_px),
+        error_px: (candidate.agreement().confirm > 0).then_some(candidate.error_px),
         confidence: candidate.confidence(),
         reason: None,
     }

@@ -42,7 +42,7 @@ impl Percentile {
 pub struct Histogram([u64; 256]);
 
 impl Histogram {
-    /// The histogram of `plane`; of a large one that of every so many rows, about [`COUNTED`] pixels.
+    /// The histogram of `plane`; of a large one that of every so many rows, about `COUNTED` pixels.
     pub fn of(plane: &Plane<u8>) -> Self {
         // Four tables, so that equal neighbours do not wait for each other.
         let mut counts = [[0u32; 256]; 4];
@@ -152,7 +152,7 @@ pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclu
 }
 
 /// The histograms of what both frames show when the frame lies on the reference by `motion`: of pixels that are pairs, about
-/// [`PAIRED`] of them.
+/// `PAIRED` of them.
 pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Motion) -> (Histogram, Histogram) {
     let (width, height) = (reference.width(), reference.height());
     let step = ((width * height) as f64 / PAIRED as f64).sqrt().max(1.0) as usize;

@@ -36,12 +36,12 @@ pub(super) struct TileFit {
 }
 
 /// What the tiles of `survey`, of planes of `size`, make of the warp `h` under which they were surveyed; none where they are too few.
-pub(super) fn fit(survey: &Survey, h: &Matrix3<f64>, model: Model, size: (usize, usize)) -> Option<TileFit> {
+pub(super) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
     let tiles = &survey.displaced;
     if tiles.len() < LEAST_TILES {
         return None;
     }
-    let basis = Basis::new(model, size.0, size.1);
+    let basis = Basis::new(Model::Homography, size.0, size.1);
     let n = basis.numbers();
     let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
     let mut step = DVector::zeros(n);

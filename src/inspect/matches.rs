@@ -1,6 +1,6 @@
 //! Matches: the reference and a frame side by side, and lines between what looks alike.
 //!
-//! In: two frames and their matches. Out: a drawing, inliers of RANSAC and outliers in two colours. Cost: some 50 bytes a match.
+//! In: two frames and their matches. Out: a drawing, inliers of the robust fit and outliers in two colours. Cost: some 50 bytes a match.
 
 use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
@@ -34,7 +34,7 @@ pub(super) fn draw(
         entry(INLIER, format!("inliers: {inliers}")),
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
-    let mut notes = "Matches of plain and bitmap keypoints, merged, by the ratio test and mutually; inliers: those that RANSAC's homography \
+    let mut notes = "Matches of plain and bitmap keypoints, merged, by the ratio test and mutually; inliers: those that the homography found \
                      explains."
         .to_owned();
     let stride = stride(matching.pairs.len());

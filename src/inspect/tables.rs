@@ -120,7 +120,7 @@ pub struct KindTable {
     pub keypoints: usize,
     /// Of these, matched with the reference's.
     pub matches: Option<usize>,
-    /// Of these, believed by RANSAC.
+    /// Of these, believed by the robust method.
     pub inliers: Option<usize>,
     /// Root mean square distance over the picture between the motion that they agree on and the place found; null without either.
     pub off_px: Option<f64>,
@@ -132,7 +132,7 @@ pub struct KindTable {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KindVerdict {
-    /// They do, within [`NEAR_PX`].
+    /// They do, within `NEAR_PX`.
     Agrees,
     /// They lead elsewhere.
     Differs,
@@ -204,7 +204,7 @@ impl Tables {
 fn bitmap_table(found: &Found) -> BitmapTable {
     BitmapTable {
         percentile: found.bitmaps.percentile,
-        threshold_level: found.bitmaps.threshold,
+        threshold_level: found.bitmaps.zone.threshold,
         excluded_share: found.bitmaps.excluded_share(),
         xor: found.xor.map(|xor| XorTable {
             before_share: xor.before,

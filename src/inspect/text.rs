@@ -45,7 +45,7 @@ impl Tables {
             &keypoint_row,
         );
         add(
-            "Table 3. Matches with the reference, and of these inliers of RANSAC",
+            "Table 3. Matches with the reference, and of these inliers",
             "Matched by the ratio test and mutually, without a guide; alignment itself goes further.",
             &["photograph", "EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
             &match_row,

@@ -98,7 +98,7 @@ fn inverse(m: Matrix) -> Option<Matrix> {
 const KNEE: f32 = 0.75;
 
 /// `rgb`, of luminance `y` relative to display white, drawn towards the grey of that luminance until it is in 0..=1. Hue and luminance
-/// stay; towards the bright edge it is slowed from [`KNEE`] on, so that bright saturated parts keep their drawing and fade to white.
+/// stay; towards the bright edge it is slowed from `KNEE` on, so that bright saturated parts keep their drawing and fade to white.
 pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     if y.is_nan() || y >= 1.0 {
         return [1.0; 3];

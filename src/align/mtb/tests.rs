@@ -1,6 +1,7 @@
 //! The percentiles, and the search against motions that are known and against the textbook's loop.
 
 use super::super::scene::{Scene, Shot, photograph, rigid, shift, uniform};
+use super::super::threshold::own_percentile;
 use super::*;
 
 fn plane(values: &[(u8, usize)]) -> Plane<u8> {
@@ -194,7 +195,8 @@ fn the_packed_search_is_the_textbooks() {
         let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
         assert_eq!(pa.len(), 1);
         let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::MEDIAN, 4);
-        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN };
+        let zones = [&pa, &pb].map(|p| Zone::about(p.histogram(0).level(Percentile::MEDIAN), 4));
+        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN, zones };
         let reach = packed.reach(0.15);
         assert_eq!(reach, 12);
         let slow = textbook(&a, &b, reach, 4);
