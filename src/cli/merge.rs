@@ -78,6 +78,10 @@ enum WeightArg {
     Plateau,
     /// 1 for all
     Uniform,
+    /// Mann & Picard's certainty: the slope of the response
+    MannPicard,
+    /// The inverse of the variance: light, rounding and the frame's noise as measured
+    Noise,
 }
 
 /// See [`Operator`].
@@ -109,6 +113,8 @@ impl Args {
                 WeightArg::Gaussian => Weight::Gaussian,
                 WeightArg::Plateau => Weight::Plateau,
                 WeightArg::Uniform => Weight::Uniform,
+                WeightArg::MannPicard => Weight::MannPicard,
+                WeightArg::Noise => Weight::Noise,
             },
             operator: match self.tmo {
                 OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),

@@ -1,10 +1,19 @@
 //! Weights: how far a code is trusted.
 //!
-//! In: a code. Out: its weight, from tables. Cost: none.
+//! In: a response curve, and a frame's noise where it counts. Out: a weight for each code of a channel, from tables. Cost: none to speak of.
 //! Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman & Stevenson 2003, section III, shifted and
-//! scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2 z / 255 - 1)^12.
+//! scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2 z / 255 - 1)^12; the certainty is Mann & Picard
+//! 1995, "On being undigital with digital cameras", section 3; inverse variances as weights are Gauss' least squares, for cameras as in
+//! Granados et al. 2010, "Optimal HDR reconstruction with linear digital cameras".
 
-use crate::response::{CODES, hat};
+use super::noise::Noise;
+use crate::response::{CODES, MID, ResponseCurve, hat};
+
+/// Codes above black over which [`Weight::Noise`] fades in, and codes below the top over which it fades out: what lies there was bent by
+/// clipping, which no variance tells.
+const FADES: (f64, f64) = (8.0, 40.0);
+/// Codes to either side over which the slope of a curve is taken.
+const REACH: usize = 4;
 
 /// How far a code on the scale 0..=255 is trusted: 0 at both ends, where it may be clipped, but for [`Weight::Uniform`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -12,18 +21,21 @@ pub enum Weight {
     /// Rises linearly from both ends to the middle.
     #[default]
     Hat,
-    /// A bell about the middle, with a standard deviation of 45 codes. On truth brackets it ties with the hat in PU21-PSNR and has
-    /// slightly smaller errors in stops.
+    /// A bell about the middle, with a standard deviation of 45 codes.
     Gaussian,
     /// Nearly 1 but for the last tenth at either end.
     Plateau,
-    /// 1 for all codes, clipped or not.
+    /// 1 for all codes, clipped or not, in all frames alike.
     Uniform,
+    /// Mann & Picard's certainty: the slope of the response, codes over stops. What a step of one code tells least is trusted most.
+    MannPicard,
+    /// The inverse of the variance of the radiance: noise as it is measured in the frame, rounding, and what the curve makes of both.
+    Noise,
 }
 
 impl Weight {
-    /// The weight of a code on the scale 0..=255, in 0..=1.
-    pub fn at(self, code: f64) -> f64 {
+    /// The weight of a code on the scale 0..=255 under a curve `g`, in 0..=1; under [`Weight::Noise`] its fading alone.
+    fn at(self, code: f64, g: &[f64; CODES]) -> f64 {
         let off = code / 127.5 - 1.0;
         match self {
             Weight::Hat => hat(code),
@@ -33,40 +45,96 @@ impl Weight {
             }
             Weight::Plateau => (1.0 - libm::pow(off, 12.0)).max(0.0),
             Weight::Uniform => 1.0,
+            Weight::MannPicard if code <= 0.0 || code >= 255.0 => 0.0,
+            Weight::MannPicard => {
+                let steepest = (1..CODES - 1).map(|z| certainty(g, z)).fold(f64::MIN_POSITIVE, f64::max);
+                certainty(g, code as usize) / steepest
+            }
+            Weight::Noise => (code / FADES.0).min((255.0 - code) / FADES.1).clamp(0.0, 1.0),
         }
     }
 
-    /// The weights of codes 0..=255 of a channel that is black up to the code `black`: 0 up to there, the rest of the curve above.
-    pub fn table(self, black: f64) -> [f32; CODES] {
+    /// The weights of codes 0..=255 of channel `channel` in a frame exposed `time` times as long as the reference: 0 up to the code where
+    /// the curve is black, the rest of the weight's shape above. `noise` is the frame's.
+    ///
+    /// But for [`Weight::Uniform`] and [`Weight::Noise`], which say it themselves, a frame's weights grow with the square root of its
+    /// exposure: of two frames equally far from both ends the longer has more light. Weights in proportion to the exposure would be right
+    /// for light's own noise alone, and let small errors of alignment and of the curve in the longest frames through.
+    pub(super) fn table(self, curve: &ResponseCurve, channel: usize, time: f64, noise: &Noise) -> [f32; CODES] {
+        let (g, black) = (curve.ln_exposure(channel), curve.black(channel));
         std::array::from_fn(|code| {
             let above = (code as f64 - black).max(0.0) * 255.0 / (255.0 - black);
-            self.at(above) as f32
+            let say = match self {
+                Weight::Uniform => 1.0,
+                Weight::Noise => time * time / noise.variance(curve, channel, code),
+                _ => time.sqrt(),
+            };
+            (self.at(above, g) * say) as f32
         })
     }
+
+    /// The weight of the middle code: that of a frame as a whole.
+    pub(super) fn say(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
+        match self {
+            Weight::Uniform => 1.0,
+            Weight::Noise => (0..3).map(|c| (time * time / noise.variance(curve, c, MID)) as f32).sum::<f32>() / 3.0,
+            _ => time.sqrt() as f32,
+        }
+    }
+}
+
+/// Codes to a neper of exposure at a code: the inverse of the slope of g.
+fn certainty(g: &[f64; CODES], code: usize) -> f64 {
+    let (from, to) = (code.saturating_sub(REACH), (code + REACH).min(CODES - 1));
+    (to - from) as f64 / (g[to] - g[from])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn weights_are_nothing_at_the_ends_and_symmetric() {
-        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau] {
-            assert_eq!((weight.at(0.0), weight.at(255.0)), (0.0, 0.0), "{weight:?}");
-            assert_eq!(weight.at(127.5), 1.0);
-            assert!((1..128).all(|z| (weight.at(z as f64) - weight.at(255.0 - z as f64)).abs() < 1e-12));
-            assert!((1..128).all(|z| weight.at(z as f64) >= weight.at(z as f64 - 1.0)));
-        }
-        assert_eq!(Weight::Uniform.table(0.0), [1.0; CODES]);
-        // By hand: the hat at a quarter of the range.
-        assert_eq!(Weight::Hat.at(63.75), 0.5);
+    fn table(weight: Weight, curve: &ResponseCurve) -> [f32; CODES] {
+        weight.table(curve, 0, 1.0, &Noise::least())
     }
 
     #[test]
-    fn black_has_no_weight() {
-        let table = Weight::Hat.table(15.0);
-        assert_eq!((table[0], table[15], table[255]), (0.0, 0.0, 0.0));
+    fn weights_are_nothing_at_the_ends_and_rise_between() {
+        let srgb = ResponseCurve::srgb();
+        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau, Weight::MannPicard, Weight::Noise] {
+            let w = table(weight, &srgb);
+            assert_eq!((w[0], w[255]), (0.0, 0.0), "{weight:?}");
+            assert!(w[1..255].iter().all(|&w| w > 0.0 && w.is_finite()), "{weight:?}");
+        }
+        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau] {
+            let w = table(weight, &srgb);
+            assert!((1..128).all(|z| (w[z] - w[255 - z]).abs() < 1e-6 && w[z] >= w[z - 1]), "{weight:?}");
+        }
+        assert_eq!(table(Weight::Uniform, &srgb), [1.0; CODES]);
+        // By hand: 51 of 127.5.
+        assert!((table(Weight::Hat, &srgb)[51] - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_certainty_is_the_slope_of_the_response() {
+        // A camera that is linear: dZ / d ln X = X, so that certainty is proportional to the code.
+        let w = table(Weight::MannPicard, &ResponseCurve::linear());
+        assert!((w[200] / w[100] - 2.0).abs() < 0.01, "{}", w[200] / w[100]);
+        // One that is logarithmic: the same everywhere.
+        let g = std::array::from_fn(|z| (z as f64 - 128.0) / 40.0);
+        let w = table(Weight::MannPicard, &ResponseCurve::new([g; 3]).unwrap());
+        assert!((1..255).all(|z| (w[z] - 1.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn black_has_no_weight_and_light_counts() {
+        let lifted = ResponseCurve::srgb().with_black([15.0; 3]).unwrap();
+        let w = table(Weight::Hat, &lifted);
+        assert_eq!((w[0], w[15], w[255]), (0.0, 0.0, 0.0));
         // By hand: 135 is the middle of 15..=255.
-        assert!((table[135] - 1.0).abs() < 1e-6 && table[16] > 0.0);
+        assert!((w[135] - 1.0).abs() < 1e-6 && w[16] > 0.0);
+        let of = |weight: Weight, time| weight.table(&lifted, 1, time, &Noise::least())[135];
+        assert!((of(Weight::Hat, 4.0) / of(Weight::Hat, 1.0) - 2.0).abs() < 1e-6);
+        assert!((of(Weight::Noise, 4.0) / of(Weight::Noise, 1.0) - 16.0).abs() < 1e-4);
+        assert_eq!(of(Weight::Uniform, 4.0), 1.0);
     }
 }

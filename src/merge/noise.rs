@@ -1,0 +1,184 @@
+//! Noise: how far a frame's codes scatter about what they should be.
+//!
+//! In: a frame. Out: the standard deviation of a code, for each channel and step of brightness, and from it the variance of the exposure
+//! that a code means. Cost: some thousands of 8x8 blocks are read whatever the size, about 5 ms a frame.
+//! Source: the level of noise as a function of brightness, as the lower envelope of what flat parts of one picture show: Liu, Freeman,
+//! Szeliski & Kang 2006, "Noise Estimation from a Single Image". The mixed difference that cancels slopes is Immerkaer's (1996).
+//!
+//! Of each block the mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which is the variance of
+//! white noise, whatever slope it lies on. Texture only adds to it, so that the lower quartile of all blocks of a brightness is taken.
+//! Noise that the camera or its JPEG has smoothed shows less here than it is; [`LEAST`] stands for what is then left of it.
+
+use crate::bracket::{Frame, Samples};
+use crate::response::{CODES, ResponseCurve};
+
+/// Side of a block: that of JPEG's, and on the same grid.
+const BLOCK: usize = 8;
+/// Blocks that are read of a frame, at most.
+const READ: usize = 16_384;
+/// Steps of brightness.
+const STEPS: usize = 16;
+/// Blocks that make a step's noise known.
+const FEWEST: usize = 12;
+/// The share of blocks, of those of a brightness, that show less than its noise does.
+const QUANTILE: f64 = 0.25;
+/// The least standard deviation of a code: rounding has 0.29, JPEG's rounding in its own domain most of the rest.
+const LEAST: f64 = 1.0;
+/// What the curve and the exposure are wrong by, as a share of the radiance, and what a place between pixels adds to it.
+const ERROR: (f64, f64) = (0.02, 0.05);
+
+/// The noise of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Noise {
+    /// Variance of a code in the middle of each step of brightness, for R, G and B.
+    steps: [[f64; STEPS]; 3],
+    /// Standard deviation as a share of the radiance, whatever the code.
+    error: f64,
+}
+
+impl Noise {
+    /// The noise of a frame that shows none.
+    pub(super) fn least() -> Self {
+        Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0 }
+    }
+
+    /// What `frame` shows; `moved` where it is read between its pixels.
+    pub(super) fn of(frame: &Frame, moved: bool) -> Self {
+        let steps = match frame.samples() {
+            Samples::Eight(codes) => measure(codes, frame.width(), 1.0),
+            Samples::Sixteen(codes) => measure(codes, frame.width(), 257.0),
+        };
+        Noise { steps, error: if moved { ERROR.1 } else { ERROR.0 } }
+    }
+
+    /// The variance of the exposure that a channel's code means, in units of its square: (sigma_Z dX/dZ)^2 + (error X)^2.
+    pub(super) fn variance(&self, curve: &ResponseCurve, channel: usize, code: usize) -> f64 {
+        let x = curve.exposures(channel);
+        let (from, to) = (code.saturating_sub(1), (code + 1).min(CODES - 1));
+        let slope = f64::from(x[to] - x[from]) / (to - from) as f64;
+        let error = self.error * f64::from(x[code]);
+        self.code_variance(channel, code) * slope * slope + error * error
+    }
+
+    /// The variance of a code, interpolated between the steps.
+    fn code_variance(&self, channel: usize, code: usize) -> f64 {
+        let steps = &self.steps[channel];
+        let at = (code as f64 * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
+        let below = (at as usize).min(STEPS - 2);
+        steps[below] + (at - below as f64) * (steps[below + 1] - steps[below])
+    }
+}
+
+/// The variance of codes by channel and brightness; `scale` codes are one on the scale 0..=255.
+fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64) -> [[f64; STEPS]; 3] {
+    let (columns, rows) = (width / BLOCK, codes.len() / (3 * width) / BLOCK);
+    // Every stride-th block both ways, so that READ are read.
+    let stride = (1..).find(|s| columns.div_ceil(*s) * rows.div_ceil(*s) <= READ).unwrap_or(1);
+    let mut seen: [[Vec<f64>; STEPS]; 3] = Default::default();
+    for row in (0..rows).step_by(stride) {
+        for column in (0..columns).step_by(stride) {
+            for (channel, seen) in seen.iter_mut().enumerate() {
+                let at = |x: usize, y: usize| {
+                    codes[3 * ((row * BLOCK + y) * width + column * BLOCK + x) + channel].into() / scale
+                };
+                if let Some((mean, variance)) = block(at) {
+                    seen[((mean * STEPS as f64 / CODES as f64) as usize).min(STEPS - 1)].push(variance);
+                }
+            }
+        }
+    }
+    seen.map(filled)
+}
+
+/// The mean of a block and what it shows of noise; none where a code of it is clipped.
+fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for y in 0..BLOCK {
+        for x in 0..BLOCK {
+            let code = at(x, y);
+            if code < 0.5 || code > 254.5 {
+                return None;
+            }
+            sum += code;
+        }
+    }
+    for y in 0..BLOCK - 1 {
+        for x in 0..BLOCK - 1 {
+            let mixed = at(x, y) - at(x + 1, y) - at(x, y + 1) + at(x + 1, y + 1);
+            squares += mixed * mixed;
+        }
+    }
+    let differences = ((BLOCK - 1) * (BLOCK - 1)) as f64;
+    Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
+}
+
+/// The lower quartile of each step, at least [`LEAST`]; steps with too few blocks have what lies between their neighbours.
+fn filled(mut seen: [Vec<f64>; STEPS]) -> [f64; STEPS] {
+    let known: Vec<(usize, f64)> = seen
+        .iter_mut()
+        .enumerate()
+        .filter(|(_, values)| values.len() >= FEWEST)
+        .map(|(step, values)| {
+            values.sort_by(f64::total_cmp);
+            (step, values[(values.len() as f64 * QUANTILE) as usize].max(LEAST * LEAST))
+        })
+        .collect();
+    std::array::from_fn(|step| {
+        let above = known.iter().find(|(s, _)| *s >= step);
+        let below = known.iter().rev().find(|(s, _)| *s <= step);
+        match (below, above) {
+            (Some((s, v)), Some((t, u))) if t > s => v + (u - v) * (step - s) as f64 / (t - s) as f64,
+            (Some((_, v)), _) | (None, Some((_, v))) => *v,
+            (None, None) => LEAST * LEAST,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::exposure::Exposure;
+
+    /// A number in -0.5..0.5 that depends on the seed alone.
+    fn random(seed: u64) -> f64 {
+        let x = (seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let x = (x ^ (x >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+    }
+
+    /// A slope from left to right with noise of standard deviation `sigma(code)`.
+    fn frame(sigma: impl Fn(f64) -> f64) -> Frame {
+        let (width, height) = (512, 256);
+        let codes = (0..width * height * 3).map(|i| {
+            let code = 20.0 + 210.0 * (i / 3 % width) as f64 / width as f64;
+            // Twelve draws make a normal one of variance 1.
+            let normal: f64 = (0..12).map(|k| random(12 * i as u64 + k)).sum();
+            (code + sigma(code) * normal + 0.5) as u8
+        });
+        let samples = Samples::Eight(codes.collect());
+        Frame::new("a".into(), width, height, samples, Exposure::given(0.0).expect("a number"))
+    }
+
+    #[test]
+    fn noise_is_measured_at_every_brightness() {
+        let sigma = |code: f64| 1.5 + code / 50.0;
+        let noise = Noise::of(&frame(sigma), false);
+        for code in [40, 100, 160, 220] {
+            // The lower quartile of 49 dependent squares lies some 15 % under their mean; rounding adds 1/12.
+            let (found, truth) = (noise.code_variance(1, code).sqrt(), sigma(code as f64));
+            assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
+        }
+        // Codes that the frame lacks have what the nearest have.
+        assert_eq!(noise.code_variance(0, 0), noise.steps[0][1]);
+    }
+
+    #[test]
+    fn a_clean_frame_has_the_least_noise_and_a_moved_one_more_error() {
+        assert_eq!(Noise::of(&frame(|_| 0.0), false), Noise::least());
+        let curve = ResponseCurve::srgb();
+        let (still, moved) = (Noise::of(&frame(|_| 0.0), false), Noise::of(&frame(|_| 0.0), true));
+        assert!(moved.variance(&curve, 1, 200) > still.variance(&curve, 1, 200));
+        // By hand: X of code 128 is 1 and dX/dZ there 2.4 / (128 + 0.055 * 255) = 0.0169: 2 % of 1 and one code's worth.
+        assert!((still.variance(&curve, 1, 128) - (0.0169f64.powi(2) + 0.02f64.powi(2))).abs() < 2e-5);
+    }
+}
