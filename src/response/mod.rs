@@ -177,6 +177,18 @@ pub fn recover(
     alignment: &Alignment,
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
+    recover_from(&[(bracket, alignment)], model)
+}
+
+/// The response of the camera that took all of `brackets`, by `model`: their samples are pooled, each bracket's exposures
+/// relative to its own reference.
+///
+/// # Errors
+/// As [`recover`].
+pub fn recover_from(
+    brackets: &[(&Bracket, &Alignment)],
+    model: &ResponseModel,
+) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
     let stated = |curve, model| {
         let report = ResponseReport { model, ..ResponseReport::default() };
         (curve, report, Vec::new())
@@ -187,7 +199,7 @@ pub fn recover(
         ResponseModel::Debevec(options) => options,
     };
     options.validate()?;
-    let drawn = samples::draw(bracket, alignment, options.samples);
+    let drawn = samples::draw(brackets, options.samples);
     let fitted = debevec::recover(&drawn.channels, options);
     let curve = fitted.as_ref().ok().and_then(|(g, _)| {
         let g = ResponseCurve::neutralised(with_common_ends(*g));
