@@ -192,6 +192,16 @@ pub enum Warning {
         /// The curve that took its place.
         used: String,
     },
+    /// One channel of the response could not be recovered; it has the mean curve of the others.
+    #[error(
+        "the camera's response in {channel} could not be recovered ({reason}); it is taken to be that of the other channels"
+    )]
+    ResponseBorrowed {
+        /// `red`, `green` or `blue`.
+        channel: &'static str,
+        /// Why.
+        reason: String,
+    },
     /// Frames carry different colour profiles; that of the reference was kept.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
     ProfilesDiffer {
@@ -231,6 +241,7 @@ impl Warning {
                 | Warning::ExposureEstimated { .. }
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
+                | Warning::ResponseBorrowed { .. }
         )
     }
 }

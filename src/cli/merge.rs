@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use hdralign::error::Error;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
-use hdralign::response::ResponseModel;
+use hdralign::response::{ResponseModel, mitsunaga_nayar};
 use hdralign::tonemap::Operator;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -32,6 +32,10 @@ pub struct Args {
     /// How the camera's response is had
     #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
     response_model: ResponseArg,
+
+    /// The degree of mitsunaga-nayar's polynomial, 1 to 10 [default: the least that fits]
+    #[arg(long, value_name = "N", conflicts_with = "response")]
+    response_degree: Option<usize>,
 
     /// Use a response saved before, instead of recovering it
     #[arg(long, value_name = "FILE", conflicts_with = "response_model")]
@@ -60,6 +64,10 @@ enum ResponseArg {
     /// From the bracket, after Debevec & Malik
     #[default]
     Debevec,
+    /// From the bracket, after Robertson, Borman & Stevenson
+    Robertson,
+    /// From the bracket, as a polynomial, after Mitsunaga & Nayar
+    MitsunagaNayar,
     /// Code values are proportional to light
     Linear,
     /// The sRGB curve
@@ -92,6 +100,21 @@ enum OperatorArg {
     Reinhard02,
 }
 
+impl ResponseArg {
+    /// The model, of this degree where it has one.
+    fn model(self, degree: Option<usize>) -> ResponseModel {
+        match self {
+            ResponseArg::Debevec => ResponseModel::default(),
+            ResponseArg::Robertson => ResponseModel::Robertson(Default::default()),
+            ResponseArg::MitsunagaNayar => {
+                ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..Default::default() })
+            }
+            ResponseArg::Linear => ResponseModel::Linear,
+            ResponseArg::Srgb => ResponseModel::Srgb,
+        }
+    }
+}
+
 impl Args {
     fn options(&self) -> Options {
         let outputs = if self.output.is_empty() {
@@ -101,11 +124,7 @@ impl Args {
         };
         Options {
             outputs,
-            response: match self.response_model {
-                ResponseArg::Debevec => ResponseModel::default(),
-                ResponseArg::Linear => ResponseModel::Linear,
-                ResponseArg::Srgb => ResponseModel::Srgb,
-            },
+            response: self.response_model.model(self.response_degree),
             response_file: self.response.clone(),
             save_response: self.save_response.clone(),
             weight: match self.weight {
@@ -126,6 +145,10 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    if args.response_degree.is_some() && !matches!(args.response_model, ResponseArg::MitsunagaNayar) {
+        let reason = "only --response-model mitsunaga-nayar has a degree".to_owned();
+        return Err(Error::Option { option: "--response-degree", reason });
+    }
     let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
     let outcome = pipeline::run(&args.common.aligned.images, &args.options(), &|p| bar.show(p));
     bar.clear();

@@ -1,7 +1,7 @@
 //! Response: from code values to the exposure that caused them.
 //!
 //! In: a bracket, its alignment and a [`ResponseModel`]. Out: a [`ResponseCurve`], g(Z) = ln(E dt) for each channel and code, and a
-//! [`ResponseReport`] of how well it is known. Cost: about 0.1 s, bounded whatever the size of the pictures.
+//! [`ResponseReport`] of how well it is known. Cost: about 0.05 s, bounded whatever the size of the pictures.
 //! Source: the letters g, Z, E, dt and w are those of Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from
 //! Photographs", section 2.1.
 //!
@@ -10,12 +10,20 @@
 
 pub mod debevec;
 pub mod file;
+mod fit;
+pub mod mitsunaga_nayar;
 mod monotone;
+pub mod robertson;
 pub mod samples;
+mod spline;
 
 use crate::align::Alignment;
 use crate::bracket::Bracket;
 use crate::error::{Result, Warning};
+use fit::Told;
+use mitsunaga_nayar::Ratio;
+use rayon::prelude::*;
+use samples::Sample;
 use serde::Serialize;
 use std::f64::consts::LN_2;
 
@@ -129,6 +137,10 @@ impl ResponseCurve {
 pub enum ResponseModel {
     /// From the bracket, after Debevec & Malik 1997; the sRGB curve where the bracket does not tell.
     Debevec(debevec::Options),
+    /// From the bracket, after Robertson, Borman & Stevenson 2003; else the sRGB curve.
+    Robertson(robertson::Options),
+    /// From the bracket, as a polynomial, after Mitsunaga & Nayar 1999; else the sRGB curve.
+    MitsunagaNayar(mitsunaga_nayar::Options),
     /// Codes are proportional to exposure.
     Linear,
     /// The sRGB transfer function.
@@ -144,12 +156,26 @@ impl Default for ResponseModel {
 /// How the response was had, and how well it is known.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ResponseReport {
-    /// The curve that is used: `debevec`, `linear`, `srgb`.
+    /// The curve that is used: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`, `file`.
     pub model: &'static str,
     /// What was found of each channel, where the curve was sought in the bracket.
     pub channels: Option<[Fit; 3]>,
+    /// What exposures would fit the curve better, where the model tells; those given are merged with all the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure_ratios: Option<Vec<RatioReport>>,
     /// Why the curve asked for was not used.
     pub fallback: Option<String>,
+}
+
+/// The ratio of two consecutive exposures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RatioReport {
+    /// The exposures, over the reference's, in stops: the shorter and the longer.
+    pub between_stops: (f64, f64),
+    /// Longer over shorter, as given, in stops.
+    pub given_stops: f64,
+    /// Longer over shorter, as the pixels have it, in stops.
+    pub found_stops: f64,
 }
 
 /// How well one channel's curve is known.
@@ -163,8 +189,13 @@ pub struct Fit {
     pub residual_stops: f64,
     /// The least and the greatest code that a sample has.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the least singular value of the system of equations.
+    /// Ratio of the largest to the least singular value of the system of equations; 0 for Robertson, who solves none at once.
     pub condition: f64,
+    /// The degree of the polynomial, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub degree: Option<usize>,
+    /// Whether the channel told no curve, so that it has the mean curve of the others; the numbers above are then 0.
+    pub borrowed: bool,
 }
 
 /// The response of the camera that took `bracket`, by `model`.
@@ -177,34 +208,104 @@ pub fn recover(
     alignment: &Alignment,
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
+    recover_from(&[(bracket, alignment)], model)
+}
+
+/// The response of the camera that took all of `brackets`, by `model`: their samples are pooled, each bracket's exposures
+/// relative to its own reference.
+///
+/// # Errors
+/// As [`recover`].
+pub fn recover_from(
+    brackets: &[(&Bracket, &Alignment)],
+    model: &ResponseModel,
+) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
     let stated = |curve, model| {
         let report = ResponseReport { model, ..ResponseReport::default() };
         (curve, report, Vec::new())
     };
-    let options = match model {
+    let (name, count) = match model {
         ResponseModel::Linear => return Ok(stated(ResponseCurve::linear(), "linear")),
         ResponseModel::Srgb => return Ok(stated(ResponseCurve::srgb(), "srgb")),
-        ResponseModel::Debevec(options) => options,
+        ResponseModel::Debevec(options) => options.validate().map(|()| ("debevec", options.samples))?,
+        ResponseModel::Robertson(options) => options.validate().map(|()| ("robertson", options.samples))?,
+        ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| ("mitsunaga-nayar", options.samples))?,
     };
-    options.validate()?;
-    let drawn = samples::draw(bracket, alignment, options.samples);
-    let fitted = debevec::recover(&drawn.channels, options);
-    let curve = fitted.as_ref().ok().and_then(|(g, _)| {
-        let g = ResponseCurve::neutralised(with_common_ends(*g));
-        ResponseCurve::new(g)?.with_black(drawn.black)
-    });
-    Ok(match (fitted, curve) {
-        (Ok((_, fits)), Some(curve)) => {
-            let report = ResponseReport { model: "debevec", channels: Some(fits), fallback: None };
-            (curve, report, Vec::new())
+    let drawn = samples::draw(brackets, count);
+    let channels: Vec<Told<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();
+    Ok(match together(&channels, drawn.black) {
+        Ok((curve, fits)) => {
+            let ratios: Vec<&Ratio> = channels.iter().flatten().flat_map(|channel| &channel.ratios).collect();
+            let exposure_ratios = (!ratios.is_empty()).then(|| pooled(&ratios));
+            let report = ResponseReport { model: name, channels: Some(fits), exposure_ratios, fallback: None };
+            let failed = channels.into_iter().zip(["red", "green", "blue"]);
+            let warnings = failed
+                .filter_map(|(told, channel)| told.err().map(|reason| Warning::ResponseBorrowed { channel, reason }));
+            (curve, report, warnings.collect())
         }
-        (fitted, _) => {
-            let reason = fitted.err().unwrap_or_else(|| "the curve found is not finite".to_owned());
-            let report = ResponseReport { model: "srgb", channels: None, fallback: Some(reason.clone()) };
+        Err(reason) => {
+            let report = ResponseReport { model: "srgb", fallback: Some(reason.clone()), ..ResponseReport::default() };
             let used = "the sRGB curve".to_owned();
             (ResponseCurve::srgb(), report, vec![Warning::ResponseFallback { reason, used }])
         }
     })
+}
+
+/// One channel's curve, with g(128) = 0 and rising everywhere.
+struct Channel {
+    g: [f64; CODES],
+    fit: Fit,
+    ratios: Vec<Ratio>,
+}
+
+/// What a channel's samples tell by `model`, or why they do not.
+fn channel(samples: &[Sample], model: &ResponseModel) -> Told<Channel> {
+    let (found, ratios) = match model {
+        ResponseModel::Robertson(options) => (robertson::channel(samples, options)?, Vec::new()),
+        ResponseModel::MitsunagaNayar(options) => mitsunaga_nayar::channel(samples, options)?,
+        ResponseModel::Debevec(options) => (debevec::channel(samples, options)?, Vec::new()),
+        ResponseModel::Linear | ResponseModel::Srgb => return Err("the curve is stated, not sought".to_owned()),
+    };
+    let (g, fit) = fit::judge(samples, found)?;
+    Ok(Channel { g, fit, ratios })
+}
+
+/// The camera's curve from those of the channels. One that the scene lacks (a room in yellow light has no blue) has the mean curve of the
+/// others; if all do, there is none.
+fn together(channels: &[Told<Channel>], black: [f64; 3]) -> Told<(ResponseCurve, [Fit; 3])> {
+    let known: Vec<&Channel> = channels.iter().flatten().collect();
+    if known.is_empty() {
+        return Err(channels.iter().find_map(|told| told.as_ref().err().cloned()).unwrap_or_default());
+    }
+    let mean = std::array::from_fn(|z| known.iter().map(|channel| channel.g[z]).sum::<f64>() / known.len() as f64);
+    let g = std::array::from_fn(|c| channels[c].as_ref().map_or(mean, |channel| channel.g));
+    let borrowed = Fit { borrowed: true, ..Fit::default() };
+    let fits = std::array::from_fn(|c| channels[c].as_ref().map_or(borrowed, |channel| channel.fit));
+    let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g)));
+    let curve = curve.and_then(|curve| curve.with_black(black));
+    curve.map(|curve| (curve, fits)).ok_or_else(|| "the curve found is not finite".to_owned())
+}
+
+/// The ratios that the channels found, those of the same exposures as one: a frame has one exposure, not three.
+fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
+    let mut sums: Vec<((f64, f64), f64, f64)> = Vec::new();
+    for ratio in ratios {
+        let at = sums.iter().position(|(times, ..)| *times == ratio.ln_times);
+        let at = at.unwrap_or_else(|| {
+            sums.push((ratio.ln_times, 0.0, 0.0));
+            sums.len() - 1
+        });
+        sums[at].1 += ratio.weight;
+        sums[at].2 += ratio.weight * ratio.ln_ratio;
+    }
+    sums.retain(|(_, weight, _)| *weight > 0.0);
+    sums.sort_by(|(a, ..), (b, ..)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let report = |((shorter, longer), weight, sum): ((f64, f64), f64, f64)| RatioReport {
+        between_stops: (stops(shorter), stops(longer)),
+        given_stops: stops(longer - shorter),
+        found_stops: stops(sum / weight),
+    };
+    sums.into_iter().map(report).collect()
 }
 
 /// The curves with the same steps in all channels at both ends, the median ones: few samples are there, and where channels part, what is
@@ -232,88 +333,4 @@ fn stops(ln: f64) -> f64 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use crate::bracket::exposure::Exposure;
-    use crate::bracket::{Frame, ReferenceChoice, Samples};
-
-    /// A still bracket with exposures `times`: `radiance` of a pixel's column and row, seen through the sRGB curve.
-    pub(crate) fn still(
-        (width, height): (usize, usize),
-        times: &[f64],
-        radiance: impl Fn(usize, usize) -> [f64; 3],
-    ) -> (Bracket, Alignment) {
-        let encode = |x: f64| match x.clamp(0.0, 1.0) {
-            x if x <= 0.0031308 => 12.92 * x,
-            x => 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055,
-        };
-        let frame = |&time: &f64| {
-            let pixels = (0..width * height).flat_map(|i| radiance(i % width, i / width));
-            let codes = pixels.map(|e| (255.0 * encode(e * time) + 0.5) as u8).collect();
-            Frame::new(
-                format!("{time}.png").into(),
-                width,
-                height,
-                Samples::Eight(codes),
-                Exposure::given(libm::log2(time)).unwrap(),
-            )
-        };
-        let bracket =
-            Bracket::new(times.iter().map(frame).collect(), &ReferenceChoice::Number(1 + times.len() / 2)).unwrap();
-        let alignment = Alignment::unmoved(&bracket);
-        (bracket, alignment)
-    }
-
-    /// Tiles of 20 pixels, over ten stops.
-    fn tiles(x: usize, y: usize) -> [f64; 3] {
-        let e = libm::exp2(((x / 20) * 7 + (y / 20) * 13) as f64 % 101.0 / 10.0 - 8.0);
-        [e, 1.1 * e, 0.8 * e]
-    }
-
-    #[test]
-    fn a_bracket_tells_its_curve_and_grey_stays_grey() {
-        let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let (curve, report, warnings) = recover(&bracket, &alignment, &ResponseModel::default()).unwrap();
-        assert!(warnings.is_empty() && report.channels.is_some(), "{report:?}");
-        let (srgb, n) = (ResponseCurve::srgb(), 236.0);
-        for c in 0..3 {
-            let d = |z: usize| stops(curve.ln_exposure(c)[z] - srgb.ln_exposure(c)[z]);
-            // A shift common to the channels is of no matter; 0.05 stops are 3.5 %.
-            let mean = (10..=245).map(|z| stops(curve.ln_exposure(1)[z] - srgb.ln_exposure(1)[z])).sum::<f64>() / n;
-            let rms = ((10..=245).map(|z| (d(z) - mean) * (d(z) - mean)).sum::<f64>() / n).sqrt();
-            assert!(rms < 0.05, "channel {c}: {rms} stops");
-        }
-        let mean = |c: usize| (0..CODES).map(|z| hat(z as f64) * curve.ln_exposure(c)[z]).sum::<f64>();
-        assert!((mean(0) - mean(1)).abs() < 1e-9 && (mean(2) - mean(1)).abs() < 1e-9);
-    }
-
-    #[test]
-    fn one_curve_on_any_number_of_threads() {
-        let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let on = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| recover(&bracket, &alignment, &ResponseModel::default()).unwrap().0)
-        };
-        assert_eq!(on(1), on(3));
-    }
-
-    #[test]
-    fn a_bracket_that_tells_nothing_gets_the_stated_curve_and_a_warning() {
-        for (times, radiance) in [([1.0, 1.0 + 1e-9], 0.2), ([1.0, 4.0], 9.0), ([1.0, 4.0], 0.0)] {
-            let (bracket, alignment) = still((100, 80), &times, |_, _| [radiance; 3]);
-            let (curve, report, warnings) = recover(&bracket, &alignment, &ResponseModel::default()).unwrap();
-            assert_eq!((curve, report.model), (ResponseCurve::srgb(), "srgb"));
-            assert!(matches!(&warnings[..], [Warning::ResponseFallback { .. }]), "{warnings:?}");
-        }
-    }
-
-    #[test]
-    fn stated_curves_are_what_they_state() {
-        let srgb = ResponseCurve::srgb();
-        // Code 188 of sRGB is 0.5029 of the light of 255 (the standard's formula, by hand).
-        assert!((srgb.exposure(0, 188.0) / srgb.exposure(0, 255.0) - 0.5029).abs() < 1e-4);
-        let linear = ResponseCurve::linear();
-        assert!((linear.exposure(2, 64.5) * 128.0 - 64.5).abs() < 1e-4);
-        assert!(ResponseCurve::new([[0.0; CODES]; 3]).is_none());
-    }
-}
+pub(crate) mod tests;

@@ -1,7 +1,7 @@
 //! Samples: places of the scene, and the codes by which the frames saw them.
 //!
 //! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over picture and
-//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 60 ms at most, whatever the size.
+//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 20 ms at most on two cores, whatever the size.
 //! Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well distributed in the picture and over the codes, from places
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
@@ -19,7 +19,7 @@ const PATCH: usize = 5;
 /// Candidates on a side of a cell, of which the flattest is taken.
 const TRIES: usize = 2;
 /// Patches that are read in all, at most, whatever the size and the number of frames.
-const READ: usize = 120_000;
+const READ: usize = 60_000;
 /// A frame saw a patch if all its codes are in this range: those beyond may be clipped, or nearly so.
 const SEEN: (f64, f64) = (2.0, 253.0);
 /// Standard deviation within a patch, in codes, above which it is no flat place.
@@ -72,6 +72,9 @@ struct Candidate {
     roughness: f64,
 }
 
+/// The frames of a bracket and the places that they saw.
+type Seen<'a> = (Vec<Placed<'a>>, Vec<Candidate>);
+
 /// What the scene shows of each channel.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Drawn {
@@ -81,11 +84,22 @@ pub struct Drawn {
     pub black: [f64; 3],
 }
 
-/// At most `count` samples for each of R, G and B, and where their black is.
-pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
+/// At most `count` samples for each of R, G and B from all the brackets of one camera together, and where its black is.
+pub fn draw(brackets: &[(&Bracket, &Alignment)], count: usize) -> Drawn {
+    let seen: Vec<_> = brackets.iter().map(|(bracket, alignment)| places(bracket, alignment)).collect();
+    let drawn: Vec<_> = (0..3).into_par_iter().map(|c| (spread(&seen, c, count), black(&seen, c))).collect();
+    let mut all = Drawn::default();
+    for (c, (samples, black)) in drawn.into_iter().enumerate() {
+        (all.channels[c], all.black[c]) = (samples, black);
+    }
+    all
+}
+
+/// The frames of one bracket that take part, and the flat places that they saw.
+fn places<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Seen<'a> {
     let frames = placed(bracket, alignment);
     if frames.len() < 2 {
-        return Default::default();
+        return (frames, Vec::new());
     }
     let Rect { x0, y0, .. } = alignment.overlap;
     let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
@@ -101,10 +115,7 @@ pub fn draw(bracket: &Bracket, alignment: &Alignment, count: usize) -> Drawn {
             tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
         })
         .collect();
-    Drawn {
-        channels: std::array::from_fn(|channel| spread(&places, &frames, channel, count)),
-        black: std::array::from_fn(|channel| black(&places, &frames, channel)),
-    }
+    (frames, places)
 }
 
 /// The range of frames that say something of a place: not those so short that a longer one is no brighter.
@@ -121,9 +132,9 @@ fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize>
 }
 
 /// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise.
-fn black(places: &[Candidate], frames: &[Placed], channel: usize) -> f64 {
+fn black(seen: &[Seen], channel: usize) -> f64 {
     let mut codes: Vec<f64> = Vec::new();
-    for place in places {
+    for (frames, place) in seen.iter().flat_map(|(frames, places)| places.iter().map(move |place| (frames, place))) {
         let silent = &place.patches[..telling(place, frames, channel).start];
         codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
     }
@@ -235,9 +246,11 @@ fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patc
 }
 
 /// At most `count` samples of a channel, as equal in number over the steps of brightness as there are places; the flattest of each.
-fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize) -> Vec<Sample> {
+fn spread(seen: &[Seen], channel: usize, count: usize) -> Vec<Sample> {
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
-    for (index, place) in places.iter().enumerate() {
+    let all: Vec<_> =
+        seen.iter().flat_map(|(frames, places)| places.iter().map(move |place| (place, frames))).collect();
+    for (index, &(place, frames)) in all.iter().enumerate() {
         let codes: Vec<Patch> = place.patches.iter().flatten().map(|patch| patch[channel]).collect();
         if sample(place, frames, channel).views.len() >= 2 {
             let mean = codes.iter().map(|p| p.mean).sum::<f64>() / codes.len() as f64;
@@ -250,8 +263,8 @@ fn spread(places: &[Candidate], frames: &[Placed], channel: usize, count: usize)
         bin.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         bin.truncate(cap);
     }
-    let chosen = bins.iter().flatten().map(|&(_, index)| &places[index]);
-    chosen.map(|place| sample(place, frames, channel)).collect()
+    let chosen = bins.iter().flatten().map(|&(_, index)| all[index]);
+    chosen.map(|(place, frames)| sample(place, frames, channel)).collect()
 }
 
 /// The views of a place in a channel that are not clipped.
@@ -277,7 +290,7 @@ mod tests {
     #[test]
     fn samples_are_unclipped_brighten_and_cover_the_codes() {
         let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let drawn = draw(&bracket, &alignment, 500);
+        let drawn = draw(&[(&bracket, &alignment)], 500);
         for samples in &drawn.channels {
             assert!(samples.len() > 100 && samples.len() <= 500, "{}", samples.len());
             for s in samples {
@@ -292,7 +305,7 @@ mod tests {
     #[test]
     fn edges_and_what_darkens_are_left_out() {
         let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
-        assert!(draw(&bracket, &alignment, 500).channels.iter().all(Vec::is_empty));
+        assert!(draw(&[(&bracket, &alignment)], 500).channels.iter().all(Vec::is_empty));
         let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
         assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
         assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
@@ -313,13 +326,13 @@ mod tests {
         // A camera whose black is 18 codes up: short exposures of dark places say nothing.
         let (bracket, alignment) =
             still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
-        assert!(draw(&bracket, &alignment, 500).black.iter().all(|&b| b < 4.0));
+        assert!(draw(&[(&bracket, &alignment)], 500).black.iter().all(|&b| b < 4.0));
         let frames = bracket.frames().iter().map(|frame| {
             let Codes::Eight(codes) = frame.samples() else { unreachable!() };
             let lifted = codes.iter().map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8).collect();
             Frame::new(frame.path().to_owned(), 400, 300, Codes::Eight(lifted), frame.exposure.clone())
         });
         let lifted = Bracket::new(frames.collect(), &crate::bracket::ReferenceChoice::Number(2)).unwrap();
-        assert!(draw(&lifted, &alignment, 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
+        assert!(draw(&[(&lifted, &alignment)], 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
     }
 }

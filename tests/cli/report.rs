@@ -116,6 +116,30 @@ fn a_merge_reports_every_key_of_the_contract() {
 }
 
 #[test]
+fn each_way_to_the_response_says_what_it_found() {
+    let folder = Folder::with_bracket();
+    let found = |model: &str| {
+        let line = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --force -o a.hdr --report r.json --response-model";
+        folder.line(&format!("{line} {model}")).done();
+        let report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
+        (report["response"].clone(), folder.bytes("a.hdr"))
+    };
+    let (robertson, by_robertson) = found("robertson");
+    assert_eq!((text(&robertson, "model"), robertson["exposure_ratios"].is_null()), ("robertson", true));
+    let (cubic, by_cubic) = found("mitsunaga-nayar --response-degree 3");
+    assert_eq!(text(&cubic, "model"), "mitsunaga-nayar");
+    for channel in 0..3 {
+        assert_eq!(number(&cubic["channels"][channel], "degree"), 3.0);
+        assert_eq!(cubic["channels"][channel]["borrowed"], false);
+    }
+    let ratios = cubic["exposure_ratios"].as_array().expect("ratios");
+    assert_eq!(ratios.len(), 4, "{ratios:?}");
+    assert!(ratios.iter().all(|r| (number(r, "given_stops") - number(r, "found_stops")).abs() < 1.0), "{ratios:?}");
+    let (_, by_free) = found("mitsunaga-nayar --response-degree 6");
+    assert!(by_cubic != by_free && by_cubic != by_robertson);
+}
+
+#[test]
 fn the_printed_report_is_the_written_one_but_for_the_clock() {
     let folder = Folder::with_bracket();
     let run = folder.line("align w2.jpg w3.jpg w4.jpg --json --report r.json").done();
