@@ -7,6 +7,7 @@ use hdralign::error::Error;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::response::ResponseModel;
+use hdralign::response::ratios::Exposures;
 use hdralign::tonemap::Operator;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -33,13 +34,17 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
     response_model: ResponseArg,
 
-    /// Use a response saved before, instead of recovering it
+    /// Use a response saved before, instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
     #[arg(long, value_name = "FILE", conflicts_with = "response_model")]
     response: Option<PathBuf>,
 
-    /// Save the response, as JSON
+    /// Save the response; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr)
     #[arg(long, value_name = "FILE")]
     save_response: Option<PathBuf>,
+
+    /// What becomes of the exposures
+    #[arg(long, value_enum, default_value_t, value_name = "HOW")]
+    exposures: ExposuresArg,
 
     /// How far a code value is trusted
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
@@ -54,9 +59,29 @@ pub struct Args {
     save_aligned: Option<PathBuf>,
 }
 
+/// See [`Exposures`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+pub enum ExposuresArg {
+    /// Fine-tuned from the pixels, within a sixth of a stop; those of -e are not touched
+    #[default]
+    FineTuned,
+    /// As the files say
+    AsGiven,
+}
+
+impl ExposuresArg {
+    /// What it stands for.
+    pub fn option(self) -> Exposures {
+        match self {
+            ExposuresArg::FineTuned => Exposures::FineTuned,
+            ExposuresArg::AsGiven => Exposures::AsGiven,
+        }
+    }
+}
+
 /// See [`ResponseModel`].
 #[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum ResponseArg {
+pub enum ResponseArg {
     /// From the bracket, after Debevec & Malik
     #[default]
     Debevec,
@@ -64,6 +89,17 @@ enum ResponseArg {
     Linear,
     /// The sRGB curve
     Srgb,
+}
+
+impl ResponseArg {
+    /// What it stands for.
+    pub fn model(self) -> ResponseModel {
+        match self {
+            ResponseArg::Debevec => ResponseModel::default(),
+            ResponseArg::Linear => ResponseModel::Linear,
+            ResponseArg::Srgb => ResponseModel::Srgb,
+        }
+    }
 }
 
 /// See [`Weight`].
@@ -97,11 +133,8 @@ impl Args {
         };
         Options {
             outputs,
-            response: match self.response_model {
-                ResponseArg::Debevec => ResponseModel::default(),
-                ResponseArg::Linear => ResponseModel::Linear,
-                ResponseArg::Srgb => ResponseModel::Srgb,
-            },
+            exposures: self.exposures.option(),
+            response: self.response_model.model(),
             response_file: self.response.clone(),
             save_response: self.save_response.clone(),
             weight: match self.weight {

@@ -8,9 +8,12 @@
 //! A curve that is recovered is then neutralised: the three channels are shifted against each other, never bent, so that equal codes
 //! mean equal exposures in the w-weighted mean over all codes. White balance was the camera's affair; grey stays grey.
 
+mod csv;
 pub mod debevec;
 pub mod file;
 mod monotone;
+pub mod ratios;
+mod rsp;
 pub mod samples;
 
 use crate::align::Alignment;
