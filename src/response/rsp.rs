@@ -10,8 +10,8 @@
 //! 3 1.19 -0.35 0.16 0.0018
 //! ```
 //!
-//! A curve of 256 values is more than such a polynomial holds. That written is the one, of all degrees up to 5, with the least
-//! [residual](Fitted::residual_stops) that is positive and rises at every code; the residual is for the reader to be told.
+//! A curve of 256 values is more than such a polynomial holds. That written is, of all degrees up to 5, the one with the least
+//! [residual](Fitted::residual_stops) that is positive and rises at every code; the residual is for the user to be told.
 
 use super::{CODES, MID, ResponseCurve, hat, stops};
 use nalgebra::{DMatrix, DVector};
@@ -21,8 +21,9 @@ use std::fmt::Write;
 const MOST_DEGREE: usize = 5;
 /// Codes that the residual is taken over: below and above, the weights of a merge are next to nothing.
 const JUDGED: std::ops::RangeInclusive<usize> = 10..=245;
-/// Rounds of the fit in which a polynomial that falls, or is negative, is bent up.
-const ROUNDS: usize = 40;
+
+/// Exposure of white over one that is as good as black: nine stops; sRGB's code 10 is 8.4 below white.
+const BLACKEST: f64 = 512.0;
 
 /// A curve as three polynomials.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,48 +100,75 @@ pub(super) fn write(curve: &ResponseCurve) -> Option<Fitted> {
     Some(Fitted { text, residual_stops: square.sqrt() })
 }
 
-/// The polynomial of this degree, highest power first, that is next to exp(g) in stops, weighted by the hat; and how far it is, in stops.
+/// The polynomial of this degree, highest power first, that is next to exp(g) in stops, weighted by the hat, and rises; and how far it
+/// is, in stops.
+///
+/// Of all polynomials the nearest, where that rises. Otherwise the nearest of those whose coefficients in Bernstein's basis rise, which
+/// makes them rise throughout: a sum of cumulative Bernstein polynomials with weights that are not negative.
 fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
-    let rows = CODES;
-    let mut bend = vec![0.0; rows];
-    let mut best: Option<(Vec<f64>, f64)> = None;
-    for _ in 0..ROUNDS {
-        // d ln x = dx / x: weighted by 1 / x, the least squares are those of the logarithm.
-        let weight = |z: usize| (hat(z as f64) + 0.02) * libm::exp(-g[z]);
-        let matrix = DMatrix::from_fn(rows, degree + 1, |z, k| weight(z) * power(at(z), degree - k));
-        let right = DVector::from_fn(rows, |z, _| weight(z) * libm::exp(g[z] + bend[z]));
-        let normal = matrix.tr_mul(&matrix);
-        let solved = normal.cholesky()?.solve(&matrix.tr_mul(&right));
-        let coefficients: Vec<f64> = solved.iter().copied().collect();
+    let columns = bernstein_sums(degree);
+    // d ln x = dx / x: weighted by 1 / x, the least squares are those of the logarithm; but not for what is as good as black.
+    let weight = |z: usize| (hat(z as f64) + 0.02) * libm::exp(-g[z]).min(BLACKEST);
+    let matrix = DMatrix::from_fn(CODES, degree + 1, |z, k| weight(z) * evaluate(&columns[k], at(z)));
+    let right = DVector::from_fn(CODES, |z, _| weight(z) * libm::exp(g[z]));
+    let (normal, right) = (matrix.tr_mul(&matrix), matrix.tr_mul(&right));
+    let polynomial = |weights: &[f64]| -> Vec<f64> {
+        (0..=degree).map(|i| weights.iter().zip(&columns).map(|(w, column)| w * column[i]).sum()).collect()
+    };
+    let judged = |coefficients: Vec<f64>| {
         let x: Vec<f64> = (0..CODES).map(|z| evaluate(&coefficients, at(z))).collect();
-        let is_rising = x[0] > 0.0 && x.windows(2).all(|w| w[0] < w[1]);
-        if is_rising {
-            let miss = |z: usize| stops(libm::log(x[z]) - g[z]);
-            let n = JUDGED.count() as f64;
-            let mean = JUDGED.map(miss).sum::<f64>() / n;
-            let residual = (JUDGED.map(|z| (miss(z) - mean) * (miss(z) - mean)).sum::<f64>() / n).sqrt();
-            if best.as_ref().is_none_or(|b| residual < b.1) {
-                best = Some((coefficients, residual));
-            }
-            break;
+        if !(x[0] > 0.0 && x.windows(2).all(|w| w[0] < w[1])) {
+            return None;
         }
-        // What falls is asked to be brighter than it is, the more the longer it falls.
-        for z in 0..CODES - 1 {
-            if x[z + 1] <= x[z] || x[z] <= 0.0 {
-                bend[z + 1] += 0.02;
-            }
+        let miss = |z: usize| stops(libm::log(x[z]) - g[z]);
+        let n = JUDGED.count() as f64;
+        let mean = JUDGED.map(miss).sum::<f64>() / n;
+        let residual = (JUDGED.map(|z| (miss(z) - mean) * (miss(z) - mean)).sum::<f64>() / n).sqrt();
+        Some((coefficients, residual))
+    };
+    // Least squares with weights that are not negative, by trying which of at most six are zero.
+    let free = |set: usize| {
+        let used: Vec<usize> = (0..=degree).filter(|k| set >> k & 1 == 1).collect();
+        let small = DMatrix::from_fn(used.len(), used.len(), |i, k| normal[(used[i], used[k])]);
+        let part = DVector::from_fn(used.len(), |i, _| right[used[i]]);
+        let solved = small.cholesky()?.solve(&part);
+        let mut weights = vec![0.0; degree + 1];
+        used.iter().zip(solved.iter()).for_each(|(&k, &w)| weights[k] = w);
+        Some(weights)
+    };
+    let all = (1 << (degree + 1)) - 1;
+    let unbound = free(all).and_then(|weights| judged(polynomial(&weights)));
+    unbound.or_else(|| {
+        let subsets = (1..=all).filter_map(free).filter(|weights| weights.iter().all(|w| *w >= 0.0));
+        let candidates = subsets.filter_map(|weights| judged(polynomial(&weights)));
+        candidates.min_by(|a, b| a.1.total_cmp(&b.1))
+    })
+}
+
+/// For k from 0 to `degree`, the sum of Bernstein's polynomials b_k to b_degree, by their coefficients, highest power first: 1 for k = 0,
+/// and all others rise from 0 to 1.
+fn bernstein_sums(degree: usize) -> Vec<Vec<f64>> {
+    let choose = |n: usize, k: usize| (0..k).fold(1.0, |c, i| c * (n - i) as f64 / (i + 1) as f64);
+    let bernstein = |k: usize| {
+        // b_k = C(n, k) x^k (1 - x)^(n - k).
+        let mut coefficients = vec![0.0; degree + 1];
+        for i in 0..=degree - k {
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            coefficients[degree - (k + i)] = sign * choose(degree, k) * choose(degree - k, i);
         }
-    }
-    best
+        coefficients
+    };
+    let sum = |k: usize| {
+        (k..=degree)
+            .map(bernstein)
+            .fold(vec![0.0; degree + 1], |sum, b| sum.iter().zip(b).map(|(s, v)| s + v).collect())
+    };
+    (0..=degree).map(sum).collect()
 }
 
 /// Where code z is in hdrgen's polynomials.
 fn at(z: usize) -> f64 {
     (z as f64 + 0.5) / 256.0
-}
-
-fn power(x: f64, k: usize) -> f64 {
-    (0..k).fold(1.0, |p, _| p * x)
 }
 
 /// Horner, the highest power first.
@@ -192,6 +220,34 @@ mod tests {
         assert!((difference(&ResponseCurve::srgb(), &back) - fitted.residual_stops).abs() < 1e-9);
         assert!(fitted.residual_stops < 0.05, "{}", fitted.residual_stops);
         assert_eq!(fitted.text.lines().count(), 3);
+    }
+
+    #[test]
+    fn a_curve_that_no_polynomial_suits_is_still_written_as_one_that_rises() {
+        // Film: nothing for thirty codes, steep ends.
+        let film = |z: usize| {
+            let v = z as f64 / 255.0;
+            6.0 * v + 2.5 * v.max(0.8) * v.max(0.8) - 3.0 * (0.12 - v).max(0.0) - 1.5 * libm::exp(-40.0 * v)
+        };
+        let curve = ResponseCurve::new([std::array::from_fn(film); 3]).unwrap();
+        let fitted = write(&curve).unwrap();
+        let back = read(&fitted.text).unwrap();
+        assert!((difference(&curve, &back) - fitted.residual_stops).abs() < 1e-9);
+        assert!(fitted.residual_stops < 0.5, "{}", fitted.residual_stops);
+    }
+
+    #[test]
+    fn sums_of_bernstein_polynomials_rise_from_nothing_to_one() {
+        for degree in 1..=MOST_DEGREE {
+            let sums = bernstein_sums(degree);
+            assert!((evaluate(&sums[0], 0.3) - 1.0).abs() < 1e-12);
+            for sum in &sums[1..] {
+                let x: Vec<f64> = (0..=50).map(|i| evaluate(sum, f64::from(i) / 50.0)).collect();
+                assert!(
+                    x[0].abs() < 1e-12 && (x[50] - 1.0).abs() < 1e-12 && x.windows(2).all(|w| w[0] <= w[1] + 1e-12)
+                );
+            }
+        }
     }
 
     #[test]
