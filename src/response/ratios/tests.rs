@@ -81,7 +81,9 @@ fn parts_give_what_the_whole_system_gives() {
     let places: usize = samples.iter().map(Vec::len).sum();
     let unknowns = 3 * SPLINE + free.ncols() + places;
     let weight: f64 = samples.iter().flatten().flat_map(|s| &s.views).map(|v| hat(v.code) * hat(v.code)).sum();
-    let mut rows: Vec<(Vec<(usize, f64)>, f64, f64)> = Vec::new();
+    // Unknowns with their coefficients, the value wanted, the weight.
+    type Row = (Vec<(usize, f64)>, f64, f64);
+    let mut rows: Vec<Row> = Vec::new();
     let mut place = 3 * SPLINE + free.ncols();
     for (c, channel) in samples.iter().enumerate() {
         for sample in channel {
