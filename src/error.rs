@@ -122,6 +122,14 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// The brackets do not tell the camera's response.
+    #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of still scenes, several stops wide", path.display())]
+    NoResponse {
+        /// The first photograph.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
     /// A saved response curve could not be used.
     #[error("{}: is no usable response file: {reason}", path.display())]
     ResponseFile {
@@ -176,6 +184,25 @@ pub enum Warning {
         /// What is missing, and what was estimated.
         detail: String,
     },
+    /// The pixels contradict the exposures that the user gave; these were used.
+    #[error("the exposures given by -e contradict the pixels ({detail}); give them in the order of the files")]
+    ExposureDoubtful {
+        /// What was given and what was seen.
+        detail: String,
+    },
+    /// The pixels want more of a correction than a frame's exposure may be given.
+    #[error(
+        "{}: the pixels say that its exposure is off by {wanted_stops:+.2} stops; corrected by {used_stops:+.2}, give -e to set it",
+        path.display()
+    )]
+    ExposureBounded {
+        /// The frame.
+        path: PathBuf,
+        /// What fits best, in stops.
+        wanted_stops: f64,
+        /// What was done, in stops.
+        used_stops: f64,
+    },
     /// A part of the exposure is missing in this file and was assumed equal in all.
     #[error("{}: {detail}", path.display())]
     ExposureIncomplete {
@@ -201,6 +228,16 @@ pub enum Warning {
         channel: &'static str,
         /// Why.
         reason: String,
+    },
+    /// Brackets of two cameras were given as one's.
+    #[error("{}: was taken by {found}, others by {kept}; one curve is made of both", path.display())]
+    CamerasDiffer {
+        /// The reference of the bracket.
+        path: PathBuf,
+        /// Its camera.
+        found: String,
+        /// The camera of the first bracket.
+        kept: String,
     },
     /// Frames carry different colour profiles; that of the reference was kept.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
@@ -239,9 +276,12 @@ impl Warning {
                 | Warning::LowConfidence { .. }
                 | Warning::ExposureContradicted { .. }
                 | Warning::ExposureEstimated { .. }
+                | Warning::ExposureDoubtful { .. }
+                | Warning::ExposureBounded { .. }
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
                 | Warning::ResponseBorrowed { .. }
+                | Warning::CamerasDiffer { .. }
         )
     }
 }

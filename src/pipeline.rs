@@ -3,6 +3,11 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
+pub mod calibration;
+mod names;
+
+pub use names::{default_folder, default_outputs};
+
 use crate::align::given::SavedAlignment;
 use crate::align::{self, AlignOptions, Alignment, Rect};
 use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
@@ -10,11 +15,11 @@ use crate::error::{Error, Result, Warning};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
-use crate::response::file::SavedResponse;
+use crate::response::file::{self, SavedResponse};
+use crate::response::ratios::{self, Exposures};
 use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
 use crate::tonemap::{self, DisplayImage, Operator};
 use crate::write::{self, Metadata, Written, aligned};
-use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -44,6 +49,8 @@ pub struct Options {
     pub load: LoadOptions,
     /// How frames are aligned.
     pub align: AlignOptions,
+    /// What becomes of the exposures before they are divided out.
+    pub exposures: Exposures,
     /// How the response is had.
     pub response: ResponseModel,
     /// A response saved before; it takes the place of [`response`](Self::response).
@@ -58,7 +65,7 @@ pub struct Options {
     pub write: write::Options,
     /// Radiance maps and pictures, by extension.
     pub outputs: Vec<PathBuf>,
-    /// The response is saved here, as JSON.
+    /// The response is saved here, by extension as JSON, `.rsp` or `.csv`.
     pub save_response: Option<PathBuf>,
     /// Aligned frames are saved under this prefix, as TIFF.
     pub save_aligned: Option<PathBuf>,
@@ -125,6 +132,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         check_taken(taken, &bracket)?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
+        let bracket = line.exposures(bracket, &alignment, options);
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
@@ -185,64 +193,6 @@ pub fn inspect(
     })
 }
 
-/// Where results go when no output is named: beside the first of the inputs by name, named after the first and the last, as
-/// `IMG_0001-IMG_0003.exr` and `.png`.
-pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
-    named_after(images, &["exr", "png"])
-}
-
-/// The folder that an inspection goes to when none is named: as [`default_outputs`], but `.inspect`.
-pub fn default_folder(images: &[PathBuf]) -> PathBuf {
-    named_after(images, &["inspect"]).pop().unwrap_or_default()
-}
-
-/// Beside the first of `images` by name, named after the first and the last, with each of `extensions`.
-fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
-    let mut sorted: Vec<&PathBuf> = images.iter().collect();
-    sorted.sort_by(|a, b| natural(a, b));
-    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else {
-        return Vec::new();
-    };
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_os_string();
-    extensions
-        .iter()
-        .map(|extension| {
-            let mut name = stem(first);
-            name.push("-");
-            name.push(stem(last));
-            name.push(".");
-            name.push(extension);
-            first.with_file_name(name)
-        })
-        .collect()
-}
-
-/// Names in the order that people give them: numbers in them count as numbers, 9 before 10.
-fn natural(a: &Path, b: &Path) -> Ordering {
-    let text = |p: &Path| p.to_string_lossy().into_owned();
-    let (left, right) = (text(a), text(b));
-    let (mut l, mut r) = (left.as_str(), right.as_str());
-    loop {
-        let digits = |s: &str| s.len() - s.trim_start_matches(|c: char| c.is_ascii_digit()).len();
-        let (dl, dr) = (digits(l), digits(r));
-        if dl > 0 && dr > 0 {
-            let number = |s: &str| s.trim_start_matches('0').to_owned();
-            let (nl, nr) = (number(&l[..dl]), number(&r[..dr]));
-            let order = nl.len().cmp(&nr.len()).then(nl.cmp(&nr));
-            if order != Ordering::Equal {
-                return order;
-            }
-            (l, r) = (&l[dl..], &r[dr..]);
-            continue;
-        }
-        let (mut cl, mut cr) = (l.chars(), r.chars());
-        match (cl.next(), cr.next()) {
-            (Some(x), Some(y)) if x == y => (l, r) = (cl.as_str(), cr.as_str()),
-            (x, y) => return x.cmp(&y).then_with(|| a.cmp(b)),
-        }
-    }
-}
-
 /// More threads than this only cost memory, on any machine.
 const MOST_THREADS: usize = 1024;
 
@@ -267,6 +217,9 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
+    }
+    for path in [&options.response_file, &options.save_response].into_iter().flatten() {
+        file::Format::of(path)?;
     }
     let mut files = options.outputs.clone();
     files.extend(options.save_response.clone());
@@ -354,6 +307,17 @@ impl<'a> Line<'a> {
         Ok(alignment)
     }
 
+    /// The bracket with the exposures that are divided out. Its time counts as the response's.
+    fn exposures(&mut self, bracket: Bracket, alignment: &Alignment, options: &Options) -> Bracket {
+        if options.exposures == Exposures::AsGiven {
+            return bracket;
+        }
+        let ((corrections, warnings), time) = self.timed(Stage::Response, || ratios::corrections(&bracket, alignment));
+        self.times.response = time;
+        self.warnings.extend(warnings);
+        bracket.corrected(&corrections.iter().map(|c| c.stops).collect::<Vec<_>>())
+    }
+
     fn response(
         &mut self,
         bracket: &Bracket,
@@ -369,7 +333,7 @@ impl<'a> Line<'a> {
             None => response::recover(bracket, alignment, &options.response),
         });
         let (curve, report, warnings) = recovered?;
-        self.times.response = time;
+        self.times.response = Some(self.times.response.unwrap_or(0.0) + time.unwrap_or(0.0));
         self.warnings.extend(warnings);
         Ok((curve, report))
     }
@@ -411,8 +375,10 @@ impl<'a> Line<'a> {
                 files.extend(write::write(&options.outputs, radiance, display, &metadata, &options.write)?);
                 if let Some(path) = &options.save_response {
                     let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
-                    let saved = SavedResponse { make, model, curve: curve.clone() };
-                    files.push(write::text(path, &saved.to_json())?);
+                    let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path)?;
+                    let mut written = write::text(path, &encoded.text)?;
+                    written.warnings.extend(encoded.lossy(path));
+                    files.push(written);
                 }
             }
             if let Some(path) = &options.transforms {
@@ -449,31 +415,6 @@ impl<'a> Line<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn outputs_are_named_after_the_first_and_the_last_by_number() {
-        let paths = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
-        assert_eq!(default_outputs(&paths(&["d/10.jpg", "d/9.jpg", "d/11.jpg"])), paths(&["d/9-11.exr", "d/9-11.png"]));
-        let expected = paths(&["IMG_0001-IMG_0003.exr", "IMG_0001-IMG_0003.png"]);
-        assert_eq!(default_outputs(&paths(&["IMG_0003.JPG", "IMG_0001.JPG", "IMG_0002.JPG"])), expected);
-        assert_eq!(default_folder(&paths(&["d/10.jpg", "d/9.jpg"])), PathBuf::from("d/9-10.inspect"));
-        assert!(default_outputs(&[]).is_empty());
-    }
-
-    #[test]
-    fn natural_order_is_an_order() {
-        let sorted = ["a", "a1", "a01", "a2", "a10", "a10b", "b"];
-        for (i, a) in sorted.iter().enumerate() {
-            for (j, b) in sorted.iter().enumerate() {
-                let order = natural(Path::new(a), Path::new(b));
-                if [*a, *b] == ["a1", "a01"] || [*a, *b] == ["a01", "a1"] {
-                    assert_ne!(order, Ordering::Equal);
-                } else {
-                    assert_eq!(order, i.cmp(&j), "{a} {b}");
-                }
-            }
-        }
-    }
 
     #[test]
     fn no_threads_are_refused() {

@@ -4,6 +4,7 @@
 //! which radiance is divided out of the response. Cost: nothing to speak of.
 //! Source: EXIF 2.32, section 4.6.5 (tags and their APEX counterparts) and 4.6.5.2 (the sensitivities); ISO 2720 for the relation.
 
+use super::nominal::{self, Numbers};
 use exif::{Exif, In, Tag, Value};
 use serde::Serialize;
 
@@ -19,16 +20,29 @@ pub enum ExposureSource {
     Estimated,
 }
 
+/// How the numbers of a file were taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reading {
+    /// As they are written.
+    AsWritten,
+    /// For the exact steps that they were rounded from: 1/30 s for 1/32, f/11 for f/11.31, ISO 250 for 252.
+    ExactSteps,
+}
+
 /// How a frame was exposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exposure {
-    /// Shutter time in seconds, if known.
+    /// Shutter time in seconds, as written, if known.
     pub time_s: Option<f64>,
-    /// The f-number, if known.
+    /// The f-number, as written, if known.
     pub f_number: Option<f64>,
-    /// Sensitivity, if known.
+    /// Sensitivity, as written, if known.
     pub iso: Option<f64>,
     relative: f64,
+    correction_stops: f64,
+    /// What the numbers were taken for.
+    pub reading: Reading,
     /// Where the relative exposure is from.
     pub source: ExposureSource,
     /// The tags that won, for the report: `ExposureTime, FNumber, PhotographicSensitivity`, or `-e`; empty where estimated.
@@ -48,7 +62,16 @@ impl Exposure {
     }
 
     fn at(ev: f64, source: ExposureSource, tags: String) -> Option<Self> {
-        Some(Exposure { time_s: None, f_number: None, iso: None, relative: positive(libm::exp2(ev))?, source, tags })
+        Some(Exposure {
+            time_s: None,
+            f_number: None,
+            iso: None,
+            relative: positive(libm::exp2(ev))?,
+            correction_stops: 0.0,
+            reading: Reading::AsWritten,
+            source,
+            tags,
+        })
     }
 
     /// An exposure as the camera noted it, in seconds; what is `None` counts as a factor of 1, so it must be missing in the
@@ -60,12 +83,29 @@ impl Exposure {
             f_number,
             iso,
             relative: positive(time_s * s / (n * n))?,
+            correction_stops: 0.0,
+            reading: Reading::AsWritten,
             source: ExposureSource::Exif,
             tags,
         })
     }
 
-    /// The relative exposure t * ISO / N^2 (s), or 2^EV where EV was given; positive and finite.
+    /// The same, fine-tuned by so many stops on top of what it was fine-tuned before. A correction that is no finite number, or leaves
+    /// none, changes nothing.
+    pub fn corrected(&self, stops: f64) -> Self {
+        let corrected = positive(self.relative * libm::exp2(stops)).filter(|_| stops.is_finite());
+        match corrected {
+            Some(relative) => Exposure { relative, correction_stops: self.correction_stops + stops, ..self.clone() },
+            None => self.clone(),
+        }
+    }
+
+    /// Stops by which the relative exposure was corrected from the pixels; it contains them.
+    pub fn correction_stops(&self) -> f64 {
+        self.correction_stops
+    }
+
+    /// The relative exposure t * ISO / N^2 (s), or 2^EV where EV was given, any correction included; positive and finite.
     pub fn relative(&self) -> f64 {
         self.relative
     }
@@ -88,6 +128,10 @@ pub struct ExposureTags {
     pub f_number: Tagged,
     /// Sensitivity.
     pub iso: Tagged,
+    /// Whether the time has the form of a number on a dial: 1/60, 13/10, 10/600, but not 16666667/1000000000.
+    pub is_time_printed: bool,
+    /// ShutterSpeedValue, in stops under 1 s.
+    pub shutter_speed: Option<f64>,
 }
 
 impl ExposureTags {
@@ -97,9 +141,11 @@ impl ExposureTags {
         let plain = |tag: Tag| number(tag).and_then(positive);
         // APEX values beyond +-40 (10^12) are fill patterns, not exposures.
         let apex = |tag: Tag| number(tag).filter(|x| x.abs() <= 40.0);
+        let shutter_speed = apex(Tag::ShutterSpeedValue);
         let time_s = plain(Tag::ExposureTime)
             .map(|t| (t, "ExposureTime"))
-            .or_else(|| apex(Tag::ShutterSpeedValue).map(|x| (libm::exp2(-x), "ShutterSpeedValue")));
+            .or_else(|| shutter_speed.map(|x| (libm::exp2(-x), "ShutterSpeedValue")));
+        let is_time_printed = exif.get_field(Tag::ExposureTime, In::PRIMARY).is_some_and(|f| is_printed(&f.value));
         let f_number = plain(Tag::FNumber).map(|n| (n, "FNumber")).or_else(|| {
             // 0 would be f/1, but is what bodies write for a lens that they cannot read.
             let x = apex(Tag::ApertureValue).and_then(positive)?;
@@ -113,15 +159,68 @@ impl ExposureTags {
             .or_else(|| plain(Tag::RecommendedExposureIndex).map(|s| (s, "RecommendedExposureIndex")))
             .or_else(|| plain(Tag::StandardOutputSensitivity).map(|s| (s, "StandardOutputSensitivity")))
             .or_else(|| plain(Tag::ExposureIndex).map(|s| (s, "ExposureIndex")));
-        ExposureTags { time_s, f_number, iso }
+        ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed }
+    }
+
+    fn numbers(&self) -> Numbers {
+        let value = |tagged: Tagged| tagged.map(|(value, _)| value);
+        Numbers {
+            time_s: value(self.time_s),
+            f_number: value(self.f_number),
+            iso: value(self.iso),
+            is_time_printed: self.is_time_printed,
+            shutter_speed: self.shutter_speed,
+        }
+    }
+
+    /// The same tags with other numbers.
+    fn with(&self, numbers: &Numbers) -> Self {
+        let value = |tagged: Tagged, number: Option<f64>| tagged.map(|(value, tag)| (number.unwrap_or(value), tag));
+        ExposureTags {
+            time_s: value(self.time_s, numbers.time_s),
+            f_number: value(self.f_number, numbers.f_number),
+            iso: value(self.iso, numbers.iso),
+            ..*self
+        }
     }
 }
 
+/// Whether a rational is one that people write: of few digits, and in lowest terms a whole number, one over one, or tenths.
+fn is_printed(value: &Value) -> bool {
+    let Value::Rational(v) = value else { return false };
+    let Some(r) = v.first().filter(|r| r.num > 0 && r.denom > 0) else { return false };
+    let (mut a, mut b) = (r.num, r.denom);
+    while b > 0 {
+        (a, b) = (b, a % b);
+    }
+    let (num, denom) = (r.num / a, r.denom / a);
+    // 1/1.3 s is 10/13, 1/2.5 s 2/5.
+    r.denom <= MOST_PRINTED && (num == 1 || denom == 1 || 10 % denom == 0 || 10 % num == 0)
+}
+
+/// Greatest denominator that is written for people, 1/16000 s in tenths; those who measure write a million and more.
+const MOST_PRINTED: u32 = 160_000;
+
 /// The exposures of a bracket by its tags, in the same order, `None` where they do not suffice; and, by frame, what was assumed.
 ///
+/// Printed numbers count as the exact steps that they stand for, where the whole bracket has them.
 /// An f-number or an ISO that is missing everywhere is a factor of 1. Where it is missing in some frames only, the others' value is
 /// assumed if they have one value; otherwise nothing is assumed, and the frame's exposure is missing.
 pub fn by_tags(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, String)>) {
+    let (mut exposures, assumed) = as_written(tags);
+    let numbers: Vec<Numbers> = tags.iter().map(ExposureTags::numbers).collect();
+    if let Some(exact) = nominal::exact(&numbers) {
+        let exact: Vec<_> = tags.iter().zip(&exact).map(|(t, n)| t.with(n)).collect();
+        for (written, exact) in exposures.iter_mut().zip(as_written(&exact).0) {
+            if let (Some(written), Some(exact)) = (written, exact) {
+                (written.relative, written.reading) = (exact.relative, Reading::ExactSteps);
+            }
+        }
+    }
+    (exposures, assumed)
+}
+
+fn as_written(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, String)>) {
     let f_numbers = common(tags.iter().map(|t| t.f_number));
     let isos = common(tags.iter().map(|t| t.iso));
     let mut assumed = Vec::new();
@@ -276,6 +375,7 @@ mod tests {
             time_s: time.map(|t| (t, "ExposureTime")),
             f_number: f.map(|n| (n, "FNumber")),
             iso: iso.map(|s| (s, "ISOSpeed")),
+            ..ExposureTags::default()
         }
     }
 
@@ -288,6 +388,39 @@ mod tests {
         assert_eq!(Exposure::given(-3.0).unwrap().relative(), 0.125);
         assert_eq!(Exposure::given(-3.0).unwrap().ev(), -3.0);
         assert!(Exposure::given(5000.0).is_none() && Exposure::given(f64::NAN).is_none());
+    }
+
+    #[test]
+    fn printed_times_are_told_from_measured_ones_by_their_form() {
+        let printed = |num, denom| read(&[(Tag::ExposureTime, ratio(num, denom))]).is_time_printed;
+        assert!(
+            [(1, 60), (10, 600), (13, 10), (30, 1), (10, 13), (2, 5), (1, 8000)].map(|(n, d)| printed(n, d))
+                == [true; 7]
+        );
+        assert!(
+            [(16_666_667, 1_000_000_000), (8333, 1_000_000), (8_000_000, 1_000_000_000), (17, 1000), (0, 1)]
+                .map(|(n, d)| printed(n, d))
+                == [false; 5]
+        );
+    }
+
+    #[test]
+    fn a_bracket_of_printed_numbers_counts_by_exact_steps_and_says_so() {
+        let frame = |time: f64| ExposureTags { is_time_printed: true, ..tags(Some(time), Some(11.0), Some(100.0)) };
+        let (exposures, _) = by_tags(&[frame(1.0 / 60.0), frame(1.0 / 15.0)]);
+        let [a, b] = [0, 1].map(|i| exposures[i].as_ref().unwrap());
+        assert_eq!((b.relative() / a.relative(), a.reading), (4.0, Reading::ExactSteps));
+        assert_eq!((a.time_s, a.f_number), (Some(1.0 / 60.0), Some(11.0)));
+        let (exposures, _) = by_tags(&[frame(1.0 / 60.0), frame(1.0 / 17.0)]);
+        assert_eq!(exposures[0].as_ref().unwrap().reading, Reading::AsWritten);
+    }
+
+    #[test]
+    fn corrections_add_up_and_are_remembered() {
+        let exposure = Exposure::given(-3.0).unwrap().corrected(2.0).corrected(1.0);
+        assert_eq!((exposure.relative(), exposure.correction_stops()), (1.0, 3.0));
+        assert_eq!(exposure.corrected(f64::NAN), exposure);
+        assert_eq!(exposure.corrected(5000.0), exposure);
     }
 
     #[test]

@@ -76,7 +76,10 @@ pub fn load_with_progress(
 
     let mut warnings = Vec::new();
     let exposures = match given {
-        Some(given) => given,
+        Some(given) => {
+            warnings.extend(doubtful(&pictures, &given));
+            given
+        }
         None => settle_exposures(&mut pictures, &mut warnings)?,
     };
     let mut notes = HashMap::new();
@@ -239,6 +242,13 @@ fn widen_mixed_depths(pictures: &mut [Picture]) {
             picture.warnings.push(Warning::Metadata { path: picture.path.clone(), detail });
         }
     }
+}
+
+/// What the pixels say against the exposures that the user gives; these are taken all the same.
+fn doubtful(pictures: &[Picture], given: &[Exposure]) -> Option<Warning> {
+    let seen: Vec<Brightness> = pictures.par_iter().map(|p| Brightness::of(&p.samples, p.width)).collect();
+    let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
+    Some(Warning::ExposureDoubtful { detail: brightness::contradiction(&given, &seen)? })
 }
 
 /// The exposures by EXIF where they are whole and possible, else by the pixels.

@@ -9,6 +9,7 @@ pub mod colour;
 mod decode;
 pub mod exposure;
 mod load;
+mod nominal;
 mod reference;
 
 pub use load::{LoadOptions, load, load_with_progress};
@@ -188,6 +189,18 @@ impl Bracket {
             },
         };
         Ok(Bracket { frames, reference })
+    }
+
+    /// The same frames in the same order, the exposure of each corrected by so many stops: order is by the exposures as loaded.
+    ///
+    /// # Panics
+    /// Where there is not one correction for each frame.
+    pub fn corrected(mut self, stops: &[f64]) -> Self {
+        assert_eq!(stops.len(), self.frames.len(), "one correction a frame");
+        for (frame, &stops) in self.frames.iter_mut().zip(stops) {
+            frame.exposure = frame.exposure.corrected(stops);
+        }
+        self
     }
 
     /// The frames by rising exposure.

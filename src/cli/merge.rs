@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use hdralign::error::Error;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
+use hdralign::response::ratios::Exposures;
 use hdralign::response::{ResponseModel, mitsunaga_nayar};
 use hdralign::tonemap::Operator;
 use std::path::PathBuf;
@@ -37,13 +38,17 @@ pub struct Args {
     #[arg(long, value_name = "N", conflicts_with = "response")]
     response_degree: Option<usize>,
 
-    /// Use a response saved before, instead of recovering it
+    /// Use a response saved before, instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
     #[arg(long, value_name = "FILE", conflicts_with = "response_model")]
     response: Option<PathBuf>,
 
-    /// Save the response, as JSON
+    /// Save the response; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr)
     #[arg(long, value_name = "FILE")]
     save_response: Option<PathBuf>,
+
+    /// What becomes of the exposures
+    #[arg(long, value_enum, default_value_t, value_name = "HOW")]
+    exposures: ExposuresArg,
 
     /// How far a code value is trusted
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
@@ -58,9 +63,29 @@ pub struct Args {
     save_aligned: Option<PathBuf>,
 }
 
+/// See [`Exposures`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+pub enum ExposuresArg {
+    /// Fine-tuned from the pixels, within a sixth of a stop; those of -e are not touched
+    #[default]
+    FineTuned,
+    /// As the files say
+    AsGiven,
+}
+
+impl ExposuresArg {
+    /// What it stands for.
+    pub fn option(self) -> Exposures {
+        match self {
+            ExposuresArg::FineTuned => Exposures::FineTuned,
+            ExposuresArg::AsGiven => Exposures::AsGiven,
+        }
+    }
+}
+
 /// See [`ResponseModel`].
 #[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum ResponseArg {
+pub enum ResponseArg {
     /// From the bracket, after Debevec & Malik
     #[default]
     Debevec,
@@ -72,6 +97,21 @@ enum ResponseArg {
     Linear,
     /// The sRGB curve
     Srgb,
+}
+
+impl ResponseArg {
+    /// The model, of this degree where it has one.
+    pub fn model(self, degree: Option<usize>) -> ResponseModel {
+        match self {
+            ResponseArg::Debevec => ResponseModel::default(),
+            ResponseArg::Robertson => ResponseModel::Robertson(Default::default()),
+            ResponseArg::MitsunagaNayar => {
+                ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..Default::default() })
+            }
+            ResponseArg::Linear => ResponseModel::Linear,
+            ResponseArg::Srgb => ResponseModel::Srgb,
+        }
+    }
 }
 
 /// See [`Weight`].
@@ -100,21 +140,6 @@ enum OperatorArg {
     Reinhard02,
 }
 
-impl ResponseArg {
-    /// The model, of this degree where it has one.
-    fn model(self, degree: Option<usize>) -> ResponseModel {
-        match self {
-            ResponseArg::Debevec => ResponseModel::default(),
-            ResponseArg::Robertson => ResponseModel::Robertson(Default::default()),
-            ResponseArg::MitsunagaNayar => {
-                ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..Default::default() })
-            }
-            ResponseArg::Linear => ResponseModel::Linear,
-            ResponseArg::Srgb => ResponseModel::Srgb,
-        }
-    }
-}
-
 impl Args {
     fn options(&self) -> Options {
         let outputs = if self.output.is_empty() {
@@ -124,6 +149,7 @@ impl Args {
         };
         Options {
             outputs,
+            exposures: self.exposures.option(),
             response: self.response_model.model(self.response_degree),
             response_file: self.response.clone(),
             save_response: self.save_response.clone(),

@@ -7,6 +7,7 @@ mod input;
 mod inspect;
 mod merge;
 mod progress;
+mod response;
 mod summary;
 
 use clap::{Parser, Subcommand};
@@ -30,6 +31,8 @@ enum Command {
     Merge(merge::Args),
     /// Align only: transforms as JSON, aligned frames as TIFF
     Align(align::Args),
+    /// Recover a camera's response from one or many brackets, save and draw it
+    Response(response::Args),
     /// Tables and drawings of what the alignment rests on: look before, or find out why
     Inspect(inspect::Args),
 }
@@ -45,6 +48,7 @@ Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
   hdralign merge *.jpg -o room.exr -o room.png
   hdralign align *.jpg --save-aligned aligned_
+  hdralign response *.jpg -o camera.json --plot camera.svg
   hdralign inspect *.jpg -d look";
 
 /// Runs the command line of this process.
@@ -52,6 +56,7 @@ pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Merge(args) => merge::run(&args),
         Command::Align(args) => align::run(&args),
+        Command::Response(args) => response::run(&args),
         Command::Inspect(args) => inspect::run(&args),
     };
     match outcome {

@@ -51,7 +51,11 @@ fn line(frame: &FrameReport) -> String {
         Status::Unmoved => "unmoved",
         Status::Rejected => "left out",
     };
-    let mut text = format!("{}: {ev:+.1} EV, {status}", frame.path);
+    let mut text = format!("{}: {ev:+.1} EV", frame.path);
+    if frame.exposure_correction_stops != 0.0 {
+        text += &format!(" ({:+.2} by the pixels)", frame.exposure_correction_stops);
+    }
+    text += &format!(", {status}");
     if let (Status::Aligned, Some([dx, dy]), Some(angle)) = (place.status, place.shift_px, place.rotation_deg) {
         text += &format!(" by {dx:+.1}, {dy:+.1} px and {angle:+.2} deg");
     }

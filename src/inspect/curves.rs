@@ -94,7 +94,7 @@ fn draw_plot(page: &mut Drawing, area: Area, plot: &Plot, ticks_up: &[f64]) {
 }
 
 /// Round numbers from `from` down to `to` up, about `count` of them.
-fn ticks(from: f64, to: f64, count: usize) -> Vec<f64> {
+pub(super) fn ticks(from: f64, to: f64, count: usize) -> Vec<f64> {
     let rough = (to - from).max(1e-9) / count as f64;
     let power = libm::exp10(libm::floor(libm::log10(rough)));
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= rough).unwrap_or(rough);
@@ -102,12 +102,13 @@ fn ticks(from: f64, to: f64, count: usize) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-fn step(ticks: &[f64]) -> f64 {
+/// How far it is from one tick to the next.
+pub(super) fn step(ticks: &[f64]) -> f64 {
     if ticks.len() < 2 { 1.0 } else { ticks[1] - ticks[0] }
 }
 
 /// `tick` with as many decimals as its step needs.
-fn label(tick: f64, step: f64) -> String {
+pub(super) fn label(tick: f64, step: f64) -> String {
     let decimals = (0..6).find(|d| {
         let scaled = step * libm::exp10(f64::from(*d));
         (scaled - scaled.round()).abs() < 1e-6

@@ -14,6 +14,7 @@ mod lettering;
 mod matches;
 mod page;
 mod picture;
+pub mod response_plot;
 pub mod tables;
 mod text;
 

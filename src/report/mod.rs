@@ -3,7 +3,7 @@
 //! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
 
 use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
-use crate::bracket::exposure::ExposureSource;
+use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Warning;
 use crate::merge::MergeReport;
@@ -75,8 +75,12 @@ pub struct FrameReport {
     pub f_number: Option<f64>,
     /// Sensitivity.
     pub iso: Option<f64>,
-    /// t * ISO / N^2 in seconds, or 2^EV.
+    /// t * ISO / N^2 in seconds, or 2^EV, with the correction: what is divided out.
     pub relative_exposure: f64,
+    /// By how much the pixels corrected it.
+    pub exposure_correction_stops: f64,
+    /// Whether t, ISO and N are taken as they are written, or for the exact steps that they were rounded from.
+    pub exposure_reading: Reading,
     /// Where that is from.
     pub exposure_source: ExposureSource,
     /// The tags that won.
@@ -191,6 +195,8 @@ fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize
         f_number: exposure.f_number,
         iso: exposure.iso,
         relative_exposure: exposure.relative(),
+        exposure_correction_stops: exposure.correction_stops(),
+        exposure_reading: exposure.reading,
         exposure_source: exposure.source,
         exposure_tags: exposure.tags.clone(),
         alignment: AlignmentReport {

@@ -1,6 +1,7 @@
 //! Response files: a curve, saved and used again.
 //!
-//! In and out: a [`ResponseCurve`] and JSON of the schema `hdralign-response/1`; every number comes back as it was. Cost: none.
+//! In and out: a [`ResponseCurve`] and a file, in the [`Format`] that its extension says. Cost: none. JSON of the schema
+//! `hdralign-response/1` is the program's own, in which every number comes back as it was:
 //!
 //! ```json
 //! { "schema": "hdralign-response/1", "camera_make": "Canon", "camera_model": "EOS 5D", "black_code": [0.0, 0.0, 0.0],
@@ -9,13 +10,67 @@
 //!
 //! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
 
-use super::{CODES, ResponseCurve};
-use crate::error::{Error, Result};
+use super::{CODES, ResponseCurve, csv, rsp};
+use crate::error::{Error, Result, Warning};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
+/// What helps whose file is none.
+const MAKE_ONE: &str = "; make one by `hdralign response`, or give its own extension to another program's: .rsp (hdrgen), .csv (luminance-hdr)";
+
 /// The version of the format; a reader refuses any other.
 pub const SCHEMA: &str = "hdralign-response/1";
+
+/// The formats of response files, told by the extension.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// `.json`: everything, to the last bit.
+    Json,
+    /// `.rsp`: three polynomials, as hdrgen reads and writes them.
+    Rsp,
+    /// `.csv`: a matrix, as luminance-hdr reads and writes it; those of pfstools are read.
+    Csv,
+}
+
+impl Format {
+    /// The extensions that are known, for messages.
+    pub const KNOWN: &str = ".json, .rsp, .csv";
+
+    /// The format that `path` asks for by its extension, in any case.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`].
+    pub fn of(path: &Path) -> Result<Format> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        match extension.as_str() {
+            "json" => Ok(Format::Json),
+            "rsp" => Ok(Format::Rsp),
+            "csv" => Ok(Format::Csv),
+            _ => Err(Error::UnknownExtension { path: path.to_owned(), known: Format::KNOWN }),
+        }
+    }
+}
+
+/// A curve as a text file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Encoded {
+    /// All of the file.
+    pub text: String,
+    /// What the format could not hold of the curve: root mean square over codes 10 to 245, in stops; 0 where it is all there.
+    pub residual_stops: f64,
+}
+
+impl Encoded {
+    /// What there is to say of the file `path` where it holds less than the curve.
+    pub fn lossy(&self, path: &Path) -> Option<Warning> {
+        let detail =
+            format!("its polynomials miss the curve by {:.3} stops; .json holds all of it", self.residual_stops);
+        (self.residual_stops > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail })
+    }
+}
+
+/// Residual of a file that is not worth a word, in stops: what curves of two brackets of one camera differ by.
+const LOSS: f64 = 0.01;
 
 /// A curve and the camera whose it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,13 +124,38 @@ impl SavedResponse {
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
-    /// The curve in the file `path`.
+    /// The curve as the text of the file `path`.
     ///
     /// # Errors
-    /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
+    /// [`Error::UnknownExtension`], and [`Error::ResponseFile`] where no polynomial that rises is near the curve.
+    pub fn encode(&self, path: &Path) -> Result<Encoded> {
+        match Format::of(path)? {
+            Format::Json => Ok(Encoded { text: self.to_json(), residual_stops: 0.0 }),
+            Format::Csv => Ok(Encoded { text: csv::write(&self.curve), residual_stops: 0.0 }),
+            Format::Rsp => {
+                let reason = "no polynomial up to the fifth degree rises with this curve; save it as .json".to_owned();
+                let fitted = rsp::write(&self.curve);
+                let fitted = fitted.ok_or_else(|| Error::ResponseFile { path: path.to_owned(), reason })?;
+                Ok(Encoded { text: fitted.text, residual_stops: fitted.residual_stops })
+            }
+        }
+    }
+
+    /// The curve in the file `path`, by its extension.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`], [`Error::Read`], and [`Error::ResponseFile`] where the content is no curve of that format.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        Self::from_json(&text, path)
+        let format = Format::of(path)?;
+        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason: reason + MAKE_ONE };
+        let text = String::from_utf8(bytes).map_err(|_| wrong("it is no text".to_owned()))?;
+        let bare = |curve| SavedResponse { make: None, model: None, curve };
+        match format {
+            Format::Json => Self::from_json(&text, path),
+            Format::Rsp => rsp::read(&text).map(bare).map_err(wrong),
+            Format::Csv => csv::read(&text).map(bare).map_err(wrong),
+        }
     }
 
     /// The curve in `text`, the content of the file `path`.
@@ -86,7 +166,7 @@ impl SavedResponse {
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e}); make one by `hdralign response`")))?;
+            .map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e}){MAKE_ONE}")))?;
         if header.schema != SCHEMA {
             return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
         }
@@ -132,6 +212,29 @@ mod tests {
     fn every_bit_comes_back() {
         let text = saved().to_json();
         assert_eq!(SavedResponse::from_json(&text, Path::new("c.json")).unwrap(), saved());
+    }
+
+    #[test]
+    fn the_extension_decides_and_says_what_is_lost() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, most) in [("c.json", 0.0), ("c.RSP", 0.06), ("c.csv", 0.0)] {
+            let path = dir.path().join(name);
+            let encoded = saved().encode(&path).unwrap();
+            assert!(encoded.residual_stops <= most, "{name}: {}", encoded.residual_stops);
+            std::fs::write(&path, encoded.text).unwrap();
+            let back = SavedResponse::read(&path).unwrap().curve;
+            let apart = |z: usize| {
+                (back.ln_exposure(1)[200] - back.ln_exposure(1)[z])
+                    / (saved().curve.ln_exposure(1)[200] - saved().curve.ln_exposure(1)[z])
+            };
+            // The polynomial misses single codes by more than its residual, here of 2.4 nepers.
+            assert!((apart(80) - 1.0).abs() < 0.05, "{name}: {}", apart(80));
+        }
+        assert!(matches!(saved().encode(Path::new("c.txt")), Err(Error::UnknownExtension { .. })));
+        let path = dir.path().join("photo.json");
+        std::fs::write(&path, [0xFF, 0xD8, 0xFF, 0xE0]).unwrap();
+        let message = SavedResponse::read(&path).unwrap_err().to_string();
+        assert!(message.contains("photo.json") && message.contains("no text") && message.contains("hdralign response"));
     }
 
     #[test]

@@ -256,8 +256,16 @@ pub fn write(
 /// # Errors
 /// [`Error::Write`].
 pub fn text(path: &Path, text: &str) -> Result<Written> {
+    bytes(path, text.as_bytes())
+}
+
+/// Writes `bytes` to `path`, as [`text`] does.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn bytes(path: &Path, bytes: &[u8]) -> Result<Written> {
     let mut file = Pending::create(path)?;
-    file.put(text.as_bytes())?;
+    file.put(bytes)?;
     Ok(Written { file, warnings: Vec::new() })
 }
 

@@ -8,4 +8,5 @@ mod names;
 mod places;
 mod refusals;
 mod report;
+mod response;
 mod streams;

@@ -1,0 +1,93 @@
+//! `hdralign response`.
+
+use super::input::Aligned;
+use super::merge::{ExposuresArg, ResponseArg};
+use super::progress::Bar;
+use hdralign::error::Error;
+use hdralign::pipeline::calibration::{self, CalibrationReport};
+use hdralign::pipeline::{self};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Photographs of one folder are one bracket; a folder stands for the photographs in it (.jpg .jpeg .png .tif .tiff).
+The more brackets of still scenes, and the wider, the better the curve is known.
+
+Examples:
+  hdralign response *.jpg                             beside them, named after the camera: Canon_EOS_5D.json
+  hdralign response night/ church/ -o 5d.json --plot 5d.svg
+  hdralign response *.jpg -o 5d.rsp                   for hdrgen -r 5d.rsp
+  hdralign merge --response 5d.json *.jpg             uses it";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    #[command(flatten)]
+    aligned: Aligned,
+
+    /// The curve; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr). May be repeated
+    /// [default: CAMERA.json beside the first photograph]
+    #[arg(short, long, value_name = "FILE", verbatim_doc_comment)]
+    output: Vec<PathBuf>,
+
+    /// Draw the curve: .svg or .png. May be repeated
+    #[arg(long, value_name = "FILE")]
+    plot: Vec<PathBuf>,
+
+    /// How the camera's response is had
+    #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
+    response_model: ResponseArg,
+
+    /// The degree of mitsunaga-nayar's polynomial, 1 to 10 [default: the least that fits]
+    #[arg(long, value_name = "N")]
+    response_degree: Option<usize>,
+
+    /// What becomes of the exposures
+    #[arg(long, value_enum, default_value_t, value_name = "HOW")]
+    exposures: ExposuresArg,
+
+    /// Print a report to standard output, as JSON, instead of the paths written
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let Aligned { images, quiet, strict, .. } = &args.aligned;
+    let options = calibration::Options {
+        line: pipeline::Options {
+            response: args.response_model.model(args.response_degree),
+            exposures: args.exposures.option(),
+            ..args.aligned.options()
+        },
+        curves: args.output.clone(),
+        plots: args.plot.clone(),
+    };
+    let bar = Bar::new(images.len(), *quiet);
+    let report = calibration::run(images, &options, &|p| bar.show(p));
+    bar.clear();
+    let report = report?;
+    if !quiet {
+        summarise(&report);
+    }
+    let paths = || report.outputs.iter().map(|path| format!("{path}\n")).collect();
+    super::tell(&if args.json { report.to_json() } else { paths() })?;
+    Ok(super::exit_code(*strict && report.is_degraded()))
+}
+
+/// Warnings, and how well the curve is known, on stderr.
+fn summarise(report: &CalibrationReport) {
+    for warning in &report.warnings {
+        eprintln!("warning: {}", warning.message);
+    }
+    let frames: usize = report.brackets.iter().map(|b| b.frames.len()).sum();
+    let brackets = report.brackets.len();
+    let mut words = vec![report.response.model.to_owned(), format!("{frames} frames in {brackets} bracket(s)")];
+    if let Some(fits) = &report.response.channels {
+        for (fit, name) in fits.iter().zip(["red", "green", "blue"]) {
+            let (least, most) = fit.codes;
+            words.push(format!("{name} within {:.3} stops over codes {least:.0} to {most:.0}", fit.residual_stops));
+        }
+    }
+    words.push(format!("{:.2} s", report.time_s));
+    eprintln!("{}", words.join(", "));
+}

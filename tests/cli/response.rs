@@ -1,0 +1,171 @@
+//! `response`, response files, and exposures: what the files say, what the pixels say, and which of them is believed.
+
+use crate::support::{FRAMES, Folder, small, small_jpeg, window};
+use serde_json::Value;
+use std::fs;
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
+/// Two brackets in folders of their own.
+fn two_brackets() -> Folder {
+    let folder = Folder::empty();
+    for name in ["night", "church"] {
+        fs::create_dir(folder.at(name)).expect("a folder");
+        for i in 1..=FRAMES {
+            folder.put(&format!("{name}/{i}.jpg"), small_jpeg(i));
+        }
+    }
+    folder
+}
+
+fn names(folder: &Folder) -> Vec<String> {
+    folder.listing().into_iter().map(|(name, _)| name).collect()
+}
+
+#[test]
+fn folders_are_brackets_and_all_files_asked_for_are_there() {
+    let folder = two_brackets();
+    let line = "response night church -o c.json -o c.rsp -o c.csv --plot c.svg --plot c.png --align none --json";
+    let report = json(&folder.line(line).done().stdout);
+    assert_eq!(report["schema"], "hdralign-response-report/1");
+    assert_eq!(report["brackets"].as_array().map(Vec::len), Some(2));
+    assert_eq!(report["brackets"][1]["frames"].as_array().map(Vec::len), Some(FRAMES));
+    assert!(report["response"]["channels"][0]["residual_stops"].as_f64().is_some_and(|r| r < 0.2), "{report}");
+    let expected = ["c.json", "c.rsp", "c.csv", "c.svg", "c.png"];
+    assert_eq!(report["outputs"], serde_json::json!(expected));
+    assert_eq!(names(&folder), ["c.csv", "c.json", "c.png", "c.rsp", "c.svg", "church", "night"]);
+    let svg = String::from_utf8(folder.bytes("c.svg")).expect("text");
+    assert!(svg.contains("code value") && svg.contains("2 brackets"));
+    let plot = image::open(folder.at("c.png")).expect("a picture");
+    assert!(plot.width() > 800);
+    // hdrgen's: a degree and one more coefficient than it, three times.
+    let rsp = String::from_utf8(folder.bytes("c.rsp")).expect("text");
+    for line in rsp.lines() {
+        let numbers: Vec<f64> = line.split(' ').map(|w| w.parse().expect("a number")).collect();
+        assert_eq!(numbers[0] as usize + 2, numbers.len());
+    }
+    assert_eq!(rsp.lines().count(), 3);
+}
+
+#[test]
+fn a_saved_curve_of_any_format_gives_nearly_the_same_radiance() {
+    let folder = Folder::with_bracket();
+    let merge = "merge w2.jpg w3.jpg w4.jpg --align none --exposures as-given --force";
+    let percentile = |more: &str| {
+        let report = json(&folder.line(&format!("{merge} {more} -o a.hdr --json")).done().stdout);
+        report["radiance"]["radiance"]["dynamic_range_stops"].as_f64().expect("a number")
+    };
+    let own = percentile("--save-response c.json");
+    percentile("--save-response c.csv");
+    percentile("--save-response c.rsp");
+    let bytes = folder.bytes("a.hdr");
+    assert_eq!(percentile("--response c.json"), own);
+    assert_eq!(folder.bytes("a.hdr"), bytes, "a curve saved as JSON is the same curve");
+    for (file, most) in [("c.csv", 0.01), ("c.rsp", 0.5)] {
+        let other = percentile(&format!("--response {file}"));
+        assert!((other - own).abs() < most, "{file}: {other} stops for {own}");
+    }
+}
+
+#[test]
+fn without_a_name_the_curve_goes_beside_the_photographs_named_after_the_camera() {
+    let folder = two_brackets();
+    let run = folder.line("response night church --align none").done();
+    let path = run.stdout.trim();
+    assert!(path.starts_with("night/") && path.ends_with(".json") && folder.at(path).is_file(), "{path}");
+    assert!(run.stderr.contains("10 frames in 2 bracket(s)"), "{}", run.stderr);
+    let again = folder.line("response night church --align none");
+    assert!(again.code == 1 && again.stderr.contains("--force"), "{again:?}");
+    let report = json(&String::from_utf8(folder.bytes(path)).expect("text"));
+    assert_eq!(report["schema"], "hdralign-response/1");
+}
+
+#[test]
+fn what_cannot_be_leaves_nothing_behind() {
+    let folder = two_brackets();
+    let before = names(&folder);
+    let refused = |line: &str, code: i32, words: &str| {
+        let run = folder.line(line);
+        assert!(run.code == code && run.stderr.contains(words), "{line}: {run:?}");
+        assert_eq!(names(&folder), before, "{line}");
+    };
+    refused("response night church -e=-2,0,2 -o c.json", 2, "several");
+    refused("response night church --reference night/3.jpg -o c.json", 2, "--reference");
+    refused("response night church/1.jpg -o c.json", 2, "two or more");
+    refused("response night -o c.txt", 2, ".json, .rsp, .csv");
+    refused("response night -o c.json --plot c.pdf", 2, ".svg, .png");
+    refused("response night church --leave-out nobody.jpg -o c.json", 2, "none of the brackets");
+    // Equal exposures of one scene tell nothing.
+    fs::create_dir(folder.at("night/flat")).expect("a folder");
+    for name in ["a", "b"] {
+        image::RgbImage::from_pixel(64, 48, image::Rgb([90, 90, 90]))
+            .save(folder.at(format!("night/flat/{name}.png")))
+            .expect("a picture");
+    }
+    refused("response night/flat -e=0,2 --align none -o c.json --plot c.svg", 1, "cannot be recovered");
+}
+
+#[test]
+fn a_file_that_is_no_response_is_named_with_the_remedy() {
+    let folder = Folder::with_bracket();
+    folder.put("photo.json", small_jpeg(1));
+    folder.put("short.rsp", b"3 1 2 3\n");
+    folder.put("other.csv", b"a;b;c\n1;2;3\n");
+    for (file, words) in [("photo.json", "no text"), ("short.rsp", "red"), ("other.csv", "no matrix")] {
+        let run = folder.line(&format!("merge w2.jpg w3.jpg --response {file} -o a.hdr"));
+        assert!(run.code == 1 && run.stderr.contains(file) && run.stderr.contains(words), "{run:?}");
+        assert!(run.stderr.contains("hdralign response"), "{run:?}");
+    }
+    let run = folder.line("merge w2.jpg w3.jpg --response w4.jpg -o a.hdr");
+    assert!(run.code == 2 && run.stderr.contains(".json, .rsp, .csv"), "{run:?}");
+    assert!(!folder.at("a.hdr").exists());
+}
+
+#[test]
+fn exposures_given_in_the_wrong_order_are_used_and_doubted() {
+    let folder = Folder::with_bracket();
+    let turned = folder.line("merge -e=2,0,-2 w2.jpg w3.jpg w4.jpg --align none -o a.hdr --json").done();
+    let report = json(&turned.stdout);
+    let doubts = report["warnings"].as_array().expect("a list").iter();
+    let doubts: Vec<_> =
+        doubts.filter(|w| w["message"].as_str().is_some_and(|m| m.contains("-e contradict"))).collect();
+    assert!(doubts.len() == 1 && doubts[0]["degrades"] == true, "{report}");
+    assert!(report["frames"].as_array().expect("frames").iter().all(|f| f["exposure_correction_stops"] == 0.0));
+    let right = folder.line("merge -e=-2,0,2 w2.jpg w3.jpg w4.jpg --align none -o b.hdr").done();
+    assert!(!right.stderr.contains("contradict"), "{}", right.stderr);
+}
+
+#[test]
+fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so() {
+    let folder = Folder::empty();
+    // PNG has no EXIF here: the exposures are estimated, and then tuned. JPEGs keep theirs, which are exact.
+    for i in 1..=FRAMES {
+        folder.put(&format!("{i}.jpg"), &fs::read(window(i)).expect("a frame"));
+        small(i).save(folder.at(format!("{i}.png"))).expect("a picture");
+    }
+    let frames = |line: &str| {
+        let report = json(&folder.line(line).done().stdout);
+        let number = |f: &Value, key: &str| f[key].as_f64().unwrap_or_else(|| panic!("{key}: {f}"));
+        let frames = report["frames"].as_array().expect("frames").iter();
+        frames
+            .map(|f| (number(f, "relative_exposure").log2(), number(f, "exposure_correction_stops")))
+            .collect::<Vec<_>>()
+    };
+    let exact = frames("merge 1.jpg 2.jpg 3.jpg 4.jpg 5.jpg -o a.hdr --json");
+    assert!(exact.iter().all(|(_, correction)| *correction == 0.0), "{exact:?}");
+    let guessed = frames("merge 1.png 2.png 3.png 4.png 5.png --exposures as-given -o b.hdr --json");
+    let tuned = frames("merge 1.png 2.png 3.png 4.png 5.png -o c.hdr --json");
+    assert!(guessed.iter().all(|(_, correction)| *correction == 0.0));
+    // Steps of exactly two stops: how far they are from being alike.
+    let uneven = |frames: &[(f64, f64)]| {
+        let steps: Vec<f64> = frames.windows(2).map(|w| w[1].0 - w[0].0).collect();
+        let mean = steps.iter().sum::<f64>() / steps.len() as f64;
+        steps.iter().map(|s| (s - mean).abs()).fold(0.0, f64::max) / mean
+    };
+    assert!(uneven(&tuned) <= uneven(&guessed) && uneven(&tuned) < 0.05, "{guessed:?} {tuned:?}");
+    for ((was, _), (is, correction)) in guessed.iter().zip(&tuned) {
+        assert!((was + correction - is).abs() < 1e-9);
+    }
+}
