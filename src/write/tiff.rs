@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn tags_say_what_is_known() {
         let mut metadata = Metadata {
-            profile: Some(Profile { icc: (0..=99).collect(), description: String::new() }),
+            profile: Some(Profile { icc: (0..=99).collect(), description: String::new(), primaries: None }),
             ..Metadata::default()
         };
         metadata.capture.make = Some("Make\0".into());
