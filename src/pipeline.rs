@@ -3,20 +3,28 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
+mod names;
+mod tonemapping;
+
 use crate::align::given::SavedAlignment;
 use crate::align::{self, AlignOptions, Alignment, Rect};
+use crate::bracket::colour::Space;
 use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::inspect::{self, files, tables::Tables};
-use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
+use crate::merge::calibration::{self, Calibration, CalibrationReport, Unit};
+use crate::merge::statistics::Statistics;
+use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
 use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
 use crate::tonemap::{self, DisplayImage, Operator};
 use crate::write::{self, Metadata, Written, aligned};
-use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+pub use names::{default_folder, default_outputs, default_picture};
+pub use tonemapping::{TonemapOptions, tonemap_file};
 
 /// Which part of the reference the results show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -52,6 +60,10 @@ pub struct Options {
     pub weight: Weight,
     /// Which part of the reference the results show.
     pub crop: Crop,
+    /// The linear colour space of the results; none for that of the reference's profile.
+    pub colour: Option<Space>,
+    /// What takes radiance to cd/m2.
+    pub calibration: Calibration,
     /// How luminance is brought into the range of a display.
     pub operator: Operator,
     /// How files are encoded, and whether those that exist are replaced.
@@ -127,12 +139,16 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         check_placed(&bracket, &alignment)?;
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
+        let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let (radiance, merged) = line.units(radiance, merged, options.colour, &calibration);
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
+        report.calibration = calibration;
+        report.colour = Some((&radiance).into());
         let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
         line.report(&mut report, files, options)?;
         Ok(Outcome { radiance, display, report })
@@ -185,64 +201,6 @@ pub fn inspect(
     })
 }
 
-/// Where results go when no output is named: beside the first of the inputs by name, named after the first and the last, as
-/// `IMG_0001-IMG_0003.exr` and `.png`.
-pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
-    named_after(images, &["exr", "png"])
-}
-
-/// The folder that an inspection goes to when none is named: as [`default_outputs`], but `.inspect`.
-pub fn default_folder(images: &[PathBuf]) -> PathBuf {
-    named_after(images, &["inspect"]).pop().unwrap_or_default()
-}
-
-/// Beside the first of `images` by name, named after the first and the last, with each of `extensions`.
-fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
-    let mut sorted: Vec<&PathBuf> = images.iter().collect();
-    sorted.sort_by(|a, b| natural(a, b));
-    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else {
-        return Vec::new();
-    };
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_os_string();
-    extensions
-        .iter()
-        .map(|extension| {
-            let mut name = stem(first);
-            name.push("-");
-            name.push(stem(last));
-            name.push(".");
-            name.push(extension);
-            first.with_file_name(name)
-        })
-        .collect()
-}
-
-/// Names in the order that people give them: numbers in them count as numbers, 9 before 10.
-fn natural(a: &Path, b: &Path) -> Ordering {
-    let text = |p: &Path| p.to_string_lossy().into_owned();
-    let (left, right) = (text(a), text(b));
-    let (mut l, mut r) = (left.as_str(), right.as_str());
-    loop {
-        let digits = |s: &str| s.len() - s.trim_start_matches(|c: char| c.is_ascii_digit()).len();
-        let (dl, dr) = (digits(l), digits(r));
-        if dl > 0 && dr > 0 {
-            let number = |s: &str| s.trim_start_matches('0').to_owned();
-            let (nl, nr) = (number(&l[..dl]), number(&r[..dr]));
-            let order = nl.len().cmp(&nr.len()).then(nl.cmp(&nr));
-            if order != Ordering::Equal {
-                return order;
-            }
-            (l, r) = (&l[dl..], &r[dr..]);
-            continue;
-        }
-        let (mut cl, mut cr) = (l.chars(), r.chars());
-        match (cl.next(), cr.next()) {
-            (Some(x), Some(y)) if x == y => (l, r) = (cl.as_str(), cr.as_str()),
-            (x, y) => return x.cmp(&y).then_with(|| a.cmp(b)),
-        }
-    }
-}
-
 /// More threads than this only cost memory, on any machine.
 const MOST_THREADS: usize = 1024;
 
@@ -265,6 +223,7 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
+    options.calibration.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
     }
@@ -381,11 +340,37 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<(RadianceMap, merge::MergeReport)> {
+    ) -> Result<(RadianceMap, MergeReport)> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || merge::merge(bracket, alignment, curve, &merging));
         self.times.merge = time;
         merged
+    }
+
+    /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
+    fn units(
+        &mut self,
+        map: RadianceMap,
+        merged: MergeReport,
+        colour: Option<Space>,
+        calibration: &Option<CalibrationReport>,
+    ) -> (RadianceMap, MergeReport) {
+        let (mut map, outside) = match colour {
+            Some(space) => gamut::converted(map, space),
+            None => (map, 0),
+        };
+        if outside > 0 {
+            let detail = format!(
+                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside, at their luminance"
+            );
+            self.warnings.push(Warning::OutOfGamut { detail });
+        }
+        let unit = calibration.map_or(Unit::Relative, |_| Unit::CdM2);
+        if let Some(calibration) = calibration {
+            calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
+        }
+        let radiance = Statistics::measured(&map.pixels, gamut::weights(&map.primaries), unit);
+        (map, MergeReport { radiance, ..merged })
     }
 
     fn tonemap(&mut self, radiance: &RadianceMap, options: &Options) -> DisplayImage {
@@ -404,7 +389,8 @@ impl<'a> Line<'a> {
         options: &Options,
     ) -> Result<Vec<Written>> {
         let reference = bracket.reference();
-        let metadata = Metadata::of(reference);
+        let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
+        let metadata = Metadata { cd_m2_per_unit, ..Metadata::of(reference) };
         let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
             let mut files = Vec::new();
             if let Some((curve, radiance, display)) = merged {
@@ -449,31 +435,6 @@ impl<'a> Line<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn outputs_are_named_after_the_first_and_the_last_by_number() {
-        let paths = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
-        assert_eq!(default_outputs(&paths(&["d/10.jpg", "d/9.jpg", "d/11.jpg"])), paths(&["d/9-11.exr", "d/9-11.png"]));
-        let expected = paths(&["IMG_0001-IMG_0003.exr", "IMG_0001-IMG_0003.png"]);
-        assert_eq!(default_outputs(&paths(&["IMG_0003.JPG", "IMG_0001.JPG", "IMG_0002.JPG"])), expected);
-        assert_eq!(default_folder(&paths(&["d/10.jpg", "d/9.jpg"])), PathBuf::from("d/9-10.inspect"));
-        assert!(default_outputs(&[]).is_empty());
-    }
-
-    #[test]
-    fn natural_order_is_an_order() {
-        let sorted = ["a", "a1", "a01", "a2", "a10", "a10b", "b"];
-        for (i, a) in sorted.iter().enumerate() {
-            for (j, b) in sorted.iter().enumerate() {
-                let order = natural(Path::new(a), Path::new(b));
-                if [*a, *b] == ["a1", "a01"] || [*a, *b] == ["a01", "a1"] {
-                    assert_ne!(order, Ordering::Equal);
-                } else {
-                    assert_eq!(order, i.cmp(&j), "{a} {b}");
-                }
-            }
-        }
-    }
 
     #[test]
     fn no_threads_are_refused() {

@@ -153,17 +153,6 @@ impl Conversion {
         Self::of(matrix)
     }
 
-    /// From linear RGB of `from` to the XYZ that formats without primaries hold: grey is taken to X = Y = Z, by Bradford's transform, as
-    /// their readers expect it (Radiance's `ra_xyze`, libtiff's LogLuv).
-    pub fn to_neutral_xyz(from: &Primaries) -> Option<Self> {
-        Self::of(adaptation(from.white, EQUAL_ENERGY)? * from.to_xyz()?)
-    }
-
-    /// The way back from [`to_neutral_xyz`](Self::to_neutral_xyz).
-    pub fn from_neutral_xyz(to: &Primaries) -> Option<Self> {
-        Self::of(to.to_xyz()?.try_inverse()? * adaptation(EQUAL_ENERGY, to.white)?)
-    }
-
     fn of(matrix: Matrix3<f64>) -> Option<Self> {
         let rows = [0, 1, 2].map(|r| [0, 1, 2].map(|c| matrix[(r, c)] as f32));
         rows.as_flattened().iter().all(|v| v.is_finite()).then_some(Conversion(rows))
@@ -173,6 +162,56 @@ impl Conversion {
     #[inline]
     pub fn apply(&self, c: [f32; 3]) -> [f32; 3] {
         self.0.map(|row| row[0] * c[0] + row[1] * c[1] + row[2] * c[2])
+    }
+}
+
+/// Between linear RGB and the XYZ of formats that hold no primaries: grey has X = Y = Z, as their readers expect it (Radiance's
+/// `ra_xyze`, libtiff's LogLuv). Chromaticities are adapted to that white by Bradford's transform; Y is the luminance under the white
+/// that was, to the letter, which a matrix alone would change by some percent for saturated colours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NeutralXyz {
+    to_xyz: Conversion,
+    to_rgb: Conversion,
+    weights: [f32; 3],
+}
+
+impl NeutralXyz {
+    /// For RGB of `primaries`, or of sRGB's where these span no space.
+    pub fn of(primaries: &Primaries) -> Self {
+        let settled = |primaries: &Primaries| {
+            let matrix = primaries.to_xyz()?;
+            Some(NeutralXyz {
+                to_xyz: Conversion::of(adaptation(primaries.white, EQUAL_ENERGY)? * matrix)?,
+                to_rgb: Conversion::of(matrix.try_inverse()? * adaptation(EQUAL_ENERGY, primaries.white)?)?,
+                weights: primaries.luminance().map(|w| w as f32),
+            })
+        };
+        let none = Conversion([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        settled(primaries).or_else(|| settled(&Primaries::SRGB)).unwrap_or(NeutralXyz {
+            to_xyz: none,
+            to_rgb: none,
+            weights: [0.0, 1.0, 0.0],
+        })
+    }
+
+    fn luminance(&self, rgb: [f32; 3]) -> f32 {
+        self.weights[0] * rgb[0] + self.weights[1] * rgb[1] + self.weights[2] * rgb[2]
+    }
+
+    /// XYZ of `rgb`, no component below 0.
+    #[inline]
+    pub fn of_rgb(&self, rgb: [f32; 3]) -> [f32; 3] {
+        let (xyz, y) = (self.to_xyz.apply(rgb), self.luminance(rgb));
+        let keep = y / xyz[1];
+        if keep.is_finite() && keep > 0.0 { [xyz[0] * keep, y, xyz[2] * keep].map(|v| v.max(0.0)) } else { [0.0; 3] }
+    }
+
+    /// RGB of `xyz`; components may be below 0.
+    #[inline]
+    pub fn to_rgb(&self, xyz: [f32; 3]) -> [f32; 3] {
+        let rgb = self.to_rgb.apply(xyz);
+        let keep = xyz[1] / self.luminance(rgb);
+        if keep.is_finite() && keep > 0.0 { rgb.map(|v| v * keep) } else { [0.0; 3] }
     }
 }
 
@@ -229,13 +268,18 @@ mod tests {
     }
 
     #[test]
-    fn grey_has_equal_xyz_and_comes_back() {
+    fn grey_has_equal_xyz_and_luminance_is_kept() {
         for space in Space::ALL {
-            let primaries = space.primaries();
-            let there = Conversion::to_neutral_xyz(&primaries).unwrap();
-            assert!(there.apply([0.5; 3]).iter().all(|v| (v - 0.5).abs() < 1e-6));
-            let back = Conversion::from_neutral_xyz(&primaries).unwrap().apply(there.apply([0.2, 0.5, 0.7]));
-            assert!(back.iter().zip([0.2, 0.5, 0.7]).all(|(a, b)| (a - b).abs() < 1e-5), "{back:?}");
+            let (neutral, weights) = (NeutralXyz::of(&space.primaries()), space.primaries().luminance());
+            assert!(neutral.of_rgb([0.5; 3]).iter().all(|v| (v - 0.5).abs() < 1e-6));
+            for rgb in [[0.2, 0.5, 0.7], [1.0, 0.0, 0.0], [0.0, 0.02, 0.3]] {
+                let xyz = neutral.of_rgb(rgb);
+                let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
+                assert!((f64::from(xyz[1]) - y).abs() < 1e-6);
+                let back = neutral.to_rgb(xyz);
+                assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < 1e-5), "{space:?} {rgb:?} {back:?}");
+            }
+            assert_eq!((neutral.of_rgb([0.0; 3]), neutral.to_rgb([0.0; 3])), ([0.0; 3], [0.0; 3]));
         }
     }
 
@@ -244,7 +288,8 @@ mod tests {
     fn what_a_file_rounds_does_not_matter() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
         for p in Space::ALL.map(Space::primaries) {
-            let read = Primaries { red: float(p.red), green: float(p.green), blue: float(p.blue), white: float(p.white) };
+            let read =
+                Primaries { red: float(p.red), green: float(p.green), blue: float(p.blue), white: float(p.white) };
             assert_eq!(Conversion::between(&p, &Primaries::SRGB), Conversion::between(&read, &Primaries::SRGB));
             assert_eq!(read.nearest_standard(), Some(p));
         }

@@ -7,7 +7,9 @@ mod input;
 mod inspect;
 mod merge;
 mod progress;
+mod radiance;
 mod summary;
+mod tonemap;
 
 use clap::{Parser, Subcommand};
 use hdralign::error::Error;
@@ -32,6 +34,8 @@ enum Command {
     Align(align::Args),
     /// Tables and drawings of what the alignment rests on: look before, or find out why
     Inspect(inspect::Args),
+    /// Tone-map a radiance map again, without merging again
+    Tonemap(tonemap::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -45,7 +49,8 @@ Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
   hdralign merge *.jpg -o room.exr -o room.png
   hdralign align *.jpg --save-aligned aligned_
-  hdralign inspect *.jpg -d look";
+  hdralign inspect *.jpg -d look
+  hdralign tonemap room.exr -o room.png";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
@@ -53,6 +58,7 @@ pub fn run() -> ExitCode {
         Command::Merge(args) => merge::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Tonemap(args) => tonemap::run(&args),
     };
     match outcome {
         Ok(code) => code,

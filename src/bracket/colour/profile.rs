@@ -43,7 +43,11 @@ impl Profile {
             moxcms::DataColorSpace::Rgb => {
                 let description = parsed.description.as_ref().map(text).filter(|d| !d.is_empty());
                 let primaries = primaries(&parsed).map(|p| p.nearest_standard().unwrap_or(p));
-                Found::Rgb(Profile { icc, description: description.unwrap_or_else(|| "unnamed profile".into()), primaries })
+                Found::Rgb(Profile {
+                    icc,
+                    description: description.unwrap_or_else(|| "unnamed profile".into()),
+                    primaries,
+                })
             }
             moxcms::DataColorSpace::Gray => Found::Other("grey"),
             moxcms::DataColorSpace::Cmyk => Found::Other("CMYK"),
