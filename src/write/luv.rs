@@ -187,10 +187,10 @@ impl Depth {
     }
 }
 
-/// The luminances of the ends of the 24-bit format.
-const RANGE24: (f64, f64) = (0.00024283, 15.742);
+/// The luminances of the ends of the 24-bit format: what is below the first is code 0, black.
+const RANGE24: (f64, f64) = (0.0002468, 15.742);
 /// The same of the 32-bit format.
-const RANGE32: (f64, f64) = (5.4136769e-20, 1.8371976e19);
+const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
 /// 10 bits of luminance, 14 of chromaticity.
 pub(crate) fn encode24(c: [f32; 3]) -> u32 {

@@ -9,3 +9,5 @@ mod places;
 mod refusals;
 mod report;
 mod streams;
+mod tonemap;
+mod units;
