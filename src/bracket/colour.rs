@@ -277,8 +277,9 @@ mod tests {
                 let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
                 assert!((f64::from(xyz[1]) - y).abs() < 1e-6);
                 let back = neutral.to_rgb(xyz);
-                // Of the purest colours Z under the other white is just below 0, and cut there.
-                assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < 1e-3), "{space:?} {rgb:?} {back:?}");
+                // Of colours at the edge of the space Z under the other white may be below 0, and is cut there.
+                let near = if rgb.contains(&0.0) { 0.01 } else { 1e-5 };
+                assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < near), "{space:?} {rgb:?} {back:?}");
             }
             assert_eq!((neutral.of_rgb([0.0; 3]), neutral.to_rgb([0.0; 3])), ([0.0; 3], [0.0; 3]));
         }

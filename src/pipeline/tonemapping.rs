@@ -5,8 +5,7 @@
 
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
-use crate::error::Result;
-use crate::error::Warning;
+use crate::error::{Result, Warning};
 use crate::merge::gamut;
 use crate::read;
 use crate::report::WarningReport;

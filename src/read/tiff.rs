@@ -285,14 +285,16 @@ mod tests {
         }
     }
 
+    type Write<'a> = dyn Fn(&mut TiffEncoder<Cursor<&mut Vec<u8>>>) + 'a;
+
     #[test]
     fn other_writers_floats_are_read_and_their_integers_refused() {
-        let packed = |compression, write: &dyn Fn(&mut TiffEncoder<Cursor<&mut Vec<u8>>>)| {
+        let packed = |compression, write: &Write| {
             let mut bytes = Vec::new();
             write(&mut TiffEncoder::new(Cursor::new(&mut bytes)).unwrap().with_compression(compression));
             bytes
         };
-        let file = |write: &dyn Fn(&mut TiffEncoder<Cursor<&mut Vec<u8>>>)| packed(Compression::Uncompressed, write);
+        let file = |write: &Write| packed(Compression::Uncompressed, write);
         let picture = picture();
         let values = picture.as_slice().as_flattened();
         for compression in [Compression::Uncompressed, Compression::Lzw, Compression::Deflate(DeflateLevel::Fast)] {

@@ -67,7 +67,7 @@ fn fraction(v: f64) -> (u32, u32) {
     }
     let decimal = [1u32, 10, 100, 1000, 10_000, 100_000].into_iter();
     let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
-    let finest = decimal.chain([1_000_000_000]).filter(|&d| v * f64::from(d) < most).last().unwrap_or(1);
+    let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
     let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
     // The cast keeps what is beyond within the type.
     ((v * f64::from(denominator)).round() as u32, denominator)
@@ -220,7 +220,7 @@ mod tests {
     fn fractions_are_the_simplest() {
         assert_eq!([1.0 / 60.0, 0.125, 2.8, 30.0].map(fraction), [(1, 60), (1, 8), (28, 10), (30, 1)]);
         assert_eq!([0.3127, 0.0].map(fraction), [(3127, 10_000), (0, 1)]);
-        for v in [0.318_753_1, 1234.567_891, 3e9, 0.000_123_4] {
+        for v in [0.318_753_1, 1_234.567_891, 3e9, 0.000_123_4] {
             let (n, d) = fraction(v);
             assert!((f64::from(n) / f64::from(d) - v).abs() <= 1e-6 * v, "{v}: {n}/{d}");
         }

@@ -16,9 +16,8 @@ use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 
-/// What the values of `map`, which are in cd/m2, are to be multiplied by to be held: a power of two of 1 or below, so that all but the
-/// brightest 0.1 % of pixels stay below the greatest. StoNits takes it back; relative radiance has no such place to tell it, and is not
-/// scaled.
+/// What the values of `map` are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of
+/// pixels stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a factor, the description tells it.
 pub(super) fn scale(depth: Depth, map: &RadianceMap) -> f32 {
     let bright = Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9;
     let mut scale = 1.0;
@@ -57,7 +56,11 @@ impl Writer {
         directory.short(tag::COMPRESSION, &[compression]);
         directory.short(tag::PHOTOMETRIC, &[32845]);
         directory.white_point(metadata.primaries.white);
-        directory.capture(metadata);
+        let mut described = metadata.clone();
+        if metadata.cd_m2_per_unit.is_none() && scale != 1.0 {
+            described.comments.push(format!("relative radiance times {scale}"));
+        }
+        directory.capture(&described);
         if let Some(luminance) = metadata.white_luminance() {
             directory.double(tag::STONITS, luminance / f64::from(scale));
         }
@@ -131,7 +134,7 @@ mod tests {
         let size = (map.pixels.width(), map.pixels.height());
         let metadata = Metadata { primaries: map.primaries, ..metadata.clone() };
         let pending = Pending::create(&path).unwrap();
-        let scale = if metadata.cd_m2_per_unit.is_some() { super::scale(depth, map) } else { 1.0 };
+        let scale = scale(depth, map);
         let writer = Writer::new(pending, size, &metadata, depth, scale).unwrap();
         let whole = push_all(Box::new(writer), &map.pixels).unwrap();
         commit(vec![whole.file], false).unwrap();

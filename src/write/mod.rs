@@ -252,7 +252,7 @@ pub fn write(
             // What only a look at all of the picture can tell.
             let exr = exr::Options { sample: options.exr.sample.settled(&radiance.pixels), ..options.exr.clone() };
             let writer = match (Format::of(path)?, options.tiff.depth()) {
-                (Format::Tiff, Some(depth)) if metadata.cd_m2_per_unit.is_some() => {
+                (Format::Tiff, Some(depth)) => {
                     let scale = logluv::scale(depth, radiance);
                     Box::new(logluv::Writer::new(Pending::create(path)?, size, &metadata, depth, scale)?)
                 }

@@ -104,7 +104,8 @@ fn odd_values_are_told_and_the_rest_is_shown() {
     assert_eq!(run.stderr.matches("warning: odd.exr: 1 pixels").count(), 3, "{}", run.stderr);
     let picture = image::open(folder.at("odd.png")).unwrap().to_rgb8();
     assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
-    assert!(picture.get_pixel(5, 5).0 != [0; 3] && picture.get_pixel(1, 0).0[1] > picture.get_pixel(5, 5).0[1]);
+    // The brightest other is the grey around it.
+    assert!(picture.get_pixel(5, 5).0 != [0; 3] && picture.get_pixel(1, 0) == picture.get_pixel(5, 5));
     // As it is in the file, for those who want it so.
     assert!(read(&folder.at("odd.exr")).unwrap().0.pixels.at(0, 0)[0].is_nan());
 }

@@ -29,7 +29,7 @@ fn a_factor_makes_cd_m2_in_every_format() {
     assert_eq!(header.cd_m2_per_unit, Some(1.0));
     assert_eq!(map("r.exr").1.cd_m2_per_unit, None);
     assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(1.0));
-    assert!(map("a.tif").0 == radiance);
+    assert!(map("a.tif").0.pixels == radiance.pixels);
     let luminance = |p: [f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
     // A mantissa is cut to 1/128 of the largest at most: half of that is what the middle is off by.
     let watts = map("a.hdr").0;
@@ -97,7 +97,7 @@ fn other_colour_spaces_are_the_same_light_and_say_which_they_are() {
         let bytes = folder.bytes("c.exr");
         let has = |text: &str| bytes.windows(text.len()).any(|w| w == text.as_bytes());
         assert_eq!(has("colorInteropID"), !id.is_empty());
-        assert!(has(id) && has("chromaticities"), "{name}");
+        assert!((id.is_empty() || has(id)) && has("chromaticities"), "{name}");
         let header = String::from_utf8_lossy(&folder.bytes("c.hdr")[..600]).into_owned();
         assert!(header.contains(&format!("PRIMARIES= {:.4} {:.4}", primaries.red[0], primaries.red[1])), "{header}");
         // The picture is sRGB whatever the radiance is.
