@@ -39,6 +39,17 @@ pub enum Error {
         /// What is wrong with it, and the remedy.
         reason: String,
     },
+    /// A file that should hold a radiance map holds something else, whatever the extension says.
+    #[error(
+        "{}: is {found}, not a radiance map; give an .exr, an .hdr or a floating-point .tif, or make one of a bracket with `hdralign merge`",
+        path.display()
+    )]
+    NotRadiance {
+        /// The file.
+        path: PathBuf,
+        /// What the first bytes look like, in words.
+        found: &'static str,
+    },
     /// A bracket needs at least two frames.
     #[error(
         "a bracket needs at least two photographs, {given} given; name them all, as in `hdralign merge IMG_1.jpg IMG_2.jpg IMG_3.jpg`"
@@ -255,6 +266,12 @@ pub enum Warning {
         /// The frame.
         path: PathBuf,
         /// What was ignored.
+        detail: String,
+    },
+    /// Colours were outside of the colour space asked for.
+    #[error("{detail}")]
+    OutOfGamut {
+        /// How many pixels, and what became of them.
         detail: String,
     },
     /// Values were outside what the output format can hold.

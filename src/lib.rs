@@ -37,7 +37,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`plane`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`mod@write`], [`read`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -52,6 +52,7 @@ pub mod merge;
 pub mod pipeline;
 pub mod plane;
 pub mod pyramid;
+pub mod read;
 pub mod report;
 pub mod response;
 pub mod tonemap;

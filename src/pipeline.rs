@@ -3,17 +3,19 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
-pub mod calibration;
+pub mod camera;
 mod names;
-
-pub use names::{default_folder, default_outputs};
+mod tonemapping;
 
 use crate::align::given::SavedAlignment;
 use crate::align::{self, AlignOptions, Alignment, Rect};
+use crate::bracket::colour::Space;
 use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::inspect::{self, files, tables::Tables};
-use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
+use crate::merge::calibration::{self, Calibration, CalibrationReport, Unit};
+use crate::merge::statistics::Statistics;
+use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::{self, Exposures};
@@ -22,6 +24,9 @@ use crate::tonemap::{self, DisplayImage, Operator};
 use crate::write::{self, Metadata, Written, aligned};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+pub use names::{default_folder, default_outputs, default_picture};
+pub use tonemapping::{TonemapOptions, tonemap_file};
 
 /// Which part of the reference the results show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -59,6 +64,10 @@ pub struct Options {
     pub weight: Weight,
     /// Which part of the reference the results show.
     pub crop: Crop,
+    /// The linear colour space of the results; none for that of the reference's profile.
+    pub colour: Option<Space>,
+    /// What takes radiance to cd/m2.
+    pub calibration: Calibration,
     /// How luminance is brought into the range of a display.
     pub operator: Operator,
     /// How files are encoded, and whether those that exist are replaced.
@@ -135,12 +144,16 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let bracket = line.exposures(bracket, &alignment, options);
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
+        let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let (radiance, merged) = line.units(radiance, merged, options.colour, &calibration);
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
+        report.calibration = calibration;
+        report.colour = Some((&radiance).into());
         let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
         line.report(&mut report, files, options)?;
         Ok(Outcome { radiance, display, report })
@@ -215,6 +228,7 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
+    options.calibration.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
     }
@@ -345,11 +359,37 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<(RadianceMap, merge::MergeReport)> {
+    ) -> Result<(RadianceMap, MergeReport)> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || merge::merge(bracket, alignment, curve, &merging));
         self.times.merge = time;
         merged
+    }
+
+    /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
+    fn units(
+        &mut self,
+        map: RadianceMap,
+        merged: MergeReport,
+        colour: Option<Space>,
+        calibration: &Option<CalibrationReport>,
+    ) -> (RadianceMap, MergeReport) {
+        let (mut map, outside) = match colour {
+            Some(space) => gamut::converted(map, space),
+            None => (map, 0),
+        };
+        if outside > 0 {
+            let detail = format!(
+                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside, at their luminance"
+            );
+            self.warnings.push(Warning::OutOfGamut { detail });
+        }
+        let unit = calibration.map_or(Unit::Relative, |_| Unit::CdM2);
+        if let Some(calibration) = calibration {
+            calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
+        }
+        let radiance = Statistics::measured(&map.pixels, gamut::weights(&map.primaries), unit);
+        (map, MergeReport { radiance, ..merged })
     }
 
     fn tonemap(&mut self, radiance: &RadianceMap, options: &Options) -> DisplayImage {
@@ -368,7 +408,8 @@ impl<'a> Line<'a> {
         options: &Options,
     ) -> Result<Vec<Written>> {
         let reference = bracket.reference();
-        let metadata = Metadata::of(reference);
+        let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
+        let metadata = Metadata { cd_m2_per_unit, ..Metadata::of(reference) };
         let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
             let mut files = Vec::new();
             if let Some((curve, radiance, display)) = merged {

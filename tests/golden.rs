@@ -78,10 +78,7 @@ fn visible(bytes: &[u8], name: &str) -> Option<RgbImage> {
     }
     let folder = Folder::empty();
     folder.put(name, bytes);
-    let path = folder.at(name);
-    let radiance =
-        if name.ends_with(".hdr") { hdralign::write::hdr::read(&path) } else { hdralign::write::exr::read(&path) };
-    let pixels = radiance.ok()?.0.pixels;
+    let pixels = hdralign::read::read(&folder.at(name)).ok()?.0.pixels;
     let mean = pixels.as_slice().iter().flatten().sum::<f32>() / (3 * pixels.as_slice().len()) as f32;
     Some(RgbImage::from_fn(pixels.width() as u32, pixels.height() as u32, |x, y| {
         let shown = |v: f32| (255.0 * (v / (5.0 * mean)).clamp(0.0, 1.0).powf(1.0 / 2.2)) as u8;

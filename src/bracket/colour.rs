@@ -1,8 +1,15 @@
-//! The colour profile that a photograph carries, and the primaries that its numbers are of.
+//! Colour spaces of linear light: which red, green, blue and white numbers are of, and the way from one set to another.
 //!
-//! In: the bytes of an ICC profile. Out: its description, and the chromaticities of its red, green, blue and white where it is an RGB
-//! profile of matrix and curves. Cost: nothing to speak of.
-//! Source: ICC.1:2022, section 8.3 and annexes E and F: colorants are adapted to D50, by the `chad` tag or else by Bradford's transform.
+//! In: chromaticities. Out: matrices to CIE XYZ and between sets of primaries. Cost: nothing to speak of.
+//! Source: SMPTE RP 177-1993 (matrix from primaries); Lam 1985 (Bradford's adaptation, as in ICC.1:2022, annex E); the standards named
+//! at each set; ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
+//!
+//! Chromaticities are rounded to floats before anything is computed of them, as every file format has them no finer: what is read back
+//! from a file then gives the same numbers to the bit.
+
+mod profile;
+
+pub use profile::{Found, Profile};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -23,8 +30,8 @@ pub struct Primaries {
 /// White of D65 and D50, as the standards round them.
 const D65: [f64; 2] = [0.3127, 0.3290];
 const D50: [f64; 2] = [0.3457, 0.3585];
-/// The D50 of the profile connection space (ICC.1, 7.2.16).
-const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
+/// The white of equal energy, XYZ (1, 1, 1).
+const EQUAL_ENERGY: [f64; 2] = [1.0 / 3.0, 1.0 / 3.0];
 /// Bradford's cone responses (ICC.1, annex E).
 const BRADFORD: Matrix3<f64> = Matrix3::new(0.8951, 0.2664, -0.1614, -0.7502, 1.7135, 0.0367, 0.0389, -0.0685, 1.0296);
 
@@ -43,245 +50,252 @@ impl Primaries {
     /// ProPhoto RGB (ROMM, ISO 22028-2), D50.
     pub const PROPHOTO: Primaries =
         Primaries { red: [0.7347, 0.2653], green: [0.1596, 0.8404], blue: [0.0366, 0.0001], white: D50 };
+    /// ACEScg (AP1; AMPAS S-2014-004), the ACES white.
+    pub const ACES_AP1: Primaries =
+        Primaries { red: [0.713, 0.293], green: [0.165, 0.830], blue: [0.128, 0.044], white: [0.32168, 0.33767] };
 
     /// Whether no coordinate differs by more than `tolerance`; profiles round, and 0.005 is below what can be seen.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
-        let all = |p: &Primaries| [p.red, p.green, p.blue, p.white].concat();
-        all(self).iter().zip(all(other)).all(|(a, b)| (a - b).abs() <= tolerance)
+        self.all().iter().zip(other.all()).all(|(a, b)| (a - b).abs() <= tolerance)
+    }
+
+    fn all(&self) -> [f64; 8] {
+        let Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] } = *self;
+        [rx, ry, gx, gy, bx, by, wx, wy]
     }
 
     /// The standard set that this is, if any: profiles round to a few units in the fourth place.
     pub fn nearest_standard(&self) -> Option<Primaries> {
-        [Self::SRGB, Self::DISPLAY_P3, Self::ADOBE_RGB, Self::BT2020, Self::PROPHOTO]
-            .into_iter()
-            .find(|standard| self.is_close(standard, 0.005))
+        Space::of(self).map(Space::primaries)
+    }
+
+    /// RP 177: the columns are the primaries' XYZ, scaled so that RGB (1, 1, 1) is white, of luminance 1. `None` where they span no space.
+    pub fn to_xyz(&self) -> Option<Matrix3<f64>> {
+        let rounded = |xy: [f64; 2]| xyz(xy.map(|v| f64::from(v as f32)));
+        let columns = Matrix3::from_columns(&[self.red, self.green, self.blue].map(rounded));
+        let scale = columns.try_inverse()? * rounded(self.white);
+        let matrix = columns * Matrix3::from_diagonal(&scale);
+        matrix.iter().all(|v| v.is_finite()).then_some(matrix)
+    }
+
+    /// What red, green and blue contribute to luminance: the second row of [`to_xyz`](Self::to_xyz), BT.709's where there is none.
+    pub fn luminance(&self) -> [f64; 3] {
+        match (self.is_close(&Self::SRGB, 1e-6), self.to_xyz()) {
+            (false, Some(m)) => [m[(1, 0)], m[(1, 1)], m[(1, 2)]],
+            // As the standard rounds them, and Radiance.
+            _ => [0.2126, 0.7152, 0.0722],
+        }
     }
 }
 
-/// An ICC profile, kept as it was found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Profile {
-    /// The profile's bytes.
-    pub icc: Vec<u8>,
-    /// Its own description, such as `sRGB IEC61966-2.1`.
-    pub description: String,
+/// A linear colour space with a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Space {
+    /// sRGB's primaries, those of ITU-R BT.709.
+    Srgb,
+    /// Display P3.
+    DisplayP3,
+    /// Adobe RGB (1998).
+    AdobeRgb,
+    /// ITU-R BT.2020.
+    Rec2020,
+    /// ProPhoto RGB.
+    Prophoto,
+    /// ACEScg.
+    Acescg,
 }
 
-/// What a file's profile turned out to be.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Found {
-    /// An RGB profile; its primaries may be unknown.
-    Rgb(Profile),
-    /// A profile of another kind of numbers, by name; it says nothing of the RGB that is decoded.
-    Other(&'static str),
-    /// No profile that could be read.
-    Damaged,
+impl Space {
+    /// All of them.
+    pub const ALL: [Space; 6] =
+        [Space::Srgb, Space::DisplayP3, Space::AdobeRgb, Space::Rec2020, Space::Prophoto, Space::Acescg];
+
+    /// Its primaries and white.
+    pub fn primaries(self) -> Primaries {
+        match self {
+            Space::Srgb => Primaries::SRGB,
+            Space::DisplayP3 => Primaries::DISPLAY_P3,
+            Space::AdobeRgb => Primaries::ADOBE_RGB,
+            Space::Rec2020 => Primaries::BT2020,
+            Space::Prophoto => Primaries::PROPHOTO,
+            Space::Acescg => Primaries::ACES_AP1,
+        }
+    }
+
+    /// The space with these primaries, if they are one's within what profiles round (0.005).
+    pub fn of(primaries: &Primaries) -> Option<Space> {
+        Space::ALL.into_iter().find(|space| primaries.is_close(&space.primaries(), 0.005))
+    }
+
+    /// The id by which newer readers of OpenEXR know it (`colorInteropID`); ProPhoto has none.
+    pub fn interop_id(self) -> Option<&'static str> {
+        match self {
+            Space::Srgb => Some("lin_rec709_scene"),
+            Space::DisplayP3 => Some("lin_p3d65_scene"),
+            Space::AdobeRgb => Some("lin_adobergb_scene"),
+            Space::Rec2020 => Some("lin_rec2020_scene"),
+            Space::Prophoto => None,
+            Space::Acescg => Some("lin_ap1_scene"),
+        }
+    }
 }
 
-impl Profile {
-    /// Reads the kind and the description of an ICC profile.
-    pub fn parse(icc: Vec<u8>) -> Found {
-        let Some(parsed) = parse(&icc) else {
-            return Found::Damaged;
+/// The way of linear colours from one space to another: a matrix, by rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Conversion([[f32; 3]; 3]);
+
+impl Conversion {
+    /// From linear RGB of `from` to that of `to`; white is taken to white, by Bradford's transform where they differ. `None` where one of
+    /// the two spans no space.
+    pub fn between(from: &Primaries, to: &Primaries) -> Option<Self> {
+        let matrix = to.to_xyz()?.try_inverse()? * adaptation(from.white, to.white)? * from.to_xyz()?;
+        Self::of(matrix)
+    }
+
+    fn of(matrix: Matrix3<f64>) -> Option<Self> {
+        let rows = [0, 1, 2].map(|r| [0, 1, 2].map(|c| matrix[(r, c)] as f32));
+        rows.as_flattened().iter().all(|v| v.is_finite()).then_some(Conversion(rows))
+    }
+
+    /// The colour `c` in the other space.
+    #[inline]
+    pub fn apply(&self, c: [f32; 3]) -> [f32; 3] {
+        self.0.map(|row| row[0] * c[0] + row[1] * c[1] + row[2] * c[2])
+    }
+}
+
+/// Between linear RGB and the XYZ of formats that hold no primaries: grey has X = Y = Z, as their readers expect it (Radiance's
+/// `ra_xyze`, libtiff's LogLuv). Chromaticities are adapted to that white by Bradford's transform; Y is the luminance under the white
+/// that was, to the letter, which a matrix alone would change by some percent for saturated colours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NeutralXyz {
+    to_xyz: Conversion,
+    to_rgb: Conversion,
+    weights: [f32; 3],
+}
+
+impl NeutralXyz {
+    /// For RGB of `primaries`, or of sRGB's where these span no space.
+    pub fn of(primaries: &Primaries) -> Self {
+        let settled = |primaries: &Primaries| {
+            let matrix = primaries.to_xyz()?;
+            Some(NeutralXyz {
+                to_xyz: Conversion::of(adaptation(primaries.white, EQUAL_ENERGY)? * matrix)?,
+                to_rgb: Conversion::of(matrix.try_inverse()? * adaptation(EQUAL_ENERGY, primaries.white)?)?,
+                weights: primaries.luminance().map(|w| w as f32),
+            })
         };
-        match parsed.color_space {
-            moxcms::DataColorSpace::Rgb => {
-                let description = parsed.description.as_ref().map(text).filter(|d| !d.is_empty());
-                Found::Rgb(Profile { icc, description: description.unwrap_or_else(|| "unnamed profile".into()) })
-            }
-            moxcms::DataColorSpace::Gray => Found::Other("grey"),
-            moxcms::DataColorSpace::Cmyk => Found::Other("CMYK"),
-            _ => Found::Other("non-RGB"),
-        }
+        let none = Conversion([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        settled(primaries).or_else(|| settled(&Primaries::SRGB)).unwrap_or(NeutralXyz {
+            to_xyz: none,
+            to_rgb: none,
+            weights: [0.0, 1.0, 0.0],
+        })
     }
 
-    /// The chromaticities that the profile's numbers are of; `None` where it works by tables, or makes no sense.
-    pub fn primaries(&self) -> Option<Primaries> {
-        let profile = parse(&self.icc)?;
-        let colorant = |c: moxcms::Xyzd| Vector3::new(c.x, c.y, c.z);
-        let colorants = [profile.red_colorant, profile.green_colorant, profile.blue_colorant].map(colorant);
-        if colorants.iter().any(|c| c.y.abs() < 1e-6 && c.x.abs() < 1e-6 && c.z.abs() < 1e-6) {
-            return None;
-        }
-        let chad = profile.chromatic_adaptation.map(|chad| Matrix3::from_fn(|row, column| chad.v[row][column]));
-        // moxcms up to 0.9, and so what was written with it, puts the cone matrix itself where the adaptation belongs.
-        if let Some(to_d50) = chad.filter(|chad| (chad - BRADFORD).amax() > 1e-3) {
-            return unadapted(&colorants, to_d50.try_inverse()?);
-        }
-        let stated = profile.media_white_point.and_then(|w| xy(colorant(w))).unwrap_or(D50);
-        if (stated[0] - D50[0]).abs() > 0.005 || (stated[1] - D50[1]).abs() > 0.005 {
-            return unadapted(&colorants, from_d50(stated)?);
-        }
-        // D50 is what version 4 must say of every profile, and what ProPhoto is: D65 is meant where it makes a known space.
-        let d65 = unadapted(&colorants, from_d50(D65)?)?;
-        if d65.nearest_standard().is_some() { Some(d65) } else { unadapted(&colorants, Matrix3::identity()) }
+    fn luminance(&self, rgb: [f32; 3]) -> f32 {
+        self.weights[0] * rgb[0] + self.weights[1] * rgb[1] + self.weights[2] * rgb[2]
     }
 
-    /// What to embed for Adobe RGB (1998), where a camera says so by EXIF alone. The same bytes every time.
-    pub fn adobe_rgb() -> Option<Profile> {
-        let mut profile = moxcms::ColorProfile::new_adobe_rgb();
-        let to_d50 = from_d50(D65)?.try_inverse()?;
-        let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
-        profile.chromatic_adaptation = Some(moxcms::Matrix3d { v: [row(0), row(1), row(2)] });
-        profile.creation_date_time =
-            moxcms::ColorDateTime { year: 1998, month: 11, day_of_the_month: 1, hours: 0, minutes: 0, seconds: 0 };
-        match Profile::parse(profile.encode().ok()?) {
-            Found::Rgb(profile) => Some(profile),
-            _ => None,
-        }
+    /// XYZ of `rgb`, no component below 0.
+    #[inline]
+    pub fn of_rgb(&self, rgb: [f32; 3]) -> [f32; 3] {
+        let (xyz, y) = (self.to_xyz.apply(rgb), self.luminance(rgb));
+        let keep = y / xyz[1];
+        if keep.is_finite() && keep > 0.0 { [xyz[0] * keep, y, xyz[2] * keep].map(|v| v.max(0.0)) } else { [0.0; 3] }
+    }
+
+    /// RGB of `xyz`; components may be below 0.
+    #[inline]
+    pub fn to_rgb(&self, xyz: [f32; 3]) -> [f32; 3] {
+        let rgb = self.to_rgb.apply(xyz);
+        let keep = xyz[1] / self.luminance(rgb);
+        if keep.is_finite() && keep > 0.0 { rgb.map(|v| v * keep) } else { [0.0; 3] }
     }
 }
 
-fn parse(icc: &[u8]) -> Option<moxcms::ColorProfile> {
-    moxcms::ColorProfile::new_from_slice(icc).ok()
+/// XYZ of luminance 1.
+fn xyz([x, y]: [f64; 2]) -> Vector3<f64> {
+    Vector3::new(x / y, 1.0, (1.0 - x - y) / y)
 }
 
-fn text(description: &moxcms::ProfileText) -> String {
-    let text = match description {
-        moxcms::ProfileText::PlainString(s) => s.as_str(),
-        moxcms::ProfileText::Localizable(all) => {
-            let english = all.iter().find(|s| s.language == "en").or(all.first());
-            english.map_or("", |s| s.value.as_str())
-        }
-        moxcms::ProfileText::Description(d) if d.ascii_string.is_empty() => d.unicode_string.as_str(),
-        moxcms::ProfileText::Description(d) => d.ascii_string.as_str(),
-    };
-    text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string()
-}
-
-/// Colorants and D50 taken to where they were before adaptation.
-fn unadapted(colorants: &[Vector3<f64>; 3], from_d50: Matrix3<f64>) -> Option<Primaries> {
-    let [red, green, blue] = colorants.map(|c| xy(from_d50 * c));
-    Some(Primaries { red: red?, green: green?, blue: blue?, white: xy(from_d50 * PCS_WHITE)? })
-}
-
-/// The Bradford transform from D50 to the white of chromaticity `white` (ICC.1, annex E).
-fn from_d50(white: [f64; 2]) -> Option<Matrix3<f64>> {
-    let cones = |xyz: Vector3<f64>| BRADFORD * xyz;
-    if white[1] < 1e-3 {
-        return None;
-    }
-    let target = cones(Vector3::new(white[0] / white[1], 1.0, (1.0 - white[0] - white[1]) / white[1]));
-    let source = cones(PCS_WHITE);
-    Some(BRADFORD.try_inverse()? * Matrix3::from_diagonal(&target.component_div(&source)) * BRADFORD)
-}
-
-fn xy(xyz: Vector3<f64>) -> Option<[f64; 2]> {
-    let sum = xyz.sum();
-    let xy = [xyz.x / sum, xyz.y / sum];
-    xy.iter().all(|v| v.is_finite() && v.abs() < 2.0).then_some(xy)
+/// Bradford's transform of XYZ under one white to that under another: cone responses scaled by the ratio of the whites'.
+fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix3<f64>> {
+    let cones = |white: [f64; 2]| BRADFORD * xyz(white.map(|v| f64::from(v as f32)));
+    let ratio = cones(to).component_div(&cones(from));
+    Some(BRADFORD.try_inverse()? * Matrix3::from_diagonal(&ratio) * BRADFORD)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moxcms::ColorProfile;
 
-    /// A version 2 profile by hand: `colorants` adapted to D50, and the media white, no `chad`.
-    fn icc(colorants: [[f64; 3]; 3], white: [f64; 3]) -> Vec<u8> {
-        let xyz = |v: [f64; 3]| {
-            let numbers = v.iter().flat_map(|x| ((x * 65536.0).round() as i32).to_be_bytes());
-            [*b"XYZ ", [0; 4]].concat().into_iter().chain(numbers).collect::<Vec<u8>>()
-        };
-        let mut tags = vec![(*b"wtpt", xyz(white))];
-        tags.extend([*b"rXYZ", *b"gXYZ", *b"bXYZ"].into_iter().zip(colorants.map(xyz)));
-        for name in [*b"rTRC", *b"gTRC", *b"bTRC"] {
-            tags.push((name, [&b"curv\0\0\0\0\0\0\0\x01\x02\x33\0\0"[..]].concat()));
-        }
-        let name = b"Made by hand\0";
-        let mut desc = [&b"desc\0\0\0\0"[..], &(name.len() as u32).to_be_bytes(), name].concat();
-        desc.resize(desc.len() + 78, 0);
-        desc.resize(desc.len().next_multiple_of(4), 0);
-        tags.push((*b"desc", desc));
-        let mut out = vec![0; 128];
-        out[8] = 2;
-        for (at, signature) in [(12, b"mntr"), (16, b"RGB "), (20, b"XYZ "), (36, b"acsp")] {
-            out[at..at + 4].copy_from_slice(signature);
-        }
-        out.extend((tags.len() as u32).to_be_bytes());
-        let mut offset = 132 + 12 * tags.len();
-        for (name, data) in &tags {
-            out.extend(name);
-            out.extend((offset as u32).to_be_bytes());
-            out.extend((data.len() as u32).to_be_bytes());
-            offset += data.len();
-        }
-        tags.iter().for_each(|(_, data)| out.extend(data));
-        let size = out.len() as u32;
-        out[..4].copy_from_slice(&size.to_be_bytes());
-        out
-    }
-
-    /// As in the profiles that HP, Adobe and Kodak published, D50.
-    const SRGB_D50: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
-    const ADOBE_D50: [[f64; 3]; 3] = [[0.6097, 0.3111, 0.0195], [0.2053, 0.6257, 0.0609], [0.1492, 0.0632, 0.7446]];
-    const PROPHOTO_D50: [[f64; 3]; 3] = [[0.7977, 0.2880, 0.0], [0.1352, 0.7119, 0.0], [0.0313, 0.0001, 0.8249]];
-    const WHITE_65: [f64; 3] = [0.9505, 1.0, 1.0891];
-    const WHITE_50: [f64; 3] = [0.9642, 1.0, 0.8249];
-
-    fn primaries(icc: Vec<u8>) -> Primaries {
-        let Found::Rgb(profile) = Profile::parse(icc) else { panic!("no RGB profile") };
-        profile.primaries().expect("primaries")
-    }
-
-    #[track_caller]
-    fn assert_close(found: Primaries, published: Primaries) {
-        assert!(found.is_close(&published, 0.002), "{found:?}\n{published:?}");
-    }
-
+    /// The matrices that the standards print, to their four places.
     #[test]
-    fn version_2_profiles_without_chad() {
-        assert_close(primaries(icc(SRGB_D50, WHITE_65)), Primaries::SRGB);
-        assert_close(primaries(icc(SRGB_D50, WHITE_50)), Primaries::SRGB);
-        assert_close(primaries(icc(ADOBE_D50, WHITE_65)), Primaries::ADOBE_RGB);
-        assert_close(primaries(icc(ADOBE_D50, WHITE_50)), Primaries::ADOBE_RGB);
-        assert_close(primaries(icc(PROPHOTO_D50, WHITE_50)), Primaries::PROPHOTO);
-    }
-
-    /// D65 to D50, as LittleCMS writes it.
-    const CHAD: [[f64; 3]; 3] =
-        [[1.04788, 0.02292, -0.05022], [0.02959, 0.99048, -0.01707], [-0.00925, 0.01508, 0.75168]];
-
-    #[test]
-    fn version_4_profiles_with_chad() {
-        for (profile, published) in [
-            (ColorProfile::new_srgb(), Primaries::SRGB),
-            (ColorProfile::new_display_p3(), Primaries::DISPLAY_P3),
-            (ColorProfile::new_adobe_rgb(), Primaries::ADOBE_RGB),
-            (ColorProfile::new_bt2020(), Primaries::BT2020),
-        ] {
-            let mut right = profile.clone();
-            right.chromatic_adaptation = Some(moxcms::Matrix3d { v: CHAD });
-            right.media_white_point = Some(moxcms::Xyzd { x: 0.9642, y: 1.0, z: 0.8249 });
-            assert_close(primaries(right.encode().unwrap()), published);
-            // With the cone matrix in its place, as moxcms has it.
-            assert_close(primaries(profile.encode().unwrap()), published);
+    fn matrices_to_xyz_are_those_printed() {
+        let srgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
+        let rec2020 = [[0.6370, 0.1446, 0.1689], [0.2627, 0.6780, 0.0593], [0.0000, 0.0281, 1.0610]];
+        let ap1 = [[0.6625, 0.1340, 0.1562], [0.2722, 0.6741, 0.0537], [-0.0056, 0.0041, 1.0103]];
+        for (space, printed) in [(Space::Srgb, srgb), (Space::Rec2020, rec2020), (Space::Acescg, ap1)] {
+            let ours = space.primaries().to_xyz().unwrap();
+            for (row, values) in printed.iter().enumerate() {
+                for (column, value) in values.iter().enumerate() {
+                    assert!((ours[(row, column)] - value).abs() < 1e-4, "{space:?} {ours}");
+                }
+            }
         }
     }
 
+    /// Published: sRGB to ACEScg by Bradford's transform (colour-science, `RGB_to_RGB`), and Adobe RGB's green in sRGB.
     #[test]
-    fn descriptions_are_read_from_either_version() {
-        let description = |icc| match Profile::parse(icc) {
-            Found::Rgb(profile) => profile.description,
-            other => panic!("{other:?}"),
-        };
-        assert_eq!(description(icc(SRGB_D50, WHITE_65)), "Made by hand");
-        assert_eq!(description(ColorProfile::new_srgb().encode().unwrap()), "sRGB IEC61966-2.1");
+    fn conversions_are_those_published_and_white_stays_white() {
+        let to = |from: Space, to: Space, c| Conversion::between(&from.primaries(), &to.primaries()).unwrap().apply(c);
+        let close = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-4);
+        assert!(close(to(Space::Srgb, Space::Acescg, [1.0, 0.0, 0.0]), [0.6131, 0.0702, 0.0206]));
+        assert!(close(to(Space::Srgb, Space::Acescg, [0.0, 0.0, 1.0]), [0.0474, 0.0134, 0.8698]));
+        assert!(close(to(Space::AdobeRgb, Space::Srgb, [0.0, 1.0, 0.0]), [-0.3984, 1.0, -0.0430]));
+        for from in Space::ALL {
+            for other in Space::ALL {
+                assert!(close(to(from, other, [1.0; 3]), [1.0; 3]), "{from:?} to {other:?}");
+                let there = to(from, other, [0.3, 0.9, 0.1]);
+                let back = to(other, from, there);
+                assert!(close(back, [0.3, 0.9, 0.1]), "{from:?} by {other:?}: {back:?}");
+            }
+        }
+        let flat = Primaries { green: [0.64, 0.33], ..Primaries::SRGB };
+        assert_eq!((flat.to_xyz(), Conversion::between(&flat, &Primaries::SRGB)), (None, None));
     }
 
     #[test]
-    fn other_kinds_have_no_primaries() {
-        let grey = ColorProfile::new_gray_with_gamma(2.2).encode().unwrap();
-        assert_eq!(Profile::parse(grey), Found::Other("grey"));
-        assert_eq!(Profile::parse(b"no profile".to_vec()), Found::Damaged);
-        let Found::Rgb(black) = Profile::parse(icc([[0.0; 3]; 3], WHITE_50)) else { panic!("no RGB profile") };
-        assert_eq!(black.primaries(), None);
+    fn grey_has_equal_xyz_and_luminance_is_kept() {
+        for space in Space::ALL {
+            let (neutral, weights) = (NeutralXyz::of(&space.primaries()), space.primaries().luminance());
+            assert!(neutral.of_rgb([0.5; 3]).iter().all(|v| (v - 0.5).abs() < 1e-6));
+            for rgb in [[0.2, 0.5, 0.7], [1.0, 0.0, 0.0], [0.0, 0.02, 0.3]] {
+                let xyz = neutral.of_rgb(rgb);
+                let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
+                assert!((f64::from(xyz[1]) - y).abs() < 1e-6);
+                let back = neutral.to_rgb(xyz);
+                // Of colours at the edge of the space Z under the other white may be below 0, and is cut there.
+                let near = if rgb.contains(&0.0) { 0.01 } else { 1e-5 };
+                assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < near), "{space:?} {rgb:?} {back:?}");
+            }
+            assert_eq!((neutral.of_rgb([0.0; 3]), neutral.to_rgb([0.0; 3])), ([0.0; 3], [0.0; 3]));
+        }
     }
 
+    /// A file keeps chromaticities as floats: what comes back must give the same conversion to the bit.
     #[test]
-    fn the_adobe_rgb_profile_is_the_same_every_time() {
-        let profile = Profile::adobe_rgb().unwrap();
-        assert_eq!(profile, Profile::adobe_rgb().unwrap());
-        assert_close(profile.primaries().unwrap(), Primaries::ADOBE_RGB);
+    fn what_a_file_rounds_does_not_matter() {
+        let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
+        for p in Space::ALL.map(Space::primaries) {
+            let read =
+                Primaries { red: float(p.red), green: float(p.green), blue: float(p.blue), white: float(p.white) };
+            assert_eq!(Conversion::between(&p, &Primaries::SRGB), Conversion::between(&read, &Primaries::SRGB));
+            assert_eq!(read.nearest_standard(), Some(p));
+        }
+        assert_eq!(Primaries::SRGB.luminance(), [0.2126, 0.7152, 0.0722]);
+        assert!((Primaries::ADOBE_RGB.luminance()[0] - 0.2973).abs() < 1e-4);
     }
 }

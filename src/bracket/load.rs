@@ -195,7 +195,7 @@ fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -
     };
     match Profile::parse(icc) {
         Found::Rgb(profile) => {
-            if profile.primaries().is_none() {
+            if profile.primaries.is_none() {
                 notes.push(format!(
                     "the primaries of its colour profile ({}) are unknown; sRGB's are assumed",
                     profile.description

@@ -115,7 +115,7 @@ impl Frame {
 
     /// The chromaticities that the samples are of: the profile's, or sRGB's where there is no profile or it does not say.
     pub fn primaries(&self) -> Primaries {
-        self.profile.as_ref().and_then(Profile::primaries).unwrap_or(Primaries::SRGB)
+        self.profile.as_ref().and_then(|profile| profile.primaries).unwrap_or(Primaries::SRGB)
     }
 
     /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.

@@ -2,8 +2,10 @@
 
 use super::input::Common;
 use super::progress::Bar;
+use super::radiance::Radiance;
 use clap::ValueEnum;
 use hdralign::error::Error;
+use hdralign::merge::calibration::Calibration;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::response::ratios::Exposures;
@@ -57,6 +59,18 @@ pub struct Args {
     /// How luminance is brought into the range of a display
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
     tmo: OperatorArg,
+
+    #[command(flatten)]
+    radiance: Radiance,
+
+    /// Radiance in cd/m2 by the reference's exposure: its top code is 87 N^2 / (t ISO), within about half a stop
+    #[arg(long)]
+    absolute: bool,
+
+    /// Multiply the radiance, which is then in cd/m2: with --absolute luminance measured over luminance reported,
+    /// near 1; alone the cd/m2 of a radiance of 1, which is what gave the reference its middle code
+    #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
+    calibration_factor: Option<f64>,
 
     /// Write the aligned frames too, as TIFF: PREFIX and the photograph's name
     #[arg(long, value_name = "PREFIX")]
@@ -134,10 +148,19 @@ enum WeightArg {
 
 /// See [`Operator`].
 #[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum OperatorArg {
+pub enum OperatorArg {
     /// Reinhard et al. 2002, the global curve
     #[default]
     Reinhard02,
+}
+
+impl OperatorArg {
+    /// The operator with its options as by default.
+    pub fn operator(self) -> Operator {
+        match self {
+            OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
+        }
+    }
 }
 
 impl Args {
@@ -147,6 +170,7 @@ impl Args {
         } else {
             self.output.clone()
         };
+        let common = self.common.options();
         Options {
             outputs,
             exposures: self.exposures.option(),
@@ -161,11 +185,12 @@ impl Args {
                 WeightArg::MannPicard => Weight::MannPicard,
                 WeightArg::Noise => Weight::Noise,
             },
-            operator: match self.tmo {
-                OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
-            },
+            colour: self.radiance.colour(),
+            calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
+            operator: self.tmo.operator(),
             save_aligned: self.save_aligned.clone(),
-            ..self.common.options()
+            write: self.radiance.write(common.write.overwrite),
+            ..common
         }
     }
 }

@@ -7,8 +7,10 @@ mod input;
 mod inspect;
 mod merge;
 mod progress;
+mod radiance;
 mod response;
 mod summary;
+mod tonemap;
 
 use clap::{Parser, Subcommand};
 use hdralign::error::Error;
@@ -35,6 +37,8 @@ enum Command {
     Response(response::Args),
     /// Tables and drawings of what the alignment rests on: look before, or find out why
     Inspect(inspect::Args),
+    /// Tone-map a radiance map again, without merging again
+    Tonemap(tonemap::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -49,7 +53,8 @@ Examples:
   hdralign merge *.jpg -o room.exr -o room.png
   hdralign align *.jpg --save-aligned aligned_
   hdralign response *.jpg -o camera.json --plot camera.svg
-  hdralign inspect *.jpg -d look";
+  hdralign inspect *.jpg -d look
+  hdralign tonemap room.exr -o room.png";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
@@ -58,6 +63,7 @@ pub fn run() -> ExitCode {
         Command::Align(args) => align::run(&args),
         Command::Response(args) => response::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Tonemap(args) => tonemap::run(&args),
     };
     match outcome {
         Ok(code) => code,

@@ -4,7 +4,7 @@ use super::input::Aligned;
 use super::merge::{ExposuresArg, ResponseArg};
 use super::progress::Bar;
 use hdralign::error::Error;
-use hdralign::pipeline::calibration::{self, CalibrationReport};
+use hdralign::pipeline::camera::{self, CameraReport};
 use hdralign::pipeline::{self};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -53,7 +53,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let Aligned { images, quiet, strict, .. } = &args.aligned;
-    let options = calibration::Options {
+    let options = camera::Options {
         line: pipeline::Options {
             response: args.response_model.model(args.response_degree),
             exposures: args.exposures.option(),
@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         plots: args.plot.clone(),
     };
     let bar = Bar::new(images.len(), *quiet);
-    let report = calibration::run(images, &options, &|p| bar.show(p));
+    let report = camera::run(images, &options, &|p| bar.show(p));
     bar.clear();
     let report = report?;
     if !quiet {
@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
 }
 
 /// Warnings, and how well the curve is known, on stderr.
-fn summarise(report: &CalibrationReport) {
+fn summarise(report: &CameraReport) {
     for warning in &report.warnings {
         eprintln!("warning: {}", warning.message);
     }

@@ -35,7 +35,10 @@ pub fn print(report: &Report, verbose: bool) {
     words.extend((rejected > 0).then(|| format!("{rejected} left out")));
     words.push(format!("{} x {} pixels", report.crop.width_px, report.crop.height_px));
     if let Some(merged) = &report.radiance {
-        words.push(format!("{:.1} stops", merged.radiance.dynamic_range_stops));
+        let scene = &merged.radiance;
+        words.push(format!("{:.1} stops", scene.dynamic_range_stops));
+        let calibrated = report.calibration.is_some();
+        words.extend(calibrated.then(|| format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9)));
     }
     words.push(format!("{:.2} s", report.time_s.total));
     eprintln!("{}", words.join(", "));

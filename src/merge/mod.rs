@@ -24,6 +24,8 @@
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
 //! inside a half-float's 6e-8..65504. Divide by [`MergeReport::reference_exposure`] to compare brackets of different exposure.
 
+pub mod calibration;
+pub mod gamut;
 mod layer;
 mod mean;
 mod noise;

@@ -4,6 +4,7 @@
 //! The percentiles are from a histogram whose bins are the floats that share exponent and first seven bits: 128 to the octave, without
 //! a logarithm, and the same on any machine.
 
+use super::calibration::Unit;
 use crate::plane::{Plane, fold_bands};
 use serde::Serialize;
 
@@ -12,28 +13,36 @@ const DROPPED: u32 = 16;
 /// Bins: one for each positive float without those.
 const BINS: usize = 1 << (31 - DROPPED);
 
-/// Range and percentiles of luminance, in the units of the map.
+/// Range and percentiles of luminance, in the unit of the map.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Statistics {
+    /// What the values are: `relative`, or `cd/m2`.
+    pub unit: Unit,
     /// The least.
     pub min: f32,
     /// The greatest.
     pub max: f32,
-    /// The 1st percentile; percentiles are within 0.4 %.
+    /// The 0.1st percentile; percentiles are within 0.4 %.
+    pub p0_1: f32,
+    /// The 1st percentile.
     pub p1: f32,
     /// The median.
     pub p50: f32,
     /// The 99th percentile.
     pub p99: f32,
+    /// The 99.9th percentile.
+    pub p99_9: f32,
     /// log2 of the ratio of the 99.9th percentile to the 0.1st.
     pub dynamic_range_stops: f64,
-    /// max / min.
+    /// A = max / min, which single pixels decide.
     pub contrast: f64,
 }
 
-/// Luminance 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
-fn luminance([r, g, b]: [f32; 3]) -> f32 {
-    0.2126 * r + 0.7152 * g + 0.0722 * b
+/// ITU-R BT.709.
+const BT709: [f32; 3] = [0.2126, 0.7152, 0.0722];
+
+fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
+    weights[0] * r + weights[1] * g + weights[2] * b
 }
 
 /// What a band contributes.
@@ -44,13 +53,19 @@ struct Part {
 }
 
 impl Statistics {
-    /// Those of `pixels`, all values of which are positive and finite.
+    /// Those of `pixels`, all values of which are positive and finite, relative and of BT.709's primaries.
     pub fn of(pixels: &Plane<[f32; 3]>) -> Self {
+        Self::measured(pixels, BT709, Unit::Relative)
+    }
+
+    /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
+    /// luminance.
+    pub fn measured(pixels: &Plane<[f32; 3]>, weights: [f32; 3], unit: Unit) -> Self {
         let empty = || Part { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] };
         let count = |rows| {
             let mut part = empty();
             for &pixel in pixels.rows(rows) {
-                let y = luminance(pixel);
+                let y = luminance(pixel, weights);
                 part.min = part.min.min(y);
                 part.max = part.max.max(y);
                 part.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
@@ -65,11 +80,14 @@ impl Statistics {
         });
         let at = |share: f64| percentile(&all.bins, share).clamp(all.min, all.max);
         Statistics {
+            unit,
             min: all.min,
             max: all.max,
+            p0_1: at(0.001),
             p1: at(0.01),
             p50: at(0.5),
             p99: at(0.99),
+            p99_9: at(0.999),
             dynamic_range_stops: libm::log2(f64::from(at(0.999)) / f64::from(at(0.001))),
             contrast: f64::from(all.max) / f64::from(all.min),
         }
@@ -95,7 +113,7 @@ mod tests {
     fn percentiles_are_those_of_the_sorted_values() {
         let value = |i: usize| libm::exp2((i * 7919 % 10_007) as f64 / 700.0 - 7.0) as f32;
         let pixels = Plane::from_vec(100, 100, (0..10_000).map(|i| [value(i); 3]).collect());
-        let mut sorted: Vec<f32> = pixels.as_slice().iter().map(|&p| luminance(p)).collect();
+        let mut sorted: Vec<f32> = pixels.as_slice().iter().map(|&p| luminance(p, BT709)).collect();
         sorted.sort_by(f32::total_cmp);
         let s = Statistics::of(&pixels);
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
@@ -104,8 +122,16 @@ mod tests {
             assert!((found / sorted[rank] - 1.0).abs() < 1.0 / 255.0, "{found} for {}", sorted[rank]);
         }
         // 2 * log2(1 + 2^-8) = 0.012.
+        assert!((s.p99_9 / sorted[9_990] - 1.0).abs() < 1.0 / 255.0 && (s.p0_1 / sorted[10] - 1.0).abs() < 1.0 / 255.0);
         let stops = f64::from(sorted[9_990] / sorted[10]);
         assert!((s.dynamic_range_stops - libm::log2(stops)).abs() < 0.012);
+    }
+
+    #[test]
+    fn weights_and_units_are_those_given() {
+        let s = Statistics::measured(&Plane::filled(3, 2, [1.0, 2.0, 4.0]), [0.5, 0.25, 0.25], Unit::CdM2);
+        assert_eq!((s.min, s.max, s.unit), (2.0, 2.0, Unit::CdM2));
+        assert_eq!(serde_json::to_value(s).unwrap()["unit"], "cd/m2");
     }
 
     #[test]

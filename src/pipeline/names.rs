@@ -1,6 +1,6 @@
-//! Names of results, after those of the photographs.
+//! The names of results that the user does not name.
 //!
-//! In: paths. Out: paths beside them, and the order in which people give them. Cost: none.
+//! In: the names of the inputs. Out: names beside them. Cost: none to speak of.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -63,6 +63,11 @@ pub(super) fn natural(a: &Path, b: &Path) -> Ordering {
     }
 }
 
+/// Where a tone-mapped picture goes when no output is named: beside the radiance map `input`, as `.png`.
+pub fn default_picture(input: &Path) -> PathBuf {
+    input.with_extension("png")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -90,5 +95,10 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_picture_is_named_after_its_radiance() {
+        assert_eq!(default_picture(Path::new("d/room.v2.exr")), PathBuf::from("d/room.v2.png"));
     }
 }

@@ -2,11 +2,15 @@
 //!
 //! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
 
+pub mod tonemapped;
+
 use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
+use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Warning;
-use crate::merge::MergeReport;
+use crate::merge::calibration::CalibrationReport;
+use crate::merge::{MergeReport, RadianceMap};
 use crate::response::ResponseReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -37,6 +41,10 @@ pub struct Report {
     pub response: Option<ResponseReport>,
     /// What came of merging; none where frames were only aligned.
     pub radiance: Option<MergeReport>,
+    /// How radiance was taken to cd/m2; null where it is relative.
+    pub calibration: Option<CalibrationReport>,
+    /// What red, green and blue of the radiance are; none where frames were only aligned.
+    pub colour: Option<ColourReport>,
     /// The files written.
     pub outputs: Vec<String>,
     /// What the user should know.
@@ -61,6 +69,21 @@ pub struct Crop {
 impl From<Rect> for Crop {
     fn from(rect: Rect) -> Self {
         Crop { x_px: rect.x0, y_px: rect.y0, width_px: rect.width(), height_px: rect.height() }
+    }
+}
+
+/// What red, green and blue are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ColourReport {
+    /// The colour space by name; null for primaries of another.
+    pub space: Option<Space>,
+    /// CIE 1931 xy of red, green, blue and white.
+    pub primaries: Primaries,
+}
+
+impl From<&RadianceMap> for ColourReport {
+    fn from(map: &RadianceMap) -> Self {
+        ColourReport { space: Space::of(&map.primaries), primaries: map.primaries }
     }
 }
 
@@ -164,6 +187,8 @@ impl Report {
             crop: crop.into(),
             response: None,
             radiance: None,
+            calibration: None,
+            colour: None,
             outputs: Vec::new(),
             warnings: Vec::new(),
             time_s: Times::default(),

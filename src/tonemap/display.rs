@@ -1,9 +1,9 @@
 //! The way to the display: linear RGB of any primaries to linear sRGB, into the gamut by hue-keeping desaturation, to 8-bit codes.
 //!
 //! In: radiance RGB, or linear RGB relative to display white. Out: the other, or codes. Cost: about 10 ns a pixel; the tables are made
-//! once. Source: IEC 61966-2-1:1999 (sRGB), section 4.3; SMPTE RP 177-1993 (matrix from primaries); Lam 1985 (Bradford adaptation).
+//! once. Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
 
-use crate::bracket::colour::Primaries;
+use crate::bracket::colour::{Conversion, Primaries};
 use std::sync::LazyLock;
 
 /// Luminance of linear sRGB: the second row of its matrix to XYZ.
@@ -14,84 +14,26 @@ pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
     LUMINANCE[0] * r + LUMINANCE[1] * g + LUMINANCE[2] * b
 }
 
-/// A matrix, by rows.
-type Matrix = [[f64; 3]; 3];
-
 /// Takes linear RGB of some primaries to linear sRGB.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ToSrgb(Option<[[f32; 3]; 3]>);
+pub struct ToSrgb(Option<Conversion>);
 
 impl ToSrgb {
     /// From `primaries`; nothing is done where these are sRGB's to three places, or are no primaries at all.
     pub fn from(primaries: &Primaries) -> Self {
-        let flat = |p: &Primaries| [p.red, p.green, p.blue, p.white];
-        let same = flat(primaries)
-            .as_flattened()
-            .iter()
-            .zip(flat(&Primaries::SRGB).as_flattened())
-            .all(|(a, b)| (a - b).abs() < 1e-3);
-        if same {
+        if primaries.is_close(&Primaries::SRGB, 1e-3) {
             return ToSrgb(None);
         }
-        let matrix = to_xyz(primaries).zip(to_xyz(&Primaries::SRGB).and_then(inverse)).and_then(|(to, back)| {
-            let adapt = adaptation(white_xyz(primaries), white_xyz(&Primaries::SRGB))?;
-            Some(product(back, product(adapt, to)).map(|row| row.map(|v| v as f32)))
-        });
-        ToSrgb(matrix)
+        ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
     /// The colour in linear sRGB: components below 0 are colours that sRGB has not.
     pub fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.0 {
             None => rgb,
-            Some(m) => m.map(|row| row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2]),
+            Some(conversion) => conversion.apply(rgb),
         }
     }
-}
-
-fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
-    [x / y, 1.0, (1.0 - x - y) / y]
-}
-
-fn white_xyz(primaries: &Primaries) -> [f64; 3] {
-    xyz(primaries.white)
-}
-
-/// RP 177: the columns are the primaries' XYZ, scaled so that RGB (1, 1, 1) is white. `None` where they span no space.
-fn to_xyz(primaries: &Primaries) -> Option<Matrix> {
-    let [r, g, b] = [primaries.red, primaries.green, primaries.blue].map(xyz);
-    let columns = [0, 1, 2].map(|i| [r[i], g[i], b[i]]);
-    let scale = times(inverse(columns)?, white_xyz(primaries));
-    Some(columns.map(|row| [row[0] * scale[0], row[1] * scale[1], row[2] * scale[2]]))
-}
-
-/// Bradford: von Kries' scaling by the whites' ratio in sharpened cone responses.
-fn adaptation(from: [f64; 3], to: [f64; 3]) -> Option<Matrix> {
-    const CONES: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
-    let (from, to) = (times(CONES, from), times(CONES, to));
-    let ratio = [0, 1, 2].map(|i| to[i] / from[i]);
-    let scaled = [0, 1, 2].map(|i| CONES[i].map(|v| v * ratio[i]));
-    Some(product(inverse(CONES)?, scaled))
-}
-
-fn times(m: Matrix, v: [f64; 3]) -> [f64; 3] {
-    m.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
-}
-
-fn product(a: Matrix, b: Matrix) -> Matrix {
-    a.map(|row| [0, 1, 2].map(|j| row[0] * b[0][j] + row[1] * b[1][j] + row[2] * b[2][j]))
-}
-
-/// By cofactors; `None` for a singular matrix.
-fn inverse(m: Matrix) -> Option<Matrix> {
-    let minor = |i: usize, j: usize| {
-        let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
-        m[a][c] * m[b][d] - m[a][d] * m[b][c]
-    };
-    let determinant = (0..3).map(|j| m[0][j] * minor(0, j)).sum::<f64>();
-    let inverse = [0, 1, 2].map(|i| [0, 1, 2].map(|j| minor(j, i) / determinant));
-    let usable = inverse.as_flattened().iter().all(|v| v.is_finite());
-    usable.then_some(inverse)
 }
 
 /// From where on a colour that nears the edge of the gamut is held back, as a part of the way from grey to the edge.
@@ -208,16 +150,6 @@ mod tests {
         let encoder = Encoder::new();
         for code in 0..=255u8 {
             assert_eq!(encoder.code(to_linear(f64::from(code) / 255.0) as f32), code);
-        }
-    }
-
-    /// The matrix that IEC 61966-2-1 prints, to its four places.
-    #[test]
-    fn srgb_to_xyz_is_the_printed_matrix() {
-        let printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
-        let ours = to_xyz(&Primaries::SRGB).unwrap();
-        for (a, b) in ours.as_flattened().iter().zip(printed.as_flattened()) {
-            assert!((a - b).abs() < 1e-4, "{ours:?}");
         }
     }
 

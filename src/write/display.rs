@@ -290,8 +290,10 @@ mod tests {
     #[test]
     fn a_profile_takes_the_place_of_srgb() {
         let icc: Vec<u8> = (0..500).map(|i| (i / 7) as u8).collect();
-        let metadata =
-            Metadata { profile: Some(Profile { icc: icc.clone(), description: String::new() }), ..Metadata::default() };
+        let metadata = Metadata {
+            profile: Some(Profile { icc: icc.clone(), description: String::new(), primaries: None }),
+            ..Metadata::default()
+        };
         let bytes = written(&picture(4, 4), &metadata);
         let reader = png::Decoder::new(io::Cursor::new(&bytes)).read_info().unwrap();
         assert_eq!(reader.info().icc_profile.as_deref(), Some(&icc[..]));

@@ -1,7 +1,7 @@
 //! OpenEXR: half or float RGB, scan lines, lossless.
 //!
 //! In: linear RGB by rows. Out: a file whose blocks lie in increasing order, so the bytes are the same on any number of threads.
-//! [`read`] is the way back. Cost: PIZ 100 ns a pixel and core for noisy halves, 300 for floats;
+//! [`read`](crate::read) is the way back. Cost: PIZ 100 ns a pixel and core for noisy halves, 300 for floats;
 //! ZIP takes two to three times that and a tenth more room. Source: "OpenEXR File Layout" and "Standard
 //! Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
@@ -10,10 +10,9 @@
 
 use super::half::{HALF_MAX, half_bits};
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
-use crate::bracket::colour::Primaries;
-use crate::error::{Error, Result};
-use crate::merge::RadianceMap;
-use crate::plane::{BAND_ROWS, Plane};
+use crate::bracket::colour::{Primaries, Space};
+use crate::error::Result;
+use crate::plane::{BAND_ROWS, Plane, fold_bands};
 use ::exr::block::chunk::Chunk;
 use ::exr::block::{BlockIndex, UncompressedBlock};
 use ::exr::math::Vec2;
@@ -21,16 +20,39 @@ use ::exr::meta::attribute::{self, AttributeValue, ChannelDescription, Chromatic
 use ::exr::meta::header::Header;
 use ::exr::meta::{BlockDescription, MetaData, magic_number, sequence_end};
 use std::io::{self, Seek, SeekFrom, Write};
-use std::path::Path;
 
 /// How a number is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Sample {
-    /// 16 bits: steps of 1/2048 or finer, up to 65504.
+    /// Halves where they hold the picture, else floats: see [`settled`](Self::settled). A writer that is fed rows, and so cannot know,
+    /// takes floats.
     #[default]
+    Auto,
+    /// 16 bits: steps of 1/2048 or finer, up to 65504.
     Half,
     /// 32 bits: as merged.
     Float,
+}
+
+/// Below this the steps of a half, 2^-24, are over a hundredth of the value.
+const HALF_FINE: f32 = 6e-6;
+
+impl Sample {
+    /// What `pixels` are kept as: of [`Auto`](Self::Auto) floats where a value is above 65504, or where more than one in a thousand is
+    /// below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
+    pub fn settled(self, pixels: &Plane<[f32; 3]>) -> Sample {
+        if self != Sample::Auto {
+            return self;
+        }
+        let count = |rows| {
+            let values = pixels.rows(rows).as_flattened();
+            let of = |what: fn(f32) -> bool| values.iter().filter(|&&v| what(v)).count();
+            (of(|v| v > HALF_MAX), of(|v| v < HALF_FINE))
+        };
+        let add = |(a, b): (usize, usize), (c, d): (usize, usize)| (a + c, b + d);
+        let (over, fine) = fold_bands(pixels.height(), count, (0, 0), add);
+        if over > 0 || fine > pixels.as_slice().len() * 3 / 1000 { Sample::Float } else { Sample::Half }
+    }
 }
 
 /// How blocks are packed; all without loss.
@@ -48,7 +70,7 @@ pub enum Compression {
 /// How OpenEXR is encoded.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// Half by default.
+    /// Halves where they do by default.
     pub sample: Sample,
     /// PIZ by default.
     pub compression: Compression,
@@ -132,7 +154,7 @@ impl RowWriter<[f32; 3]> for Writer {
 fn header((width, height): (usize, usize), metadata: &Metadata, options: &Options) -> Header {
     let sample = match options.sample {
         Sample::Half => SampleType::F16,
-        Sample::Float => SampleType::F32,
+        Sample::Float | Sample::Auto => SampleType::F32,
     };
     let compression = match options.compression {
         Compression::Piz => ::exr::compression::Compression::PIZ,
@@ -172,34 +194,22 @@ fn put_frame(header: &Header, metadata: &Metadata, out: &mut Vec<u8>) -> ::exr::
         attribute::write(name, &value, out)?;
     }
     // Further standard attributes that the crate has no field for. Its maps of others have no fixed order.
-    let camera = |t: &Option<String>| t.as_deref().and_then(text);
+    let words = |t: &Option<String>| t.as_deref().and_then(text).map(AttributeValue::Text);
+    let capture = &metadata.capture;
+    let space = Space::of(&metadata.primaries).and_then(Space::interop_id);
     let further = [
-        ("cameraMake", camera(&metadata.capture.make)),
-        ("cameraModel", camera(&metadata.capture.model)),
-        ("colorInteropID", interop_id(&metadata.primaries).and_then(text)),
+        ("cameraMake", words(&capture.make)),
+        ("cameraModel", words(&capture.model)),
+        ("lensModel", words(&capture.lens)),
+        ("nominalFocalLength", capture.focal_length_mm.map(|f| AttributeValue::F32(f as f32))),
+        ("colorInteropID", space.and_then(text).map(AttributeValue::Text)),
     ];
     for (name, value) in further {
         if let Some(value) = value {
-            attribute::write(name.as_bytes(), &AttributeValue::Text(value), out)?;
+            attribute::write(name.as_bytes(), &value, out)?;
         }
     }
     sequence_end::write(out)
-}
-
-/// The name that newer readers know a linear colour space by, where it has one.
-fn interop_id(primaries: &Primaries) -> Option<&'static str> {
-    let Primaries { red, green, blue, white } = primaries;
-    let close = |a: &[f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < 1e-3 && (a[1] - b[1]).abs() < 1e-3;
-    let known = [
-        ("lin_rec709_scene", [0.64, 0.33], [0.30, 0.60], [0.15, 0.06]),
-        ("lin_p3d65_scene", [0.68, 0.32], [0.265, 0.69], [0.15, 0.06]),
-        ("lin_rec2020_scene", [0.708, 0.292], [0.17, 0.797], [0.131, 0.046]),
-        ("lin_adobergb_scene", [0.64, 0.33], [0.21, 0.71], [0.15, 0.06]),
-    ];
-    known
-        .into_iter()
-        .find(|&(_, r, g, b)| close(red, r) && close(green, g) && close(blue, b) && close(white, [0.3127, 0.3290]))
-        .map(|(id, ..)| id)
 }
 
 fn text(text: &str) -> Option<Text> {
@@ -223,7 +233,7 @@ fn encode_band(first: usize, pixels: &[[f32; 3]], width: usize, sample: Sample, 
     let chunks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
         let (data, beyond) = match sample {
             Sample::Half => halves(block, width),
-            Sample::Float => (planar(block, width, f32::to_ne_bytes), 0),
+            Sample::Float | Sample::Auto => (planar(block, width, f32::to_ne_bytes), 0),
         };
         over += beyond;
         let index = BlockIndex {
@@ -256,51 +266,12 @@ fn planar<const N: usize>(block: &[[f32; 3]], width: usize, bytes: impl Fn(f32) 
     out
 }
 
-/// The first RGB picture in an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be 0 or less.
-///
-/// # Errors
-/// [`Error::Read`]; [`Error::Decode`] for damaged files and those without R, G and B.
-pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    use ::exr::prelude::{ReadChannels, ReadLayers, read};
-    let failed = |e| match e {
-        ::exr::error::Error::Io(source) => Error::Read { path: path.to_owned(), source },
-        other => Error::Decode { path: path.to_owned(), format: "OpenEXR", reason: other.to_string() },
-    };
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .rgb_channels(
-            |size, _| Plane::filled(size.width(), size.height(), [0f32; 3]),
-            |plane, at, (r, g, b): (f32, f32, f32)| plane.row_mut(at.y())[at.x()] = [r, g, b],
-        )
-        .first_valid_layer()
-        .all_attributes()
-        .from_file(path)
-        .map_err(failed)?;
-    let own = image.layer_data.attributes;
-    let number = |v: Option<f32>| v.map(f64::from);
-    let words = |t: Option<Text>| t.map(|t| t.to_string());
-    let xy = |p: Vec2<f32>| [f64::from(p.0), f64::from(p.1)];
-    let mut metadata = Metadata {
-        time_s: number(own.exposure),
-        f_number: number(own.aperture),
-        iso: number(own.iso_speed),
-        cd_m2_per_unit: number(own.white_luminance),
-        ..Metadata::default()
-    };
-    metadata.capture.date = words(own.capture_date);
-    metadata.comments.extend(words(own.comments));
-    if let Some(c) = image.attributes.chromaticities {
-        metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
-    }
-    let map = RadianceMap { pixels: image.layer_data.channel_data.pixels, primaries: metadata.primaries };
-    Ok((map, metadata))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::error::Warning;
+    use crate::merge::RadianceMap;
+    use crate::read::exr::read;
     use crate::write::commit;
     use ::exr::prelude::f16;
 
@@ -345,7 +316,7 @@ mod tests {
                     for (p, q) in picture.as_slice().iter().zip(map.pixels.as_slice()) {
                         let want = match sample {
                             Sample::Half => p.map(|v| f16::from_bits(half_bits(v)).to_f32()),
-                            Sample::Float => *p,
+                            Sample::Float | Sample::Auto => *p,
                         };
                         assert_eq!(want, *q);
                     }
@@ -388,12 +359,17 @@ mod tests {
         };
         metadata.capture.make = Some("Make".into());
         metadata.capture.date = Some("2009:07:11 12:34:56".into());
+        metadata.capture.lens = Some("EF 50".into());
+        metadata.capture.focal_length_mm = Some(50.0);
         let (bytes, _, _, back) = written(&picture(3, 3), &metadata, &Options::default(), 3);
         assert_eq!((back.time_s, back.f_number, back.iso), (Some(0.125), Some(8.0), Some(100.0)));
         assert_eq!((back.cd_m2_per_unit, back.capture.date), (Some(150.0), metadata.capture.date));
         assert_eq!(back.comments, ["a; b"]);
         let has = |text: &[u8]| bytes.windows(text.len()).any(|w| w == text);
         assert!(has(b"cameraMake\0string\0\x04\0\0\0Make") && has(b"lin_rec709_scene") && has(b"software\0string\0"));
+        assert!(
+            has(b"lensModel\0string\0\x05\0\0\0EF 50") && has(b"nominalFocalLength\0float\0\x04\0\0\0\0\0\x48\x42")
+        );
         assert!(!has(b"owner") && !has(b"cameraModel"));
         let (bytes, _, _, back) = written(&picture(3, 3), &Metadata::default(), &Options::default(), 3);
         assert!(!bytes.windows(14).any(|w| w == b"whiteLuminance"));
@@ -403,8 +379,23 @@ mod tests {
     #[test]
     fn too_bright_for_a_half_is_told() {
         let bright = Plane::filled(2, 2, [65504.0, 65505.0, 1e-30]);
-        let (_, warnings, map, _) = written(&bright, &Metadata::default(), &Options::default(), 2);
+        let halves = Options { sample: Sample::Half, ..Options::default() };
+        let (_, warnings, map, _) = written(&bright, &Metadata::default(), &halves, 2);
         assert!(matches!(&warnings[..], [Warning::OutOfRange { detail, .. }] if detail.starts_with("4 values")));
         assert_eq!(map.pixels.at(1, 1), [65504.0, 65504.0, f16::from_bits(1).to_f32()]);
+    }
+
+    #[test]
+    fn halves_are_taken_where_they_do() {
+        let settled = |value| Sample::Auto.settled(&value);
+        assert_eq!(settled(Plane::filled(30, 70, [65504.0, 1.0, 1e-5])), Sample::Half);
+        assert_eq!(settled(Plane::filled(30, 70, [1.0, 1.0, 5e-6])), Sample::Float);
+        let mut sun = Plane::filled(30, 70, [1.0; 3]);
+        sun.row_mut(69)[29][1] = 65520.0;
+        assert_eq!(settled(sun.clone()), Sample::Float);
+        assert_eq!(Sample::Half.settled(&sun), Sample::Half);
+        // Few dark ones do not matter.
+        sun.row_mut(69)[29] = [1e-9; 3];
+        assert_eq!(settled(sun), Sample::Half);
     }
 }

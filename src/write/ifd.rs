@@ -1,9 +1,10 @@
 //! The directory of a TIFF: tags with their values, and the header that points to it.
 //!
-//! In: tags and values in any order. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
-//! Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
+//! In: tags and values in any order, and the capture data. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
+//! Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF 2.32, section 4.6; libtiff (StoNits).
 
-use super::one_line;
+use super::{Metadata, one_line};
+use crate::bracket::colour::Primaries;
 use std::collections::BTreeMap;
 
 /// The tags that are written.
@@ -22,15 +23,29 @@ pub(super) mod tag {
     pub const STRIP_COUNTS: u16 = 279;
     pub const PLANAR: u16 = 284;
     pub const SOFTWARE: u16 = 305;
+    pub const DATE: u16 = 306;
     pub const PREDICTOR: u16 = 317;
+    pub const WHITE_POINT: u16 = 318;
+    pub const CHROMATICITIES: u16 = 319;
     pub const SAMPLE_FORMAT: u16 = 339;
+    pub const EXPOSURE_TIME: u16 = 33434;
+    pub const F_NUMBER: u16 = 33437;
+    pub const EXIF: u16 = 34665;
     pub const ICC: u16 = 34675;
+    pub const ISO: u16 = 34855;
+    pub const EXIF_VERSION: u16 = 36864;
+    pub const DATE_ORIGINAL: u16 = 36867;
+    pub const FOCAL_LENGTH: u16 = 37386;
+    pub const STONITS: u16 = 37439;
+    pub const LENS_MODEL: u16 = 42036;
 }
 
 const ASCII: u16 = 2;
 const SHORT: u16 = 3;
 const LONG: u16 = 4;
+const RATIONAL: u16 = 5;
 const UNDEFINED: u16 = 7;
+const DOUBLE: u16 = 12;
 const LONG8: u16 = 16;
 
 /// An image file directory: tags in rising order, each with its type, count and bytes.
@@ -38,12 +53,81 @@ const LONG8: u16 = 16;
 pub(super) struct Directory {
     pub(super) big: bool,
     entries: BTreeMap<u16, (u16, u64, Vec<u8>)>,
+    /// The directory that tag [`tag::EXIF`] points to.
+    exif: Option<Box<Directory>>,
+}
+
+/// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
+fn fraction(v: f64) -> (u32, u32) {
+    let most = f64::from(u32::MAX);
+    let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
+    let inverse = 1.0 / v;
+    if v < 1.0 && whole(inverse) {
+        return (1, inverse.round() as u32);
+    }
+    let decimal = [1u32, 10, 100, 1000, 10_000, 100_000].into_iter();
+    let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
+    let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
+    let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
+    // The cast keeps what is beyond within the type.
+    ((v * f64::from(denominator)).round() as u32, denominator)
 }
 
 impl Directory {
     pub(super) fn new(big: bool) -> Self {
-        let entries = BTreeMap::new();
-        Directory { big, entries }
+        Directory { big, entries: BTreeMap::new(), exif: None }
+    }
+
+    /// What the reference frame tells of itself: camera and date, and by way of EXIF exposure and lens. Size and orientation are the
+    /// picture's own; where it was taken is left out.
+    pub(super) fn capture(&mut self, metadata: &Metadata) {
+        let capture = &metadata.capture;
+        self.text(tag::DESCRIPTION, Some(&metadata.comments.join("; ")));
+        self.text(tag::MAKE, capture.make.as_deref());
+        self.text(tag::MODEL, capture.model.as_deref());
+        self.text(tag::SOFTWARE, Some(&metadata.software));
+        self.text(tag::DATE, capture.date.as_deref());
+        let mut exif = Directory::new(self.big);
+        let mut number = |tag, value: Option<f64>| {
+            if let Some(value) = value.filter(|v| v.is_finite() && *v > 0.0) {
+                exif.rational(tag, &[value]);
+            }
+        };
+        number(tag::EXPOSURE_TIME, metadata.time_s);
+        number(tag::F_NUMBER, metadata.f_number);
+        number(tag::FOCAL_LENGTH, capture.focal_length_mm);
+        match metadata.iso.map(f64::round) {
+            // What does not fit is 65535 by the standard.
+            Some(iso) if iso >= 1.0 => exif.short(tag::ISO, &[iso.min(65535.0) as u16]),
+            _ => {}
+        }
+        exif.text(tag::DATE_ORIGINAL, capture.date.as_deref());
+        exif.text(tag::LENS_MODEL, capture.lens.as_deref());
+        if !exif.entries.is_empty() {
+            exif.opaque(tag::EXIF_VERSION, b"0232");
+            self.exif = Some(Box::new(exif));
+        }
+    }
+
+    /// What red, green, blue and white are.
+    pub(super) fn primaries(&mut self, primaries: &Primaries) {
+        let Primaries { red, green, blue, white } = primaries;
+        self.white_point(*white);
+        self.rational(tag::CHROMATICITIES, &[*red, *green, *blue].concat());
+    }
+
+    pub(super) fn white_point(&mut self, white: [f64; 2]) {
+        self.rational(tag::WHITE_POINT, &white);
+    }
+
+    fn rational(&mut self, tag: u16, values: &[f64]) {
+        let parts = values.iter().map(|&v| fraction(v));
+        let bytes = parts.flat_map(|(n, d)| [n.to_le_bytes(), d.to_le_bytes()].concat()).collect();
+        self.put(tag, RATIONAL, values.len() as u64, bytes);
+    }
+
+    pub(super) fn double(&mut self, tag: u16, value: f64) {
+        self.put(tag, DOUBLE, 1, value.to_le_bytes().to_vec());
     }
 
     fn put(&mut self, tag: u16, kind: u16, count: u64, bytes: Vec<u8>) {
@@ -87,8 +171,22 @@ impl Directory {
         [magic, &self.word(place)].concat()
     }
 
-    /// The directory as it stands at `place`, and behind it the values that are too long for their entries.
-    pub(super) fn bytes(&self, place: u64) -> Vec<u8> {
+    /// The directory as it stands at `place`; behind it the values that are too long for their entries, and the EXIF.
+    pub(super) fn bytes(&mut self, place: u64) -> Vec<u8> {
+        let Some(mut exif) = self.exif.take() else {
+            return self.own_bytes(place);
+        };
+        // Where the EXIF is does not change the length.
+        self.long(tag::EXIF, &[0]);
+        let behind = place + self.own_bytes(place).len().next_multiple_of(8) as u64;
+        self.long(tag::EXIF, &[behind]);
+        let mut out = self.own_bytes(place);
+        out.resize((behind - place) as usize, 0);
+        out.extend(exif.bytes(behind));
+        out
+    }
+
+    fn own_bytes(&self, place: u64) -> Vec<u8> {
         let word = if self.big { 8 } else { 4 };
         let count = self.entries.len() as u64;
         let count_bytes = if self.big { count.to_le_bytes().to_vec() } else { (count as u16).to_le_bytes().to_vec() };
@@ -111,5 +209,21 @@ impl Directory {
         out.extend(self.word(0));
         out.extend(behind);
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fractions_are_the_simplest() {
+        assert_eq!([1.0 / 60.0, 0.125, 2.8, 30.0].map(fraction), [(1, 60), (1, 8), (28, 10), (30, 1)]);
+        assert_eq!([0.3127, 0.0].map(fraction), [(3127, 10_000), (0, 1)]);
+        for v in [0.318_753_1, 1_234.567_891, 3e9, 0.000_123_4] {
+            let (n, d) = fraction(v);
+            assert!((f64::from(n) / f64::from(d) - v).abs() <= 1e-6 * v, "{v}: {n}/{d}");
+        }
+        assert_eq!(fraction(1e12), (u32::MAX, 1));
     }
 }

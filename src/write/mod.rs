@@ -11,7 +11,9 @@ pub mod exr;
 mod half;
 pub mod hdr;
 mod ifd;
-mod rgbe;
+pub mod logluv;
+pub mod luv;
+pub(crate) mod rgbe;
 mod target;
 pub mod tiff;
 
@@ -33,7 +35,7 @@ pub enum Format {
     Exr,
     /// Radiance RGBE, `.hdr` or `.pic`: radiance.
     Hdr,
-    /// TIFF with 32-bit floats, `.tif` or `.tiff`: radiance.
+    /// TIFF with 32-bit floats or LogLuv, `.tif` or `.tiff`: radiance.
     Tiff,
     /// PNG, `.png`: the display picture.
     Png,
@@ -195,6 +197,10 @@ pub struct Options {
     pub overwrite: bool,
     /// How OpenEXR is encoded.
     pub exr: exr::Options,
+    /// What the pixels of `.hdr` are.
+    pub hdr: hdr::Encoding,
+    /// What the pixels of a radiance `.tif` are.
+    pub tiff: tiff::Encoding,
 }
 
 /// A writer of `width` x `height` linear RGB to `path`.
@@ -210,8 +216,11 @@ pub fn radiance_writer(
     let size = (width, height);
     Ok(match Format::of(path)? {
         Format::Exr => Box::new(exr::Writer::new(Pending::create(path)?, size, metadata, &options.exr)?),
-        Format::Hdr => Box::new(hdr::Writer::new(Pending::create(path)?, size, metadata)?),
-        Format::Tiff => Box::new(tiff::Writer::new(Pending::create(path)?, size, metadata)?),
+        Format::Hdr => Box::new(hdr::Writer::new(Pending::create(path)?, size, metadata, options.hdr)?),
+        Format::Tiff => match options.tiff.depth() {
+            None => Box::new(tiff::Writer::new(Pending::create(path)?, size, metadata)?),
+            Some(depth) => Box::new(logluv::Writer::new(Pending::create(path)?, size, metadata, depth, 1.0)?),
+        },
         Format::Png => {
             return Err(Error::Option {
                 option: "-o",
@@ -240,7 +249,16 @@ pub fn write(
         files.push(if Format::of(path)?.holds_radiance() {
             let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
             let size = (radiance.pixels.width(), radiance.pixels.height());
-            push_all(radiance_writer(path, size, &metadata, options)?, &radiance.pixels)?
+            // What only a look at all of the picture can tell.
+            let exr = exr::Options { sample: options.exr.sample.settled(&radiance.pixels), ..options.exr.clone() };
+            let writer = match (Format::of(path)?, options.tiff.depth()) {
+                (Format::Tiff, Some(depth)) => {
+                    let scale = logluv::scale(depth, radiance);
+                    Box::new(logluv::Writer::new(Pending::create(path)?, size, &metadata, depth, scale)?)
+                }
+                _ => radiance_writer(path, size, &metadata, &Options { exr, ..options.clone() })?,
+            };
+            push_all(writer, &radiance.pixels)?
         } else {
             let metadata = Metadata { profile: None, ..metadata.clone() };
             let size = (display.pixels.width(), display.pixels.height());
@@ -346,7 +364,7 @@ mod tests {
         assert!(written.iter().all(|w| w.warnings.is_empty()));
         commit(pending(written), false).unwrap();
         assert_eq!(there(), 4);
-        assert_eq!(exr::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
+        assert_eq!(crate::read::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
         assert_eq!(image::open(&paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
         let again = commit(pending(write(&paths, &radiance, &picture, &metadata, &options).unwrap()), false);
         assert!(matches!(again, Err(Error::OutputExists { .. })));

@@ -4,7 +4,7 @@
 //! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
 
 /// A pixel: the mantissas of red, green and blue, and the exponent + 128.
-pub(super) type Rgbe = [u8; 4];
+pub(crate) type Rgbe = [u8; 4];
 
 /// The largest number there is: mantissa 255 at exponent byte 255.
 const MAX: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
@@ -27,7 +27,7 @@ pub(super) fn encode([r, g, b]: [f32; 3]) -> (Rgbe, u64) {
 }
 
 /// The middle of the interval that truncation brought to this pixel: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 at exponent 0.
-pub(super) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
+pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
     }
@@ -100,7 +100,7 @@ fn put_runs(bytes: &[u8], out: &mut Vec<u8>) {
 }
 
 /// Takes the next scanline off the front of `bytes`, encoded in the new or the old way, or flat. `None` when it is damaged or cut short.
-pub(super) fn take_row(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
+pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let width = row.len();
     if let Some(&[2, 2, high, low]) = bytes.first_chunk::<4>()
         && RLE_WIDTHS.contains(&width)

@@ -1,6 +1,7 @@
 //! TIFF: RGB of 8 or 16 bits (aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
 //!
-//! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Cost: about 12 ns a
+//! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Radiance has its
+//! primaries in the tags of TIFF 6.0, section 20, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
 //! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
 //! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4 (tag 34675).
 //!
@@ -8,6 +9,7 @@
 //! the structure is here; its decoder is the judge in the tests.
 
 use super::ifd::{Directory, tag};
+use super::luv::Depth;
 use super::{Bands, Metadata, Pending, RowWriter, Written};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -80,68 +82,65 @@ impl Sample for f32 {
     }
 }
 
-/// The TIFF writer for pixels `[T; 3]`.
+/// How radiance is kept in a TIFF.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Encoding {
+    /// 32-bit floats: as merged.
+    #[default]
+    Float,
+    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %, and every colour that light has; see [`logluv`](super::logluv).
+    LogLuv24,
+    /// LogLuv of 32 bits: 126 stops in steps of 0.27 %.
+    LogLuv32,
+}
+
+impl Encoding {
+    /// The bits of LogLuv; none for floats.
+    pub(super) fn depth(self) -> Option<Depth> {
+        match self {
+            Encoding::Float => None,
+            Encoding::LogLuv24 => Some(Depth::Bits24),
+            Encoding::LogLuv32 => Some(Depth::Bits32),
+        }
+    }
+}
+
+/// A file whose strips come in order and whose directory comes last.
 #[derive(Debug)]
-pub struct Writer<T> {
-    file: Pending,
-    bands: Bands<[T; 3]>,
-    directory: Directory,
+pub(super) struct Strips {
+    pub(super) file: Pending,
+    pub(super) directory: Directory,
     at: u64,
     strips: Vec<(u64, u64)>,
 }
 
-impl<T: Sample> Writer<T> {
-    /// Begins a picture of `size` pixels. Integers carry the [`profile`](Metadata::profile), if there is one.
-    ///
-    /// # Errors
-    /// [`Error::Write`](crate::error::Error::Write).
-    pub fn new(mut file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
-        let (width, height) = size;
-        let raw = width as u64 * height as u64 * 3 * u64::from(T::BITS / 8);
-        // Noise can make deflate grow by a little; the directory needs some room too.
+impl Strips {
+    /// Begins a picture of `size` pixels, `bits_per_pixel` each before they are packed, in strips of 64 rows.
+    pub(super) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
+        let (width, height) = (size.0 as u64, size.1 as u64);
+        let raw = width * height * bits_per_pixel / 8;
+        // Noise can make packing grow by a little; the directory needs some room too.
         let mut directory = Directory::new(raw + raw / 64 + (1 << 24) > u64::from(u32::MAX));
-        directory.long(tag::WIDTH, &[width as u64]);
-        directory.long(tag::HEIGHT, &[height as u64]);
-        directory.short(tag::BITS, &[T::BITS; 3]);
-        directory.short(tag::COMPRESSION, &[8]);
-        directory.short(tag::PHOTOMETRIC, &[2]);
-        directory.short(tag::SAMPLES, &[3]);
+        directory.long(tag::WIDTH, &[width]);
+        directory.long(tag::HEIGHT, &[height]);
         directory.long(tag::ROWS_PER_STRIP, &[BAND_ROWS as u64]);
+        directory.short(tag::SAMPLES, &[3]);
         directory.short(tag::PLANAR, &[1]);
-        directory.short(tag::PREDICTOR, &[T::PREDICTOR]);
-        directory.short(tag::SAMPLE_FORMAT, &[T::FORMAT; 3]);
-        directory.text(tag::DESCRIPTION, Some(&metadata.comments.join("; ")));
-        directory.text(tag::MAKE, metadata.capture.make.as_deref());
-        directory.text(tag::MODEL, metadata.capture.model.as_deref());
-        directory.text(tag::SOFTWARE, Some(&metadata.software));
-        if let Some(profile) = metadata.profile.as_ref().filter(|_| T::FORMAT == 1) {
-            directory.opaque(tag::ICC, &profile.icc);
-        }
         let start = directory.file_header(0);
         file.put(&start)?;
-        Ok(Writer { file, bands: Bands::new(size), directory, at: start.len() as u64, strips: Vec::new() })
-    }
-}
-
-impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
-    fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
-        let Writer { file, bands, at, strips, .. } = self;
-        let width = bands.width;
-        bands.push(
-            rows,
-            |_, pixels| deflate(pixels, width),
-            |strip| {
-                let strip = strip.map_err(|e| file.error(e))?;
-                file.put(&strip)?;
-                strips.push((*at, strip.len() as u64));
-                *at += strip.len() as u64;
-                Ok(())
-            },
-        )
+        Ok(Strips { file, directory, at: start.len() as u64, strips: Vec::new() })
     }
 
-    fn finish(mut self: Box<Self>) -> Result<Written> {
-        self.bands.complete().map_err(|e| self.file.error(e))?;
+    /// The next strip.
+    pub(super) fn put(&mut self, strip: &[u8]) -> Result<()> {
+        self.file.put(strip)?;
+        self.strips.push((self.at, strip.len() as u64));
+        self.at += strip.len() as u64;
+        Ok(())
+    }
+
+    /// The directory, and the place of it.
+    pub(super) fn end(mut self) -> Result<Pending> {
         let (offsets, counts): (Vec<u64>, Vec<u64>) = self.strips.iter().copied().unzip();
         self.directory.long(tag::STRIP_OFFSETS, &offsets);
         self.directory.long(tag::STRIP_COUNTS, &counts);
@@ -157,7 +156,61 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
             file.write_all(&start)
         };
         put().map_err(|e| self.file.error(e))?;
-        Ok(Written { file: self.file, warnings: Vec::new() })
+        Ok(self.file)
+    }
+}
+
+/// The TIFF writer for pixels `[T; 3]`.
+#[derive(Debug)]
+pub struct Writer<T> {
+    strips: Strips,
+    bands: Bands<[T; 3]>,
+}
+
+impl<T: Sample> Writer<T> {
+    /// Begins a picture of `size` pixels. Integers carry the [`profile`](Metadata::profile), if there is one; floats the
+    /// [`primaries`](Metadata::primaries).
+    ///
+    /// # Errors
+    /// [`Error::Write`](crate::error::Error::Write).
+    pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
+        let mut strips = Strips::begin(file, size, 3 * u64::from(T::BITS))?;
+        let directory = &mut strips.directory;
+        directory.short(tag::BITS, &[T::BITS; 3]);
+        directory.short(tag::COMPRESSION, &[8]);
+        directory.short(tag::PHOTOMETRIC, &[2]);
+        directory.short(tag::PREDICTOR, &[T::PREDICTOR]);
+        directory.short(tag::SAMPLE_FORMAT, &[T::FORMAT; 3]);
+        directory.capture(metadata);
+        if T::FORMAT == 3 {
+            directory.primaries(&metadata.primaries);
+            if let Some(luminance) = metadata.white_luminance() {
+                directory.double(tag::STONITS, luminance);
+            }
+        } else if let Some(profile) = &metadata.profile {
+            directory.opaque(tag::ICC, &profile.icc);
+        }
+        Ok(Writer { strips, bands: Bands::new(size) })
+    }
+}
+
+impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
+    fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
+        let Writer { strips, bands } = self;
+        let width = bands.width;
+        bands.push(
+            rows,
+            |_, pixels| deflate(pixels, width),
+            |strip| {
+                let strip = strip.map_err(|e| strips.file.error(e))?;
+                strips.put(&strip)
+            },
+        )
+    }
+
+    fn finish(self: Box<Self>) -> Result<Written> {
+        self.bands.complete().map_err(|e| self.strips.file.error(e))?;
+        Ok(Written { file: self.strips.end()?, warnings: Vec::new() })
     }
 }
 
@@ -200,14 +253,27 @@ mod tests {
         let mut writer = Writer::<T>::new(pending, size, metadata).unwrap();
         if big {
             // As if it were huge: start over with the other kind of header.
-            writer.file.seek(SeekFrom::Start(0)).unwrap();
-            writer.directory.big = true;
+            let strips = &mut writer.strips;
+            strips.file.seek(SeekFrom::Start(0)).unwrap();
+            strips.directory = Directory::new(true);
+            let floats = T::FORMAT == 3;
             for (tag, value) in [(tag::WIDTH, size.0), (tag::HEIGHT, size.1), (tag::ROWS_PER_STRIP, BAND_ROWS)] {
-                writer.directory.long(tag, &[value as u64]);
+                strips.directory.long(tag, &[value as u64]);
             }
-            let start = writer.directory.file_header(0);
-            writer.at = start.len() as u64;
-            writer.file.write_all(&start).unwrap();
+            for (tag, values) in [
+                (tag::BITS, vec![T::BITS; 3]),
+                (tag::COMPRESSION, vec![8]),
+                (tag::PHOTOMETRIC, vec![2]),
+                (tag::SAMPLES, vec![3]),
+                (tag::PREDICTOR, vec![if floats { 3 } else { 2 }]),
+                (tag::SAMPLE_FORMAT, vec![T::FORMAT; 3]),
+            ] {
+                strips.directory.short(tag, &values);
+            }
+            strips.directory.capture(metadata);
+            let start = strips.directory.file_header(0);
+            strips.at = start.len() as u64;
+            strips.file.write_all(&start).unwrap();
         }
         let whole = push_all(Box::new(writer), picture).unwrap();
         commit(vec![whole.file], false).unwrap();
@@ -239,11 +305,15 @@ mod tests {
     #[test]
     fn tags_say_what_is_known() {
         let mut metadata = Metadata {
-            profile: Some(Profile { icc: (0..=99).collect(), description: String::new() }),
+            profile: Some(Profile { icc: (0..=99).collect(), description: String::new(), primaries: None }),
             ..Metadata::default()
         };
         metadata.capture.make = Some("Make\0".into());
         metadata.capture.model = Some("M".into());
+        metadata.capture.date = Some("2009:07:11 12:34:56".into());
+        metadata.capture.lens = Some("EF 50".into());
+        (metadata.time_s, metadata.f_number, metadata.iso) = (Some(1.0 / 60.0), Some(2.8), Some(200.0));
+        metadata.cd_m2_per_unit = Some(1.0);
         let bytes = written(&picture(5, 5, |n| n as u8), &metadata, false);
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
         assert_eq!(decoder.get_tag_u8_vec(Tag::IccProfile).unwrap(), (0..=99).collect::<Vec<u8>>());
@@ -251,8 +321,27 @@ mod tests {
         assert_eq!(decoder.get_tag_ascii_string(Tag::Model).unwrap(), "M");
         assert_eq!(decoder.get_tag_ascii_string(Tag::Software).unwrap(), metadata.software);
         assert_eq!(decoder.get_tag_u32(Tag::RowsPerStrip).unwrap(), 64);
+        assert!(
+            decoder.get_tag_f64(Tag::Unknown(tag::STONITS)).is_err()
+                && decoder.get_tag(Tag::Unknown(tag::WHITE_POINT)).is_err()
+        );
+        // Another reader finds the EXIF, in either kind of TIFF.
+        for big in [false, true] {
+            let bytes = written(&picture(5, 5, |n| n as f32), &metadata, big);
+            let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
+            let pointer = decoder.get_tag_u64(Tag::ExifDirectory).unwrap();
+            let exif = decoder.read_directory(::tiff::tags::IfdPointer(pointer)).unwrap();
+            let mut exif = decoder.read_directory_tags(&exif);
+            let of = |v: Option<::tiff::decoder::ifd::Value>| format!("{:?}", v.unwrap());
+            assert_eq!(of(exif.find_tag(Tag::Unknown(tag::EXPOSURE_TIME)).unwrap()), "Rational(1, 60)");
+            assert_eq!(of(exif.find_tag(Tag::Unknown(tag::F_NUMBER)).unwrap()), "Rational(28, 10)");
+            assert_eq!(exif.find_tag(Tag::Unknown(tag::ISO)).unwrap().unwrap().into_u32().unwrap(), 200);
+            assert_eq!(exif.find_tag(Tag::Unknown(tag::LENS_MODEL)).unwrap().unwrap().into_string().unwrap(), "EF 50");
+        }
         let bytes = written(&picture(5, 5, |n| n as f32), &metadata, false);
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
+        assert_eq!(decoder.get_tag_f64(Tag::Unknown(tag::STONITS)).unwrap(), 1.0);
+        assert_eq!(decoder.get_tag_ascii_string(Tag::DateTime).unwrap(), "2009:07:11 12:34:56");
         assert!(decoder.get_tag_u8_vec(Tag::IccProfile).is_err(), "a display profile says nothing of radiance");
     }
 
@@ -271,7 +360,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let kind = |width: usize, height: usize| {
             let pending = Pending::create(&dir.path().join("x.tif")).unwrap();
-            Writer::<f32>::new(pending, (width, height), &Metadata::default()).unwrap().directory.big
+            Writer::<f32>::new(pending, (width, height), &Metadata::default()).unwrap().strips.directory.big
         };
         assert!(!kind(15_000, 20_000) && kind(20_000, 20_000));
     }

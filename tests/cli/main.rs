@@ -10,3 +10,5 @@ mod refusals;
 mod report;
 mod response;
 mod streams;
+mod tonemap;
+mod units;

@@ -62,7 +62,7 @@ fn verbose_has_a_line_for_each_frame() {
 #[test]
 fn help_and_version_are_results() {
     let folder = Folder::empty();
-    for line in ["--help", "merge --help", "align --help", "inspect --help", "--version"] {
+    for line in ["--help", "merge --help", "align --help", "inspect --help", "tonemap --help", "--version"] {
         let run = folder.line(line).done();
         assert!(run.stderr.is_empty() && run.stdout.contains("hdralign"), "{line}: {run:?}");
     }

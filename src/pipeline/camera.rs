@@ -1,6 +1,6 @@
 //! A camera's response from one or many brackets: load, align and fine-tune each, pool their samples, save the curve and draw it.
 //!
-//! In: photographs and folders of them, and [`Options`]. Out: response files, plots, and a [`CalibrationReport`]. Cost: loading and aligning
+//! In: photographs and folders of them, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost: loading and aligning
 //! each bracket, one after the other; the frames of all are in memory until the curve is found, three bytes a pixel.
 //! Source: the pooling is that of `response::recover_from`: what a camera does is the same in all its brackets, and together they show
 //! more of its codes.
@@ -42,7 +42,7 @@ pub struct Options {
 
 /// What was done.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CalibrationReport {
+pub struct CameraReport {
     /// [`SCHEMA`].
     pub schema: &'static str,
     /// The program and its version.
@@ -72,7 +72,7 @@ pub struct BracketReport {
     pub frames: Vec<FrameReport>,
 }
 
-impl CalibrationReport {
+impl CameraReport {
     /// The report as JSON, ended by a line feed.
     pub fn to_json(&self) -> String {
         // Strings, numbers and lists of them: nothing in it can fail.
@@ -89,7 +89,7 @@ impl CalibrationReport {
 ///
 /// # Errors
 /// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell.
-pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<CalibrationReport> {
+pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<CameraReport> {
     in_pool(options.line.threads, || {
         options.line.align.validate()?;
         let brackets = brackets(images)?;
@@ -151,7 +151,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             let Report { reference, frames, .. } = Report::new(bracket, alignment, alignment.overlap);
             BracketReport { reference, frames }
         };
-        Ok(CalibrationReport {
+        Ok(CameraReport {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             camera_make: saved.make.clone(),

@@ -1,0 +1,139 @@
+//! Arguments on the radiance that is written: colour space and encodings.
+
+use clap::{Args, ValueEnum};
+use hdralign::bracket::colour::Space;
+use hdralign::write::{self, exr, hdr, tiff};
+
+/// How radiance is written.
+#[derive(Debug, Args)]
+pub struct Radiance {
+    /// The linear colour space of the radiance: white is taken to white; colours outside are drawn to grey until inside.
+    /// `keep` is that of the photographs' profile. The picture is sRGB in any case
+    #[arg(long, visible_alias = "color", value_enum, default_value_t, value_name = "SPACE", verbatim_doc_comment)]
+    colour: ColourArg,
+
+    /// What .exr keeps a number in; auto: half, or float where halves are too small or too coarse
+    #[arg(long, value_enum, default_value_t, value_name = "TYPE")]
+    exr_type: ExrTypeArg,
+
+    /// How .exr is packed, all without loss
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    exr_compression: ExrCompressionArg,
+
+    /// What a pixel of .hdr is
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    hdr_encoding: HdrArg,
+
+    /// What a pixel of .tif is
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    tiff_encoding: TiffArg,
+}
+
+/// See [`Space`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum ColourArg {
+    /// As the photographs are
+    #[default]
+    Keep,
+    /// BT.709's primaries, D65
+    Srgb,
+    /// Display P3, D65
+    DisplayP3,
+    /// Adobe RGB (1998), D65
+    AdobeRgb,
+    /// BT.2020, D65
+    Rec2020,
+    /// ProPhoto RGB, D50
+    Prophoto,
+    /// ACEScg (AP1), the ACES white
+    Acescg,
+}
+
+/// See [`exr::Sample`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum ExrTypeArg {
+    /// Half where it holds the picture
+    #[default]
+    Auto,
+    /// 16 bits, up to 65504
+    Half,
+    /// 32 bits, as merged
+    Float,
+}
+
+/// See [`exr::Compression`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum ExrCompressionArg {
+    /// Wavelet: the smallest for photographs
+    #[default]
+    Piz,
+    /// Deflate, 16 rows at a time
+    Zip,
+    /// Deflate, row by row
+    Zips,
+}
+
+/// See [`hdr::Encoding`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum HdrArg {
+    /// Red, green, blue
+    #[default]
+    Rgbe,
+    /// CIE XYZ, for every colour there is
+    Xyze,
+}
+
+/// See [`tiff::Encoding`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum TiffArg {
+    /// 32-bit floats
+    #[default]
+    Float,
+    /// 24 bits: 16 stops in steps of 1.1 %
+    Logluv24,
+    /// 32 bits: 126 stops in steps of 0.27 %
+    Logluv32,
+}
+
+impl Radiance {
+    /// The space that radiance is converted to, if any.
+    pub fn colour(&self) -> Option<Space> {
+        match self.colour {
+            ColourArg::Keep => None,
+            ColourArg::Srgb => Some(Space::Srgb),
+            ColourArg::DisplayP3 => Some(Space::DisplayP3),
+            ColourArg::AdobeRgb => Some(Space::AdobeRgb),
+            ColourArg::Rec2020 => Some(Space::Rec2020),
+            ColourArg::Prophoto => Some(Space::Prophoto),
+            ColourArg::Acescg => Some(Space::Acescg),
+        }
+    }
+
+    /// How files are encoded; those that exist are replaced where `overwrite`.
+    pub fn write(&self, overwrite: bool) -> write::Options {
+        write::Options {
+            overwrite,
+            exr: exr::Options {
+                sample: match self.exr_type {
+                    ExrTypeArg::Auto => exr::Sample::Auto,
+                    ExrTypeArg::Half => exr::Sample::Half,
+                    ExrTypeArg::Float => exr::Sample::Float,
+                },
+                compression: match self.exr_compression {
+                    ExrCompressionArg::Piz => exr::Compression::Piz,
+                    ExrCompressionArg::Zip => exr::Compression::Zip16,
+                    ExrCompressionArg::Zips => exr::Compression::Zip1,
+                },
+            },
+            hdr: match self.hdr_encoding {
+                HdrArg::Rgbe => hdr::Encoding::Rgbe,
+                HdrArg::Xyze => hdr::Encoding::Xyze,
+            },
+            tiff: match self.tiff_encoding {
+                TiffArg::Float => tiff::Encoding::Float,
+                TiffArg::Logluv24 => tiff::Encoding::LogLuv24,
+                TiffArg::Logluv32 => tiff::Encoding::LogLuv32,
+            },
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! `hdralign tonemap`.
+
+use super::merge::OperatorArg;
+use super::progress::Bar;
+use super::radiance::Radiance;
+use hdralign::error::Error;
+use hdralign::pipeline::{self, TonemapOptions};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Reads .exr (half, float), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program, known by content.
+Values that are no numbers are shown black, infinite ones as the brightest other, negative ones are
+drawn to grey until none is; a warning counts them.
+
+Examples:
+  hdralign tonemap room.exr                           beside it, room.png
+  hdralign tonemap room.hdr -o bright.png
+  hdralign tonemap room.hdr -o room.exr               the same radiance in another format";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    /// The radiance map: .exr, .hdr or .tif
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// A result; the extension picks the format: .png (picture), .exr .hdr .tif (radiance). May be repeated
+    /// [default: IN as .png, beside it]
+    #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
+    output: Vec<PathBuf>,
+
+    /// How luminance is brought into the range of a display
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    tmo: OperatorArg,
+
+    #[command(flatten)]
+    radiance: Radiance,
+
+    /// Threads that compute [default: one for each core]; the results are the same
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+
+    /// Replace files that exist
+    #[arg(short, long)]
+    force: bool,
+
+    /// Print a report to standard output, as JSON, instead of the paths written
+    #[arg(long)]
+    json: bool,
+
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let outputs = match args.output.as_slice() {
+        [] => vec![pipeline::default_picture(&args.input)],
+        named => named.to_vec(),
+    };
+    let options = TonemapOptions {
+        operator: args.tmo.operator(),
+        colour: args.radiance.colour(),
+        outputs,
+        write: args.radiance.write(args.force),
+        threads: args.threads,
+    };
+    let bar = Bar::new(0, args.quiet);
+    let report = pipeline::tonemap_file(&args.input, &options, &|p| bar.show(p));
+    bar.clear();
+    let report = report?;
+    if !args.quiet {
+        for warning in &report.warnings {
+            eprintln!("warning: {}", warning.message);
+        }
+        let stops = report.radiance.dynamic_range_stops;
+        let (width, height, time) = (report.width_px, report.height_px, report.time_s.total);
+        eprintln!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s");
+    }
+    let paths = || report.outputs.iter().map(|path| format!("{path}\n")).collect();
+    super::tell(&if args.json { report.to_json() } else { paths() })?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,90 @@
+//! Tone mapping again, without merging again: read, tonemap, write, report.
+//!
+//! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
+//! the report has each one's time.
+
+use super::{Progress, Stage, in_pool};
+use crate::bracket::colour::Space;
+use crate::error::{Result, Warning};
+use crate::merge::gamut;
+use crate::read;
+use crate::report::WarningReport;
+use crate::report::tonemapped::TonemapReport;
+use crate::tonemap::{self, Operator};
+use crate::write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What is done to a radiance map, and where the results go.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TonemapOptions {
+    /// How luminance is brought into the range of a display.
+    pub operator: Operator,
+    /// The linear colour space of radiance that is written; none for the file's own.
+    pub colour: Option<Space>,
+    /// Pictures by extension; radiance maps too, which are the input's in another format.
+    pub outputs: Vec<PathBuf>,
+    /// How files are encoded, and whether those that exist are replaced.
+    pub write: write::Options,
+    /// Threads that compute; none for as many as there are cores. The results are the same.
+    pub threads: Option<usize>,
+}
+
+/// Tone-maps the radiance map `input` and writes what is asked for. Of a map that `merge` wrote as floats the picture is the same, to
+/// the byte, as the one that `merge` wrote beside it.
+///
+/// # Errors
+/// Those of [`read::read`] and of writing; on any of them no output exists that did not before.
+pub fn tonemap_file(
+    input: &Path,
+    options: &TonemapOptions,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<TonemapReport> {
+    in_pool(options.threads, || {
+        for path in &options.outputs {
+            write::Format::of(path)?;
+        }
+        write::check_targets(&options.outputs, &[input.to_owned()], options.write.overwrite)?;
+        let began = Instant::now();
+        let timed = |stage, since: Instant| {
+            watch(Progress::Begins(stage));
+            Some(since.elapsed().as_secs_f64())
+        };
+        watch(Progress::Begins(Stage::Load));
+        let (map, metadata) = read::read(input)?;
+        let (map, repaired) = read::repair(map);
+        let mut warnings = repaired.warnings(input);
+        let (map, outside) = match options.colour {
+            Some(space) => gamut::converted(map, space),
+            None => (map, 0),
+        };
+        if outside > 0 {
+            let detail = format!(
+                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside"
+            );
+            warnings.push(Warning::OutOfGamut { detail });
+        }
+        let mut report = TonemapReport::new(input, &map, &metadata);
+        report.time_s.load = timed(Stage::Tonemap, began);
+        let since = Instant::now();
+        let display = tonemap::tonemap(&map, &options.operator);
+        report.time_s.tonemap = timed(Stage::Write, since);
+        let since = Instant::now();
+        // Headers name the program that wrote the file, which this is.
+        let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
+        let mut pending = Vec::new();
+        for written in write::write(&options.outputs, &map, &display, &metadata, &options.write)? {
+            warnings.extend(written.warnings);
+            report.outputs.push(written.file.target().to_string_lossy().into_owned());
+            pending.push(written.file);
+        }
+        write::commit(pending, options.write.overwrite)?;
+        report.time_s.write = Some(since.elapsed().as_secs_f64());
+        report.time_s.total = began.elapsed().as_secs_f64();
+        report.not_number_pixels = repaired.not_numbers;
+        report.infinite_pixels = repaired.infinite;
+        report.negative_pixels = repaired.negative;
+        report.warnings = warnings.iter().map(WarningReport::from).collect();
+        Ok(report)
+    })
+}

@@ -1,0 +1,184 @@
+//! OpenEXR, of any writer.
+//!
+//! In: a file. Out: the radiance of its first part with R, G and B, or else with Y, and what its header tells. Halves, floats and whole
+//! numbers, scan lines and tiles (the finest level), every compression of the `exr` crate (all but HTJ2K), one part or several. Of a
+//! data window that is not the display window's, the pixels there are; alpha is left out, as colours are premultiplied: what shows is
+//! laid over black. Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate, which unpacks
+//! blocks in parallel. Source: as for [`crate::write::exr`].
+
+use crate::bracket::colour::Primaries;
+use crate::error::{Error, Result};
+use crate::merge::RadianceMap;
+use crate::plane::Plane;
+use crate::write::Metadata;
+use ::exr::image::{AnyChannel, FlatSamples};
+use ::exr::math::Vec2;
+use ::exr::meta::attribute::{AttributeValue, Text};
+use ::exr::prelude::{ReadChannels, ReadLayers, read as reader};
+use std::path::Path;
+
+/// The picture in an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be anything.
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::Decode`] for damaged files and those without colour or luminance.
+pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
+    let damaged = |reason| Error::Decode { path: path.to_owned(), format: "OpenEXR", reason };
+    let failed = |e| match e {
+        ::exr::error::Error::Io(source) if source.kind() != std::io::ErrorKind::UnexpectedEof => {
+            Error::Read { path: path.to_owned(), source }
+        }
+        ::exr::error::Error::Io(_) => damaged("it is cut short; copy it again".into()),
+        ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
+            damaged(format!("{what}; convert it to RGB first"))
+        }
+        other => damaged(other.to_string()),
+    };
+    let image = reader()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .from_file(path)
+        .map_err(failed)?;
+    let chosen = image.layer_data.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
+    let grey = || image.layer_data.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
+    let Some((layer, channels)) = chosen.or_else(grey) else {
+        let names = image.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
+        return Err(damaged(format!("it has neither R, G and B nor Y, only {}", names.join(", "))));
+    };
+    if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
+        return Err(damaged("its channels are halved in size; convert it to RGB first".into()));
+    }
+    let (width, height) = (layer.size.width(), layer.size.height());
+    let at = channels.map(|channel| value_of(&channel.sample_data));
+    let pixels = Plane::from_rows(width, height, |y, row| {
+        for (x, pixel) in row.iter_mut().enumerate() {
+            *pixel = [0, 1, 2].map(|c| at[c](y * width + x));
+        }
+    });
+
+    let own = &layer.attributes;
+    let number = |v: Option<f32>| v.map(f64::from);
+    let words = |t: Option<&Text>| t.map(|t| t.to_string());
+    let other = |name: &str| match own.other.get(&Text::from(name)) {
+        Some(AttributeValue::Text(text)) => Some(text.to_string()),
+        _ => None,
+    };
+    let mut metadata = Metadata {
+        time_s: number(own.exposure),
+        f_number: number(own.aperture),
+        iso: number(own.iso_speed),
+        cd_m2_per_unit: number(own.white_luminance),
+        ..Metadata::default()
+    };
+    metadata.capture.make = other("cameraMake");
+    metadata.capture.model = other("cameraModel");
+    metadata.capture.lens = other("lensModel");
+    metadata.capture.focal_length_mm = match own.other.get(&Text::from("nominalFocalLength")) {
+        Some(AttributeValue::F32(length)) => Some(f64::from(*length)),
+        _ => None,
+    };
+    metadata.capture.date = words(own.capture_date.as_ref());
+    metadata.comments.extend(words(own.comments.as_ref()));
+    if let Some(c) = &image.attributes.chromaticities {
+        let xy = |p: Vec2<f32>| [f64::from(p.0), f64::from(p.1)];
+        metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
+    }
+    Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+}
+
+type Channel = AnyChannel<FlatSamples>;
+
+/// R, G and B, by themselves or all with one prefix and a dot before.
+fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
+    let named = |name: String| channels.iter().find(|c| c.name.to_string() == name);
+    let prefixes = channels.iter().filter_map(|c| c.name.to_string().strip_suffix(".R").map(|p| format!("{p}.")));
+    std::iter::once(String::new()).chain(prefixes).find_map(|prefix| {
+        let [r, g, b] = ["R", "G", "B"].map(|c| named(format!("{prefix}{c}")));
+        Some([r?, g?, b?])
+    })
+}
+
+/// Y for all three, where there is no chroma beside it.
+fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
+    let named = |name: &str| channels.iter().find(|c| c.name.to_string() == name);
+    // With chroma the sampling tells, and is refused.
+    Some(match (named("Y")?, named("RY"), named("BY")) {
+        (y, Some(ry), Some(by)) => [ry, y, by],
+        (y, ..) => [y; 3],
+    })
+}
+
+/// The value at an index, as a float.
+fn value_of(samples: &FlatSamples) -> Box<dyn Fn(usize) -> f32 + Sync + '_> {
+    match samples {
+        FlatSamples::F16(v) => Box::new(|i| v[i].to_f32()),
+        FlatSamples::F32(v) => Box::new(|i| v[i]),
+        FlatSamples::U32(v) => Box::new(|i| v[i] as f32),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::exr::prelude::*;
+
+    fn channel(name: &str, samples: FlatSamples) -> Channel {
+        AnyChannel::new(name, samples)
+    }
+
+    fn floats(f: impl Fn(usize) -> f32) -> FlatSamples {
+        FlatSamples::F32((0..12).map(f).collect())
+    }
+
+    fn read_back(channels: Vec<Channel>, compression: Compression) -> crate::error::Result<RadianceMap> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.exr");
+        let encoding = Encoding { compression, blocks: Blocks::Tiles(Vec2(2, 2)), line_order: LineOrder::Increasing };
+        let channels = AnyChannels::sort(channels.into_iter().collect());
+        let layer = Layer::new((4, 3), LayerAttributes::named("any"), encoding, channels);
+        Image::from_layer(layer).write().to_file(&path).unwrap();
+        super::read(&path).map(|(map, _)| map)
+    }
+
+    #[test]
+    fn other_writers_channels_are_found() {
+        let rgb = |prefix: &str| {
+            vec![
+                channel(&format!("{prefix}R"), floats(|i| i as f32)),
+                channel(&format!("{prefix}G"), FlatSamples::U32((0..12).map(|i| 100 + i).collect())),
+                channel(
+                    &format!("{prefix}B"),
+                    FlatSamples::F16((0..12).map(|i| f16::from_f32(-(i as f32) / 4.0)).collect()),
+                ),
+                channel("A", floats(|_| 0.5)),
+            ]
+        };
+        let expected: Vec<[f32; 3]> = (0..12).map(|i| [i as f32, 100.0 + i as f32, -(i as f32) / 4.0]).collect();
+        for compression in [Compression::Uncompressed, Compression::RLE, Compression::ZIP1, Compression::PIZ] {
+            for prefix in ["", "beauty."] {
+                let map = read_back(rgb(prefix), compression).unwrap();
+                assert_eq!((map.pixels.width(), map.pixels.as_slice()), (4, &expected[..]));
+            }
+        }
+        let grey = read_back(vec![channel("Y", floats(|i| i as f32 / 3.0))], Compression::ZIP16).unwrap();
+        assert_eq!(grey.pixels.at(2, 1), [2.0; 3]);
+        let depth = read_back(vec![channel("Z", floats(|_| 1.0))], Compression::ZIP16).unwrap_err();
+        assert!(depth.to_string().contains("only Z"), "{depth}");
+    }
+
+    #[test]
+    fn damaged_files_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.exr");
+        let layer = SpecificChannels::rgb(|at: Vec2<usize>| (at.x() as f32, 0.5, at.y() as f32));
+        Image::from_channels((200, 100), layer).write().to_file(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in [bytes.len() - 1, bytes.len() / 2, 100, 9] {
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            assert!(matches!(super::read(&path), Err(crate::error::Error::Decode { .. })), "cut at {cut}");
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! TIFF of floating-point numbers or LogLuv, of any writer.
+//!
+//! In: a file. Out: the radiance of its first picture, RGB or grey, and what its tags tell. Strips and tiles, 16, 32 and 64 bits, every
+//! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
+//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and [`crate::write::logluv`].
+
+use super::Turn;
+use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
+use crate::error::{Error, Result};
+use crate::merge::RadianceMap;
+use crate::plane::Plane;
+use crate::write::{Metadata, luv};
+use std::io::Cursor;
+use std::path::Path;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::{IfdPointer, Tag};
+
+/// The luminance of a stored 1 (libtiff's name for tag 37439).
+const STONITS: Tag = Tag::Unknown(37439);
+const WHITE_POINT: Tag = Tag::Unknown(318);
+const CHROMATICITIES: Tag = Tag::Unknown(319);
+
+/// The picture in a TIFF, multiplied by its StoNits where it is LogLuv, which becomes RGB of BT.2020. Floats without chromaticities and
+/// without a profile are taken for BT.709. Values may be anything.
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::Decode`] for damaged files and those of integers.
+pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    parse(bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
+}
+
+type Parsed<T> = std::result::Result<T, String>;
+type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
+
+fn parse(mut bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
+    let said = |e: tiff::TiffError| e.to_string();
+    disguise_logluv(&mut bytes);
+    let bytes = bytes.as_slice();
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
+    let mut limits = Limits::default();
+    // What is unpacked is bounded by the picture, whose size is checked here.
+    limits.decoding_buffer_size = usize::MAX;
+    limits.intermediate_buffer_size = usize::MAX;
+    decoder = decoder.with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(said)?;
+    let (width, height) = (width as usize, height as usize);
+    // No packing reaches a thousandth.
+    let sound = width.checked_mul(height).is_some_and(|n| n > 0 && n / 2000 <= bytes.len());
+    if !sound {
+        return Err(format!("it is too short for {width}x{height} pixels; copy it again"));
+    }
+    let mut metadata = metadata(&mut decoder);
+    let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?.unwrap_or(1);
+    let mut pixels = match compression {
+        34676 | 34677 => {
+            metadata.primaries = Primaries::BT2020;
+            let scale = metadata.cd_m2_per_unit.unwrap_or(1.0);
+            // With it the values are in cd/m2.
+            metadata.cd_m2_per_unit = metadata.cd_m2_per_unit.map(|_| 1.0);
+            logluv(&mut decoder, bytes, (width, height), compression == 34677, scale as f32)?
+        }
+        _ => floats(&mut decoder, width * height)?,
+    };
+    if pixels.len() < width * height {
+        return Err(format!("it holds {} of {} pixels; copy it again", pixels.len(), width * height));
+    }
+    pixels.truncate(width * height);
+    let turn = turn(decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten().unwrap_or(1));
+    let pixels = turn.upright(Plane::from_vec(width, height, pixels));
+    Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+}
+
+/// The crate reads no directory with LogLuv's photometric interpretation; RGB's or grey's is put in its place. The compression tells.
+/// Where the structure is not sound nothing is done, and the crate will say so.
+fn disguise_logluv(bytes: &mut [u8]) {
+    let little = bytes.starts_with(b"I");
+    let number = |bytes: &[u8], at: usize, length: usize| -> Option<u64> {
+        let field = bytes.get(at..at.checked_add(length)?)?;
+        let add = |sum: u64, b: &u8| sum << 8 | u64::from(*b);
+        Some(if little { field.iter().rev().fold(0, add) } else { field.iter().fold(0, add) })
+    };
+    let big = number(bytes, 2, 2) == Some(43);
+    // Where the first directory is; the lengths of an offset, of the count of entries, and of an entry.
+    let (at, word, count, entry) = if big { (8, 8, 8, 20) } else { (4, 4, 2, 12) };
+    let place = || {
+        let start = usize::try_from(number(bytes, at, word)?).ok()?;
+        let entries = number(bytes, start, count)?.min(4096) as usize;
+        let tag = (0..entries).map(|i| start + count + i * entry).find(|&e| number(bytes, e, 2) == Some(262))?;
+        let value = tag + entry - word;
+        let photometric = number(bytes, value, 2)?;
+        matches!(photometric, 32844 | 32845).then_some((value, photometric == 32845))
+    };
+    if let Some((value, colour)) = place() {
+        let code = if colour { 2u16 } else { 1 };
+        bytes[value..value + 2].copy_from_slice(&if little { code.to_le_bytes() } else { code.to_be_bytes() });
+    }
+}
+
+/// TIFF 6.0, section 8, Orientation: where the first row and the first column are.
+fn turn(orientation: u16) -> Turn {
+    Turn {
+        transposed: matches!(orientation, 5..=8),
+        mirrored: matches!(orientation, 2 | 3 | 6 | 7),
+        flipped: matches!(orientation, 3 | 4 | 7 | 8),
+    }
+}
+
+fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
+    let said = |e: tiff::TiffError| e.to_string();
+    if decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(said)?.unwrap_or(1) != 1 {
+        return Err("its colours are kept apart; bring them together first, as with `tiffcp -p contig`".into());
+    }
+    let values: Vec<f32> = match decoder.read_image().map_err(said)? {
+        DecodingResult::F16(v) => v.into_iter().map(|v| v.to_f32()).collect(),
+        DecodingResult::F32(v) => v,
+        DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
+        _ => {
+            return Err(
+                "it holds whole numbers, which are encoded for a display; radiance is in floats, or LogLuv".into()
+            );
+        }
+    };
+    let samples = values.len() / count;
+    if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(said)? == Some(5) {
+        return Err("it is CMYK; convert it to RGB first".into());
+    }
+    Ok(match samples {
+        0 => return Err("it is cut short; copy it again".into()),
+        1 | 2 => values.chunks_exact(samples).map(|p| [p[0]; 3]).collect(),
+        _ => values.chunks_exact(samples).map(|p| [p[0], p[1], p[2]]).collect(),
+    })
+}
+
+/// Strips of LogLuv or, with one sample a pixel, of LogL.
+fn logluv(
+    decoder: &mut Bytes,
+    bytes: &[u8],
+    (width, height): (usize, usize),
+    packed: bool,
+    scale: f32,
+) -> Parsed<Vec<[f32; 3]>> {
+    let said = |e: tiff::TiffError| e.to_string();
+    let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(said);
+    if decoder.find_tag(Tag::TileWidth).map_err(said)?.is_some() {
+        return Err("it is LogLuv by tiles; make it strips first, as with `tiffcp -s`".into());
+    }
+    let grey = decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(said)?.unwrap_or(1) == 1;
+    let rows = decoder.find_tag_unsigned::<u32>(Tag::RowsPerStrip).map_err(said)?.unwrap_or(u32::MAX) as usize;
+    let (offsets, counts) = (list(decoder, Tag::StripOffsets)?, list(decoder, Tag::StripByteCounts)?);
+    let neutral = NeutralXyz::of(&Primaries::BT2020);
+    let mut pixels = Vec::new();
+    let mut row = vec![0; width];
+    for (i, (&offset, &count)) in offsets.iter().zip(&counts).enumerate() {
+        let cut = || format!("it is damaged or cut short in strip {i}; copy it again");
+        let start = usize::try_from(offset).map_err(|_| cut())?;
+        let strip = usize::try_from(count).ok().and_then(|n| bytes.get(start..start.checked_add(n)?));
+        let mut strip = strip.ok_or_else(cut)?;
+        for _ in 0..rows.min(height - pixels.len() / width) {
+            if packed {
+                let (line, rest) = strip.split_at_checked(3 * width).ok_or_else(cut)?;
+                for (code, b) in row.iter_mut().zip(line.chunks_exact(3)) {
+                    *code = u32::from_be_bytes([0, b[0], b[1], b[2]]);
+                }
+                strip = rest;
+            } else {
+                luv::take_row(&mut strip, &mut row, if grey { 2 } else { 4 }).ok_or_else(cut)?;
+            }
+            pixels.extend(row.iter().map(|&code| {
+                let rgb = match (grey, packed) {
+                    (true, _) => [luv::luminance16(code) as f32; 3],
+                    (false, true) => neutral.to_rgb(luv::decode24(code)),
+                    (false, false) => neutral.to_rgb(luv::decode32(code)),
+                };
+                rgb.map(|v| v * scale)
+            }));
+        }
+    }
+    Ok(pixels)
+}
+
+/// What the tags tell; a tag that cannot be read tells nothing.
+fn metadata(decoder: &mut Bytes) -> Metadata {
+    let mut metadata = Metadata::default();
+    let mut text = |tag| decoder.get_tag_ascii_string(tag).ok().map(|t| t.trim_matches(['\0', ' ']).to_owned());
+    metadata.capture.make = text(Tag::Make);
+    metadata.capture.model = text(Tag::Model);
+    metadata.capture.date = text(Tag::DateTime);
+    metadata.comments.extend(text(Tag::ImageDescription).filter(|t| !t.is_empty()));
+    metadata.cd_m2_per_unit = number(decoder, STONITS).filter(|v| *v > 0.0);
+    let chromaticities = numbers(decoder, CHROMATICITIES).zip(numbers(decoder, WHITE_POINT));
+    let stated = match chromaticities.as_ref().map(|(rgb, white)| (rgb.as_slice(), white.as_slice())) {
+        Some((&[rx, ry, gx, gy, bx, by], &[wx, wy])) => {
+            Some(Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] })
+        }
+        _ => None,
+    };
+    let by_profile = || match Profile::parse(decoder.get_tag_u8_vec(Tag::IccProfile).ok()?) {
+        Found::Rgb(profile) => profile.primaries,
+        _ => None,
+    };
+    metadata.primaries = stated.filter(|p| p.to_xyz().is_some()).or_else(by_profile).unwrap_or(Primaries::SRGB);
+    if let Ok(pointer) = decoder.get_tag_u64(Tag::ExifDirectory) {
+        exif(decoder, IfdPointer(pointer), &mut metadata);
+    }
+    metadata
+}
+
+fn exif(decoder: &mut Bytes, pointer: IfdPointer, metadata: &mut Metadata) {
+    let Ok(directory) = decoder.read_directory(pointer) else { return };
+    let mut tags = decoder.read_directory_tags(&directory);
+    let mut find = |tag: u16| tags.find_tag(Tag::Unknown(tag)).ok().flatten();
+    let (time, f_number, iso, length) = (find(33434), find(33437), find(34855), find(37386));
+    let (date, lens) = (find(36867), find(42036));
+    metadata.time_s = time.and_then(|v| fractions(v).pop());
+    metadata.f_number = f_number.and_then(|v| fractions(v).pop());
+    metadata.iso = iso.and_then(|v| v.into_u32().ok()).map(f64::from);
+    metadata.capture.focal_length_mm = length.and_then(|v| fractions(v).pop());
+    let text = |v: Option<tiff::decoder::ifd::Value>| v.and_then(|v| v.into_string().ok());
+    metadata.capture.date = text(date).or(metadata.capture.date.take());
+    metadata.capture.lens = text(lens);
+}
+
+/// The numbers of a tag, whatever their type.
+fn numbers(decoder: &mut Bytes, tag: Tag) -> Option<Vec<f64>> {
+    Some(fractions(decoder.find_tag(tag).ok()??)).filter(|v| v.iter().all(|v| v.is_finite()))
+}
+
+fn number(decoder: &mut Bytes, tag: Tag) -> Option<f64> {
+    numbers(decoder, tag)?.first().copied()
+}
+
+fn fractions(value: tiff::decoder::ifd::Value) -> Vec<f64> {
+    use tiff::decoder::ifd::Value;
+    match value {
+        Value::List(values) => values.into_iter().flat_map(fractions).collect(),
+        Value::Rational(n, d) => vec![f64::from(n) / f64::from(d)],
+        Value::Float(v) => vec![f64::from(v)],
+        Value::Double(v) => vec![v],
+        other => other.into_u64().map(|v| v as f64).into_iter().collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::write::tiff::Writer;
+    use crate::write::{Pending, commit, push_all};
+    use tiff::encoder::colortype::{Gray32Float, RGB8, RGB32Float, RGB64Float};
+    use tiff::encoder::{Compression, DeflateLevel, TiffEncoder};
+
+    fn picture() -> Plane<[f32; 3]> {
+        Plane::from_rows(37, 130, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                *p = [x as f32 * 0.1, y as f32 - 3.0, 1e-9 * (x * y) as f32];
+            }
+        })
+    }
+
+    #[test]
+    fn our_own_come_back_to_the_bit_with_what_is_known() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.tif");
+        let mut metadata = Metadata {
+            time_s: Some(1.0 / 30.0),
+            f_number: Some(5.6),
+            iso: Some(400.0),
+            primaries: Primaries::PROPHOTO,
+            cd_m2_per_unit: Some(1.0),
+            comments: vec!["by hand".into()],
+            ..Metadata::default()
+        };
+        metadata.capture.model = Some("M".into());
+        metadata.capture.lens = Some("EF 50".into());
+        metadata.capture.date = Some("2009:07:11 12:34:56".into());
+        metadata.capture.focal_length_mm = Some(50.0);
+        let writer = Writer::<f32>::new(Pending::create(&path).unwrap(), (37, 130), &metadata).unwrap();
+        commit(vec![push_all(Box::new(writer), &picture()).unwrap().file], false).unwrap();
+        let (map, back) = read(&path).unwrap();
+        assert!(map.pixels == picture());
+        assert_eq!(back, metadata);
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in [bytes.len() / 2, 10, 300] {
+            assert!(parse(bytes[..cut].to_vec()).is_err(), "cut at {cut}");
+        }
+    }
+
+    type Write<'a> = dyn Fn(&mut TiffEncoder<Cursor<&mut Vec<u8>>>) + 'a;
+
+    #[test]
+    fn other_writers_floats_are_read_and_their_integers_refused() {
+        let packed = |compression, write: &Write| {
+            let mut bytes = Vec::new();
+            write(&mut TiffEncoder::new(Cursor::new(&mut bytes)).unwrap().with_compression(compression));
+            bytes
+        };
+        let file = |write: &Write| packed(Compression::Uncompressed, write);
+        let picture = picture();
+        let values = picture.as_slice().as_flattened();
+        for compression in [Compression::Uncompressed, Compression::Lzw, Compression::Deflate(DeflateLevel::Fast)] {
+            let rgb = packed(compression, &|encoder| {
+                let mut image = encoder.new_image::<RGB32Float>(37, 130).unwrap();
+                image.encoder().write_tag(Tag::Orientation, 3u16).unwrap();
+                image.rows_per_strip(16).unwrap();
+                image.write_data(values).unwrap();
+            });
+            let (map, metadata) = parse(rgb).unwrap();
+            // Turned by 180 degrees.
+            assert!(map.pixels.as_slice().iter().rev().eq(picture.as_slice()));
+            assert_eq!(metadata.primaries, Primaries::SRGB);
+        }
+        let doubles: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
+        let wide = file(&|encoder| encoder.write_image::<RGB64Float>(37, 130, &doubles).unwrap());
+        assert!(parse(wide).unwrap().0.pixels == picture);
+        let grey = file(&|encoder| encoder.write_image::<Gray32Float>(37, 130, &values[..37 * 130]).unwrap());
+        assert_eq!(parse(grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
+        let codes = file(&|encoder| encoder.write_image::<RGB8>(2, 1, &[1, 2, 3, 4, 5, 6]).unwrap());
+        assert!(parse(codes).unwrap_err().contains("whole numbers"));
+    }
+
+    /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, drawn by hand.
+    #[test]
+    fn orientations_are_those_of_the_standard() {
+        let upright: [(u16, [u8; 6]); 8] = [
+            (1, [0, 1, 2, 3, 4, 5]),
+            (2, [1, 0, 3, 2, 5, 4]),
+            (3, [5, 4, 3, 2, 1, 0]),
+            (4, [4, 5, 2, 3, 0, 1]),
+            (5, [0, 2, 4, 1, 3, 5]),
+            (6, [4, 2, 0, 5, 3, 1]),
+            (7, [5, 3, 1, 4, 2, 0]),
+            (8, [1, 3, 5, 0, 2, 4]),
+        ];
+        for (orientation, expected) in upright {
+            let stored = Plane::from_vec(2, 3, (0..6u8).collect());
+            assert_eq!(turn(orientation).upright(stored).as_slice(), expected, "{orientation}");
+        }
+    }
+}

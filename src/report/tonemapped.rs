@@ -1,0 +1,101 @@
+//! The report of a tone mapping: what was read, and what came of it, for programs.
+//!
+//! In: a radiance map as read, and what was done to it. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys.
+//! Cost: that of the statistics, one pass.
+
+use super::{ColourReport, Times, WarningReport};
+use crate::merge::RadianceMap;
+use crate::merge::calibration::Unit;
+use crate::merge::gamut::weights;
+use crate::merge::statistics::Statistics;
+use crate::write::Metadata;
+use serde::Serialize;
+use std::path::Path;
+
+/// The version of the format: keys are only ever added to it.
+pub const SCHEMA: &str = "hdralign-tonemap/1";
+
+/// What was read and written.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TonemapReport {
+    /// [`SCHEMA`].
+    pub schema: &'static str,
+    /// The program and its version.
+    pub software: &'static str,
+    /// The radiance map, as it was named.
+    pub input: String,
+    /// Its width.
+    pub width_px: usize,
+    /// Its height.
+    pub height_px: usize,
+    /// What its red, green and blue are.
+    pub colour: ColourReport,
+    /// The luminance of 1 in cd/m2, where the file says (OpenEXR's whiteLuminance, TIFF's StoNits); null elsewhere. `.hdr` is in W/sr/m2.
+    pub cd_m2_per_unit: Option<f64>,
+    /// Of the luminance, as stored.
+    pub radiance: Statistics,
+    /// Pixels with a value that is no number; they are shown black.
+    pub not_number_pixels: usize,
+    /// Pixels with an infinite value.
+    pub infinite_pixels: usize,
+    /// Pixels with a negative value.
+    pub negative_pixels: usize,
+    /// The files written.
+    pub outputs: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<WarningReport>,
+    /// Wall time of the stages, in seconds.
+    pub time_s: Times,
+}
+
+impl TonemapReport {
+    /// The report of `map`, every value of which is positive and finite, as read from `input`; the rest is for the caller to add.
+    pub fn new(input: &Path, map: &RadianceMap, metadata: &Metadata) -> Self {
+        let unit = if metadata.cd_m2_per_unit == Some(1.0) { Unit::CdM2 } else { Unit::Relative };
+        TonemapReport {
+            schema: SCHEMA,
+            software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
+            input: super::text(input),
+            width_px: map.pixels.width(),
+            height_px: map.pixels.height(),
+            colour: map.into(),
+            cd_m2_per_unit: metadata.cd_m2_per_unit,
+            radiance: Statistics::measured(&map.pixels, weights(&map.primaries), unit),
+            not_number_pixels: 0,
+            infinite_pixels: 0,
+            negative_pixels: 0,
+            outputs: Vec::new(),
+            warnings: Vec::new(),
+            time_s: Times::default(),
+        }
+    }
+
+    /// The report as JSON, ended by a line feed.
+    pub fn to_json(&self) -> String {
+        // Strings, numbers and lists of them: nothing in it can fail.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+    use crate::plane::Plane;
+
+    #[test]
+    fn the_unit_is_told() {
+        let map = RadianceMap { pixels: Plane::filled(4, 2, [0.5; 3]), primaries: Primaries::BT2020 };
+        let json = |luminance| -> serde_json::Value {
+            let metadata = Metadata { cd_m2_per_unit: luminance, ..Metadata::default() };
+            serde_json::from_str(&TonemapReport::new(Path::new("a.exr"), &map, &metadata).to_json()).unwrap()
+        };
+        assert_eq!((&json(None)["radiance"]["unit"], &json(None)["cd_m2_per_unit"]), (&"relative".into(), &().into()));
+        assert_eq!(json(Some(1.0))["radiance"]["unit"], "cd/m2");
+        assert_eq!(
+            (&json(Some(2.0))["radiance"]["unit"], &json(Some(2.0))["cd_m2_per_unit"]),
+            (&"relative".into(), &2.0.into())
+        );
+        assert_eq!((&json(None)["colour"]["space"], &json(None)["width_px"]), (&"rec2020".into(), &4.into()));
+    }
+}

@@ -1,0 +1,111 @@
+//! `hdralign tonemap`: the picture of a radiance map that was written before.
+
+use crate::support::{Folder, Run};
+use hdralign::read::read;
+use serde_json::Value;
+
+const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q";
+
+fn refused(run: Run, code: i32, said: &str) {
+    assert!(run.code == code && run.stderr.contains(said), "{run:?}");
+}
+
+#[test]
+fn floats_give_the_picture_that_merge_gave_to_the_byte() {
+    let folder = Folder::with_bracket();
+    for (file, options) in [
+        ("a.exr", "--exr-type float --exr-compression zip"),
+        ("b.exr", "--exr-type float --colour rec2020"),
+        ("c.tif", "--colour adobe-rgb"),
+        ("d.tif", "--absolute"),
+    ] {
+        folder.line(&format!("{MERGE} {options} -o {file} -o merged.png --force")).done();
+        let run = folder.line(&format!("tonemap {file} -o again.png --force")).done();
+        assert_eq!(run.stdout, "again.png\n");
+        assert!(folder.bytes("merged.png") == folder.bytes("again.png"), "{file} {options}");
+    }
+}
+
+#[test]
+fn every_format_gives_nearly_the_same_picture() {
+    let folder = Folder::with_bracket();
+    folder.line(&format!("{MERGE} -o a.exr -o a.png --exr-type float")).done();
+    let picture = |name: &str| image::open(folder.at(name)).expect("a picture").to_rgb8();
+    let expected = picture("a.png");
+    // The coarsest step is 1.1 % of luminance and 0.0035 in u' and v': some codes in dark, saturated places.
+    for (file, options, most) in [
+        ("h.exr", "--exr-type half", 1),
+        ("r.hdr", "", 3),
+        ("x.hdr", "--hdr-encoding xyze", 6),
+        ("t.tif", "", 0),
+        ("l32.tif", "--tiff-encoding logluv32", 6),
+        ("l24.tif", "--tiff-encoding logluv24", 9),
+    ] {
+        folder.line(&format!("tonemap a.exr -o {file} {options} -q")).done();
+        folder.line(&format!("tonemap {file} -o p.png --force -q")).done();
+        let found = picture("p.png");
+        let differences: Vec<u8> = expected.as_raw().iter().zip(found.as_raw()).map(|(a, b)| a.abs_diff(*b)).collect();
+        let mean = differences.iter().map(|&d| f64::from(d)).sum::<f64>() / differences.len() as f64;
+        let far = differences.iter().filter(|&&d| d > most).count();
+        assert!(mean < 0.8 && far * 500 <= differences.len(), "{file}: mean {mean}, {far} beyond {most}");
+    }
+}
+
+#[test]
+fn it_is_named_told_and_kept() {
+    let folder = Folder::with_bracket();
+    folder.line(&format!("{MERGE} -o room.exr")).done();
+    let run = folder.line("tonemap room.exr").done();
+    assert_eq!(run.stdout, "room.png\n");
+    assert!(run.stderr.contains("300 x 200 pixels"), "{}", run.stderr);
+    refused(folder.line("tonemap room.exr"), 1, "--force");
+    let run = folder.line("tonemap room.exr --force --json -q").done();
+    let json: Value = serde_json::from_str(&run.stdout).expect("JSON alone");
+    assert_eq!((&json["schema"], &json["outputs"][0]), (&"hdralign-tonemap/1".into(), &"room.png".into()));
+    assert_eq!((&json["width_px"], &json["colour"]["space"]), (&300.into(), &"srgb".into()));
+    assert_eq!((&json["radiance"]["unit"], &json["negative_pixels"]), (&"relative".into(), &0.into()));
+    assert_eq!(run.stderr, "");
+}
+
+#[test]
+fn what_is_no_radiance_is_refused_with_a_remedy() {
+    let folder = Folder::with_bracket();
+    let before = folder.listing();
+    refused(folder.line("tonemap w1.jpg -o x.png"), 1, "hdralign merge");
+    refused(folder.line("tonemap gone.exr"), 1, "gone.exr");
+    refused(folder.line("tonemap w1.jpg -o x.bmp"), 2, ".png");
+    folder.line(&format!("{MERGE} -o room.exr")).done();
+    let whole = folder.bytes("room.exr");
+    folder.put("cut.exr", &whole[..whole.len() / 2]);
+    refused(folder.line("tonemap cut.exr"), 1, "cut.exr: cannot be decoded as OpenEXR");
+    refused(folder.line("tonemap room.exr -o room.exr --force"), 2, "another name");
+    std::fs::remove_file(folder.at("room.exr")).and_then(|()| std::fs::remove_file(folder.at("cut.exr"))).unwrap();
+    assert_eq!(folder.listing(), before, "nothing is left behind");
+}
+
+/// A map of another program: NaN, infinity and a colour that sRGB has not.
+#[test]
+fn odd_values_are_told_and_the_rest_is_shown() {
+    let folder = Folder::empty();
+    let mut values = vec![0.5f32; 3 * 64];
+    values[0] = f32::NAN;
+    values[4] = f32::INFINITY;
+    values[6] = -0.25;
+    let layer = exr::prelude::SpecificChannels::rgb(|at: exr::math::Vec2<usize>| {
+        let i = 3 * (at.y() * 8 + at.x());
+        (values[i], values[i + 1], values[i + 2])
+    });
+    use exr::prelude::WritableImage;
+    exr::prelude::Image::from_channels((8, 8), layer).write().to_file(folder.at("odd.exr")).unwrap();
+    let run = folder.line("tonemap odd.exr --json").done();
+    let json: Value = serde_json::from_str(&run.stdout).unwrap();
+    let counts = ["not_number_pixels", "infinite_pixels", "negative_pixels"].map(|key| json[key].clone());
+    assert_eq!(counts, [Value::from(1), 1.into(), 1.into()]);
+    assert_eq!(run.stderr.matches("warning: odd.exr: 1 pixels").count(), 3, "{}", run.stderr);
+    let picture = image::open(folder.at("odd.png")).unwrap().to_rgb8();
+    assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
+    // The brightest other is the grey around it.
+    assert!(picture.get_pixel(5, 5).0 != [0; 3] && picture.get_pixel(1, 0) == picture.get_pixel(5, 5));
+    // As it is in the file, for those who want it so.
+    assert!(read(&folder.at("odd.exr")).unwrap().0.pixels.at(0, 0)[0].is_nan());
+}
