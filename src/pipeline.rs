@@ -8,6 +8,9 @@ use crate::align::{self, AlignOptions, Alignment, Rect};
 use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::inspect::{self, files, tables::Tables};
+use crate::merge::deghost::{self, Deghost, Ghosts};
+use crate::merge::flare::{self, FlareReport};
+use crate::merge::statistics::Statistics;
 use crate::merge::{self, MergeOptions, RadianceMap, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
@@ -50,6 +53,12 @@ pub struct Options {
     pub response_file: Option<PathBuf>,
     /// How far a code is trusted.
     pub weight: Weight,
+    /// Whether and how readily what moved is left out.
+    pub deghost: Option<Deghost>,
+    /// Where and how much was left out is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
+    pub ghost_mask: Option<PathBuf>,
+    /// Whether the veil of scattered light is sought and taken off.
+    pub flare: bool,
     /// Which part of the reference the results show.
     pub crop: Crop,
     /// How luminance is brought into the range of a display.
@@ -127,13 +136,18 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         check_placed(&bracket, &alignment)?;
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
-        let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let (radiance, merged, ghosts, flare) = line.merge(&bracket, &alignment, &curve, region, options)?;
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
-        let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
+        report.flare = flare;
+        report.ghosts = ghosts.as_ref().map(Ghosts::report);
+        let mut files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
+        if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
+            files.push(write::mask::write(path, &ghosts.mask())?);
+        }
         line.report(&mut report, files, options)?;
         Ok(Outcome { radiance, display, report })
     })
@@ -265,12 +279,15 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
+    options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
     for path in &options.outputs {
         write::Format::of(path)?;
     }
+    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;
     let mut files = options.outputs.clone();
     files.extend(options.save_response.clone());
     files.extend(options.report.clone());
+    files.extend(options.ghost_mask.clone());
     files.extend(options.transforms.clone().filter(|path| !path.exists()));
     if let Some(prefix) = &options.save_aligned {
         files.extend(aligned::names(prefix, images)?);
@@ -381,9 +398,17 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<(RadianceMap, merge::MergeReport)> {
+    ) -> Result<(RadianceMap, merge::MergeReport, Option<Ghosts>, Option<FlareReport>)> {
         let merging = MergeOptions { weight: options.weight, region };
-        let (merged, time) = self.timed(Stage::Merge, || merge::merge(bracket, alignment, curve, &merging));
+        let (merged, time) = self.timed(Stage::Merge, || {
+            let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
+            let (mut map, mut report) = merge::merge_without(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let flare = options.flare.then(|| flare::remove(&mut map));
+            if flare.is_some() {
+                report.radiance = Statistics::of(&map.pixels);
+            }
+            Ok((map, report, ghosts, flare))
+        });
         self.times.merge = time;
         merged
     }

@@ -21,6 +21,8 @@
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
 //! inside a half-float's 6e-8..65504. Divide by [`MergeReport::reference_exposure`] to compare brackets of different exposure.
 
+pub mod deghost;
+pub mod flare;
 pub mod statistics;
 pub mod weight;
 
@@ -32,6 +34,7 @@ use crate::bracket::{Bracket, Frame, Samples};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::{CODES, ResponseCurve};
+use deghost::Ghosts;
 use serde::Serialize;
 use statistics::Statistics;
 use std::ops::Range;
@@ -193,6 +196,11 @@ impl Mean {
             self.sum[c] += w * view.radiance[c];
             self.weight[c] += w;
         }
+    }
+
+    /// Lets a frame decide where none is trusted, if it is the shortest or the longest.
+    #[inline]
+    fn may_decide(&mut self, view: &View) {
         self.shortest.get_or_insert(*view);
         self.longest = *view;
     }
@@ -221,6 +229,21 @@ pub fn merge(
     alignment: &Alignment,
     curve: &ResponseCurve,
     options: &MergeOptions,
+) -> Result<(RadianceMap, MergeReport)> {
+    merge_without(bracket, alignment, curve, options, None)
+}
+
+/// As [`merge`], but what `ghosts` (found over the same region) leaves out of a frame takes no part: its weight there is multiplied by
+/// the factor kept, and a frame of which less than half is kept decides nothing.
+///
+/// # Errors
+/// Those of [`merge`].
+pub fn merge_without(
+    bracket: &Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+    options: &MergeOptions,
+    ghosts: Option<&Ghosts>,
 ) -> Result<(RadianceMap, MergeReport)> {
     let Rect { x0, y0, x1, y1 } = options.region;
     if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
@@ -252,13 +275,19 @@ pub fn merge(
         for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
             let strip = y0 + strip..y0 + strip + out.len() / width;
             let codes: Vec<Codes> = layers.iter().map(|layer| layer.codes(x0..x1, strip.clone())).collect();
+            let kept = |i| ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.start - y0..strip.end - y0));
+            let kept: Vec<Vec<f32>> = (0..layers.len()).map(kept).collect();
             for (y, line) in out.chunks_exact_mut(width).enumerate() {
                 for (x, pixel) in line.iter_mut().enumerate() {
                     let mut mean = Mean::default();
-                    for (layer, codes) in layers.iter().zip(&codes) {
+                    for ((layer, codes), kept) in layers.iter().zip(&codes).zip(&kept) {
                         if let Some(view) = layer.view(codes, width, x, y) {
                             let top = view.code[0].max(view.code[1]).max(view.code[2]);
-                            mean.add(&view, guards[(top as usize).min(CODES - 1)]);
+                            let kept = kept.get(y * width + x).copied().unwrap_or(1.0);
+                            mean.add(&view, kept * guards[(top as usize).min(CODES - 1)]);
+                            if kept >= 0.5 {
+                                mean.may_decide(&view);
+                            }
                         }
                     }
                     if let (Some(radiance), Some(shortest)) = (mean.radiance(), &mean.shortest) {

@@ -32,7 +32,7 @@ pub struct Statistics {
 }
 
 /// Luminance 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
-fn luminance([r, g, b]: [f32; 3]) -> f32 {
+pub(super) fn luminance([r, g, b]: [f32; 3]) -> f32 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
 

@@ -7,6 +7,8 @@ use crate::bracket::exposure::ExposureSource;
 use crate::bracket::{Bracket, Frame};
 use crate::error::Warning;
 use crate::merge::MergeReport;
+use crate::merge::deghost::GhostReport;
+use crate::merge::flare::FlareReport;
 use crate::response::ResponseReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -37,6 +39,10 @@ pub struct Report {
     pub response: Option<ResponseReport>,
     /// What came of merging; none where frames were only aligned.
     pub radiance: Option<MergeReport>,
+    /// What was left out because it moved; none where that was not asked for.
+    pub ghosts: Option<GhostReport>,
+    /// What was found of flare; none where it was not sought.
+    pub flare: Option<FlareReport>,
     /// The files written.
     pub outputs: Vec<String>,
     /// What the user should know.
@@ -160,6 +166,8 @@ impl Report {
             crop: crop.into(),
             response: None,
             radiance: None,
+            ghosts: None,
+            flare: None,
             outputs: Vec::new(),
             warnings: Vec::new(),
             time_s: Times::default(),

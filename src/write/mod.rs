@@ -11,6 +11,7 @@ pub mod exr;
 mod half;
 pub mod hdr;
 mod ifd;
+pub mod mask;
 mod rgbe;
 mod target;
 pub mod tiff;
