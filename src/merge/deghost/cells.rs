@@ -6,7 +6,7 @@
 //! Means are of exposures, not of codes: the mean code of an edge means another exposure in every frame. Of a cell with a clipped code the
 //! mean is a lower bound, of one with a black code an upper one.
 
-use super::{CODES, Frame, Plane, Rect, ResponseCurve, Warp};
+use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
 use crate::align::warp::map;
 use crate::bracket::Samples;
 
@@ -106,36 +106,36 @@ impl Cell {
     }
 }
 
-/// The cells of `region`, each `side` pixels (even), as `frame` sees them; it is placed frame number `number`.
-pub fn average(frame: &Frame, warp: &Warp, region: Rect, side: usize, meaning: &Meaning, number: u16) -> Plane<Cell> {
-    match frame.samples() {
+/// The cells of `region`, each `side` pixels (even), as `layer` sees them; it is placed frame number `number`.
+pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Plane<Cell> {
+    let radiance = &layer.meaning.radiance;
+    match layer.frame.samples() {
         Samples::Eight(codes) => {
-            let of = |code: u8, c: usize| (f32::from(code), meaning.radiance[c][usize::from(code)]);
-            averaged(frame, codes, of, warp, region, side, meaning, number)
+            let of = |code: u8, c: usize| (f32::from(code), radiance[c][usize::from(code)]);
+            averaged(layer, codes, of, region, side, number)
         }
         Samples::Sixteen(codes) => {
             let of = |code: u16, c: usize| {
                 let code = f32::from(code) * (1.0 / 257.0);
                 let below = (code as usize).min(CODES - 2);
-                let (a, b) = (meaning.radiance[c][below], meaning.radiance[c][below + 1]);
+                let (a, b) = (radiance[c][below], radiance[c][below + 1]);
                 (code, a + (code - below as f32) * (b - a))
             };
-            averaged(frame, codes, of, warp, region, side, meaning, number)
+            averaged(layer, codes, of, region, side, number)
         }
     }
 }
 
-#[allow(clippy::too_many_arguments)]
+/// As [`average`]; `of` gives a code on the scale 0..=255, and its radiance in a channel.
 fn averaged<T: Copy + Sync>(
-    frame: &Frame,
+    layer: &Layer,
     codes: &[T],
     of: impl Fn(T, usize) -> (f32, f32) + Sync,
-    warp: &Warp,
     region: Rect,
     side: usize,
-    meaning: &Meaning,
     number: u16,
 ) -> Plane<Cell> {
+    let Layer { frame, warp, meaning } = layer;
     let (width, height) = (frame.width(), frame.height());
     let (right, bottom) = ((width - 1) as f64, (height - 1) as f64);
     let h = warp.matrix(width, height);

@@ -137,7 +137,7 @@ pub fn find(
     let side = side(region);
     let mut frames: Vec<(String, Option<Plane<u8>>)> =
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
-    let seen = |i: usize| cells::average(layers[i].frame, &layers[i].warp, region, side, &layers[i].meaning, i as u16);
+    let seen = |i: usize| cells::average(&layers[i], region, side, i as u16);
     for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {
         if outwards.is_empty() {
             continue;

@@ -150,14 +150,17 @@ fn cells_are_the_means_of_exposures() {
     let codes: Vec<u8> = (0..3 * width * height).map(|i| (i * 89 % 256) as u8).collect();
     let deep = codes.iter().map(|&z| u16::from(z) * 257).collect();
     let region = Rect { x0: 2, y0: 1, x1: 10, y1: 9 };
-    let meaning = Meaning::of(&curve, 0.5);
     for samples in [Samples::Eight(codes.clone()), Samples::Sixteen(deep)] {
         let frame = Frame::new("a".into(), width, height, samples, Exposure::given(0.0).unwrap());
         for side in [2, 4] {
-            let cells = cells::average(&frame, &Warp::Identity, region, side, &meaning, 0);
+            let seen = |warp| {
+                let meaning = Meaning::of(&curve, 0.5);
+                cells::average(&Layer { frame: &frame, warp, meaning }, region, side, 0)
+            };
+            let cells = seen(Warp::Identity);
             // By a shift of no pixels too, which goes another way.
             let still = Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
-            assert_eq!(cells, cells::average(&frame, &still, region, side, &meaning, 0));
+            assert_eq!(cells, seen(still));
             for (j, i, c) in [(0, 0, 0), (1, 1, 2), (0, 1, 1)] {
                 let pixels = (0..side * side).map(|k| (2 + i * side + k % side, 1 + j * side + k / side));
                 let code = |(x, y): (usize, usize)| f32::from(codes[3 * (y * width + x) + c]);
