@@ -14,6 +14,8 @@ use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::calibration::{self, Calibration, CalibrationReport, Unit};
+use crate::merge::deghost::{self, Deghost, Ghosts};
+use crate::merge::flare::{self, FlareReport};
 use crate::merge::statistics::Statistics;
 use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
@@ -62,6 +64,12 @@ pub struct Options {
     pub response_file: Option<PathBuf>,
     /// How far a code is trusted.
     pub weight: Weight,
+    /// Whether and how readily what moved is left out.
+    pub deghost: Option<Deghost>,
+    /// Where and how much was left out is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
+    pub ghost_mask: Option<PathBuf>,
+    /// Whether the veil of scattered light is sought and taken off.
+    pub flare: bool,
     /// Which part of the reference the results show.
     pub crop: Crop,
     /// The linear colour space of the results; none for that of the reference's profile.
@@ -145,7 +153,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let (curve, recovered) = line.response(&bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
-        let (radiance, merged) = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let (radiance, merged, ghosts, flare) = line.merge(&bracket, &alignment, &curve, region, options)?;
         let (radiance, merged) = line.units(radiance, merged, options.colour, &calibration);
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
@@ -154,7 +162,12 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         report.radiance = Some(merged);
         report.calibration = calibration;
         report.colour = Some((&radiance).into());
-        let files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
+        report.flare = flare;
+        report.ghosts = ghosts.as_ref().map(Ghosts::report);
+        let mut files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
+        if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
+            files.push(write::mask::write(path, &ghosts.mask())?);
+        }
         line.report(&mut report, files, options)?;
         Ok(Outcome { radiance, display, report })
     })
@@ -235,9 +248,12 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
     }
+    options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
+    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;
     let mut files = options.outputs.clone();
     files.extend(options.save_response.clone());
     files.extend(options.report.clone());
+    files.extend(options.ghost_mask.clone());
     files.extend(options.transforms.clone().filter(|path| !path.exists()));
     if let Some(prefix) = &options.save_aligned {
         files.extend(aligned::names(prefix, images)?);
@@ -359,9 +375,17 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<(RadianceMap, MergeReport)> {
+    ) -> Result<(RadianceMap, MergeReport, Option<Ghosts>, Option<FlareReport>)> {
         let merging = MergeOptions { weight: options.weight, region };
-        let (merged, time) = self.timed(Stage::Merge, || merge::merge(bracket, alignment, curve, &merging));
+        let (merged, time) = self.timed(Stage::Merge, || {
+            let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
+            let (mut map, mut report) = merge::merge_without(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let flare = options.flare.then(|| flare::remove(&mut map));
+            if flare.is_some() {
+                report.radiance = Statistics::of(&map.pixels);
+            }
+            Ok((map, report, ghosts, flare))
+        });
         self.times.merge = time;
         merged
     }

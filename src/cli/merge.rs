@@ -6,6 +6,7 @@ use super::radiance::Radiance;
 use clap::ValueEnum;
 use hdralign::error::Error;
 use hdralign::merge::calibration::Calibration;
+use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::response::ratios::Exposures;
@@ -19,6 +20,7 @@ Examples:
   hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
   hdralign merge *.jpg -o room.exr -o room.hdr -o room.png
   hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
+  hdralign merge --deghost --ghost-mask moved.png *.jpg   people who walked on; and where they were
   hdralign merge --align none --crop none *.tif -o studio.exr";
 
 #[derive(Debug, clap::Args)]
@@ -55,6 +57,19 @@ pub struct Args {
     /// How far a code value is trusted
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
     weight: WeightArg,
+
+    /// Leave out of the other photographs what is not as the reference shows it: people, cars, leaves, water. STRENGTH is 0 (only what is
+    /// plainly different) to 1 (whatever may be); 0.5 where none is given
+    #[arg(long, value_name = "STRENGTH", num_args = 0..=1, require_equals = true, default_missing_value = "0.5")]
+    deghost: Option<f64>,
+
+    /// Write where and how much was left out, as a grey PNG of the result's size: 0 nothing, 255 all photographs but the reference
+    #[arg(long, value_name = "FILE", requires = "deghost")]
+    ghost_mask: Option<PathBuf>,
+
+    /// Take off the veil that lens and sensor scatter over the picture, where there is one
+    #[arg(long)]
+    flare: bool,
 
     /// How luminance is brought into the range of a display
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
@@ -185,6 +200,9 @@ impl Args {
                 WeightArg::MannPicard => Weight::MannPicard,
                 WeightArg::Noise => Weight::Noise,
             },
+            deghost: self.deghost.map(|strength| Deghost { strength }),
+            ghost_mask: self.ghost_mask.clone(),
+            flare: self.flare,
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
             operator: self.tmo.operator(),

@@ -25,6 +25,8 @@
 //! inside a half-float's 6e-8..65504. Divide by [`MergeReport::reference_exposure`] to compare brackets of different exposure.
 
 pub mod calibration;
+pub mod deghost;
+pub mod flare;
 pub mod gamut;
 mod layer;
 mod mean;
@@ -38,6 +40,7 @@ use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
+use deghost::Ghosts;
 use layer::{Strip, layers};
 use mean::Mean;
 use serde::Serialize;
@@ -96,6 +99,21 @@ pub fn merge(
     curve: &ResponseCurve,
     options: &MergeOptions,
 ) -> Result<(RadianceMap, MergeReport)> {
+    merge_without(bracket, alignment, curve, options, None)
+}
+
+/// As [`merge`], but what `ghosts` (found over the same region) leaves out of a frame takes no part: its weight there is multiplied by
+/// the factor kept, and a frame of which less than half is kept decides nothing.
+///
+/// # Errors
+/// Those of [`merge`].
+pub fn merge_without(
+    bracket: &Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+    options: &MergeOptions,
+    ghosts: Option<&Ghosts>,
+) -> Result<(RadianceMap, MergeReport)> {
     let Rect { x0, y0, x1, y1 } = options.region;
     if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
         return Err(Error::Option {
@@ -123,10 +141,15 @@ pub fn merge(
         for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
             let strip = y0 + strip..y0 + strip + out.len() / width;
             let strips: Vec<Strip> = layers.iter().map(|layer| layer.strip(x0..x1, strip.clone())).collect();
+            let kept = |i| ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.start - y0..strip.end - y0));
+            let kept: Vec<Vec<f32>> = (0..layers.len()).map(kept).collect();
             for (y, line) in out.chunks_exact_mut(width).enumerate() {
                 means.fill(Mean::default());
-                for (layer, strip) in layers.iter().zip(&strips) {
-                    layer.row(strip, y, width, |x, view, share| means[x].add(layer, view, share, 1.0));
+                for ((layer, strip), kept) in layers.iter().zip(&strips).zip(&kept) {
+                    let kept = kept.get(y * width..).unwrap_or(&[]);
+                    layer.row(strip, y, width, |x, view, share| {
+                        means[x].add(layer, view, share, kept.get(x).copied().unwrap_or(1.0));
+                    });
                 }
                 for (pixel, mean) in line.iter_mut().zip(&means) {
                     if let Some(radiance) = mean.radiance() {

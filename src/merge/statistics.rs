@@ -39,9 +39,10 @@ pub struct Statistics {
 }
 
 /// ITU-R BT.709.
-const BT709: [f32; 3] = [0.2126, 0.7152, 0.0722];
+pub(super) const BT709: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
+/// The luminance of a pixel, where its channels contribute `weights`.
+pub(super) fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
     weights[0] * r + weights[1] * g + weights[2] * b
 }
 

@@ -10,6 +10,8 @@ use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Warning;
 use crate::merge::calibration::CalibrationReport;
+use crate::merge::deghost::GhostReport;
+use crate::merge::flare::FlareReport;
 use crate::merge::{MergeReport, RadianceMap};
 use crate::response::ResponseReport;
 use serde::Serialize;
@@ -45,6 +47,10 @@ pub struct Report {
     pub calibration: Option<CalibrationReport>,
     /// What red, green and blue of the radiance are; none where frames were only aligned.
     pub colour: Option<ColourReport>,
+    /// What was left out because it moved; none where that was not asked for.
+    pub ghosts: Option<GhostReport>,
+    /// What was found of flare; none where it was not sought.
+    pub flare: Option<FlareReport>,
     /// The files written.
     pub outputs: Vec<String>,
     /// What the user should know.
@@ -189,6 +195,8 @@ impl Report {
             radiance: None,
             calibration: None,
             colour: None,
+            ghosts: None,
+            flare: None,
             outputs: Vec::new(),
             warnings: Vec::new(),
             time_s: Times::default(),

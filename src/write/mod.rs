@@ -13,6 +13,7 @@ pub mod hdr;
 mod ifd;
 pub mod logluv;
 pub mod luv;
+pub mod mask;
 pub(crate) mod rgbe;
 mod target;
 pub mod tiff;

@@ -1,0 +1,192 @@
+use super::*;
+use crate::align::warp::Warp;
+use crate::bracket::Samples;
+use crate::bracket::exposure::Exposure;
+use crate::merge::weight::Weight;
+use crate::merge::{MergeOptions, merge, merge_without};
+use crate::response::tests::still;
+
+const SIZE: (usize, usize) = (240, 180);
+
+/// Tiles of several radiances, from 0.02 to 1.3.
+fn background(x: usize, y: usize) -> [f64; 3] {
+    let e = libm::exp2(((x / 24) * 5 + (y / 20) * 3) as f64 % 13.0 / 2.0 - 5.6);
+    [e, 0.9 * e, 0.7 * e]
+}
+
+/// Whether a disc of 24 pixels about (x, y) covers a pixel.
+fn disc(x: usize, y: usize, about: (usize, usize)) -> bool {
+    let (dx, dy) = (x as f64 - about.0 as f64, y as f64 - about.1 as f64);
+    dx * dx + dy * dy < 24.0 * 24.0
+}
+
+/// A bracket of three in which frame 0 (the shortest) shows `scenes[0]` and so on.
+fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignment) {
+    let times = [0.25, 1.0, 4.0];
+    let frames = (0..3).map(|i| still(SIZE, &times, scenes[i]).0.frames()[i].clone()).collect();
+    let bracket = Bracket::new(frames, &crate::bracket::ReferenceChoice::Number(2)).unwrap();
+    let alignment = Alignment::unmoved(&bracket);
+    (bracket, alignment)
+}
+
+fn seek(bracket: &Bracket, alignment: &Alignment) -> Ghosts {
+    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, &Deghost::default()).unwrap()
+}
+
+fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> Plane<[f32; 3]> {
+    let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
+    merge_without(bracket, alignment, &ResponseCurve::srgb(), &options, ghosts).unwrap().0.pixels
+}
+
+#[test]
+fn where_nothing_moved_nothing_is_lost() {
+    let (bracket, alignment) = bracket([&background; 3]);
+    let ghosts = seek(&bracket, &alignment);
+    let report = ghosts.report();
+    assert_eq!((report.ghost_fraction, report.frames.len()), (0.0, 2));
+    assert!(ghosts.mask().as_slice().iter().all(|&m| m == 0));
+    let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
+    let plain = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap().0.pixels;
+    assert_eq!(merged(&bracket, &alignment, Some(&ghosts)), plain);
+}
+
+#[test]
+fn a_mover_is_left_out_and_the_rest_is_untouched() {
+    for frame in [0, 2] {
+        let mover = |x, y| if disc(x, y, (100, 80)) { [0.35, 0.3, 0.4] } else { background(x, y) };
+        let mut scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3] = [&background; 3];
+        scenes[frame] = &mover;
+        let (with_mover, alignment) = bracket(scenes);
+        let (without, _) = bracket([&background; 3]);
+        let ghosts = seek(&with_mover, &alignment);
+        let found = merged(&with_mover, &alignment, Some(&ghosts));
+        let (truth, plain) = (merged(&without, &alignment, None), merged(&with_mover, &alignment, None));
+        let error = |map: &Plane<[f32; 3]>| {
+            let ratio = |(a, b): (&[f32; 3], &[f32; 3])| (a[1] / b[1]).max(b[1] / a[1]) - 1.0;
+            let all: Vec<f32> = map.as_slice().iter().zip(truth.as_slice()).map(ratio).collect();
+            all.iter().sum::<f32>() / all.len() as f32
+        };
+        assert!(error(&found) < 0.1 * error(&plain), "frame {frame}: {} of {}", error(&found), error(&plain));
+        // Far from it all three frames take part as before.
+        assert_eq!(found.rows(150..180), plain.rows(150..180));
+        let shares: Vec<f64> = ghosts.report().frames.iter().map(|f| f.ghost_fraction).collect();
+        let (moved, other) = if frame == 0 { (shares[0], shares[1]) } else { (shares[1], shares[0]) };
+        // The disc is 4.2 % of the picture; of its tiles some are as bright as it is, and in a margin of up to 14 pixels more is left out.
+        assert!((0.02..0.105).contains(&moved) && other == 0.0, "frame {frame}: {shares:?}");
+    }
+}
+
+#[test]
+fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
+    // The reference clips at 1. One frame has a dark mover before the sky, the one before it none; and the other way round.
+    let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
+    let times = [0.0625, 0.25, 1.0, 4.0];
+    for frame in [0, 1] {
+        let scene = |i: usize| {
+            move |x: usize, y: usize| {
+                if i == frame && disc(x, y, (120, 90)) { [0.3, 0.2, 0.2] } else { sky(x, y) }
+            }
+        };
+        let frames = (0..4).map(|i| still(SIZE, &times, scene(i)).0.frames()[i].clone()).collect();
+        let bracket = Bracket::new(frames, &crate::bracket::ReferenceChoice::Number(3)).unwrap();
+        let alignment = Alignment::unmoved(&bracket);
+        let ghosts = seek(&bracket, &alignment);
+        let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
+        let far = plain.at(5, 5)[1];
+        // The shortest has few codes for it: 1/16 of 2.6 is code 112, whose steps are 2 %.
+        assert!((found.at(120, 90)[1] / far - 1.0).abs() < 0.03, "frame {frame}: {} for {far}", found.at(120, 90)[1]);
+        assert!(plain.at(120, 90)[1] < 0.9 * far, "the mover is no test: {} for {far}", plain.at(120, 90)[1]);
+    }
+}
+
+#[test]
+fn a_frame_that_is_brighter_all_over_has_not_moved() {
+    // The exposure is a sixth of a stop off: 12 %, twice the least share that is allowed for.
+    let (mut frames, alignment) = bracket([&background; 3]);
+    let brighter = |x, y| background(x, y).map(|e| 1.12 * e);
+    let off = still(SIZE, &[0.25, 1.0, 4.0], brighter).0.frames()[2].clone();
+    let list = vec![frames.frames()[0].clone(), frames.frames()[1].clone(), off];
+    frames = Bracket::new(list, &crate::bracket::ReferenceChoice::Number(2)).unwrap();
+    assert_eq!(seek(&frames, &alignment).report().ghost_fraction, 0.0);
+}
+
+#[test]
+fn the_same_on_any_number_of_threads_and_in_any_region_size() {
+    let mover = |x, y| if disc(x, y, (100, 80)) { [0.35, 0.3, 0.4] } else { background(x, y) };
+    let (bracket, alignment) = bracket([&background, &background, &mover]);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| seek(&bracket, &alignment))
+    };
+    assert_eq!(on(1), on(3));
+    for (width, height) in [(1, 1), (2, 3), (17, 1), (61, 67)] {
+        let region = Rect { x0: 3, y0: 5, x1: 3 + width, y1: 5 + height };
+        let curve = ResponseCurve::srgb();
+        let ghosts = find(&bracket, &alignment, &curve, region, &Deghost::default()).unwrap();
+        let mask = ghosts.mask();
+        assert_eq!((mask.width(), mask.height()), (width, height));
+    }
+}
+
+#[test]
+fn the_strength_has_a_range_and_is_obeyed() {
+    for strength in [-0.1, 1.1, f64::NAN] {
+        assert!(Deghost { strength }.validate().unwrap_err().is_usage());
+    }
+    let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.35 * e) } else { background(x, y) };
+    let (bracket, alignment) = bracket([&background, &background, &faint]);
+    let share = |strength| {
+        let options = Deghost { strength };
+        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, &options).unwrap();
+        ghosts.report().ghost_fraction
+    };
+    assert!(share(0.0) < share(0.5) && share(0.5) < share(1.0), "{} {} {}", share(0.0), share(0.5), share(1.0));
+}
+
+#[test]
+fn cells_are_the_means_of_exposures() {
+    let curve = ResponseCurve::srgb();
+    let (width, height) = (13, 9);
+    let codes: Vec<u8> = (0..3 * width * height).map(|i| (i * 89 % 256) as u8).collect();
+    let deep = codes.iter().map(|&z| u16::from(z) * 257).collect();
+    let region = Rect { x0: 2, y0: 1, x1: 10, y1: 9 };
+    for samples in [Samples::Eight(codes.clone()), Samples::Sixteen(deep)] {
+        let frame = Frame::new("a".into(), width, height, samples, Exposure::given(0.0).unwrap());
+        for side in [2, 4] {
+            let seen = |warp| {
+                let meaning = Meaning::of(&curve, 0.5);
+                cells::average(&Layer { frame: &frame, warp, meaning }, region, side, 0)
+            };
+            let cells = seen(Warp::Identity);
+            // By a shift of no pixels too, which goes another way.
+            let still = Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
+            assert_eq!(cells, seen(still));
+            for (j, i, c) in [(0, 0, 0), (1, 1, 2), (0, 1, 1)] {
+                let pixels = (0..side * side).map(|k| (2 + i * side + k % side, 1 + j * side + k / side));
+                let code = |(x, y): (usize, usize)| f32::from(codes[3 * (y * width + x) + c]);
+                let black = pixels.clone().any(|p| code(p) <= 5.0);
+                let clipped = pixels.clone().any(|p| code(p) > 248.0);
+                let mean = pixels.map(|p| 2.0 * curve.exposure(c, code(p))).sum::<f32>() / (side * side) as f32;
+                let cell = cells.at(i, j);
+                // Sixteen roundings of one part in 2^24; a code of 16 bit may fall 2^-16 short of one of 8.
+                assert!(black || (cell.radiance[c] / mean - 1.0).abs() < 1e-4, "{} for {mean}", cell.radiance[c]);
+                assert_eq!((cell.is_black(c), cell.is_clipped(c)), (black, clipped));
+            }
+        }
+    }
+}
+
+#[test]
+fn factors_between_cells_are_bilinear() {
+    let map = Plane::from_vec(3, 2, vec![0u8, 255, 51, 102, 0, 204]);
+    let ghosts =
+        Ghosts { size: (5, 4), side: 2, strength: 0.5, frames: vec![("a".into(), Some(map)), ("r".into(), None)] };
+    let kept = ghosts.kept(0, 1..3);
+    // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2 three quarters right.
+    let (left, right) = (0.25 * 0.4, 0.75);
+    assert!((kept[2] - (0.25 * left + 0.75 * right)).abs() < 1e-6, "{kept:?}");
+    assert!((kept[0] - 0.1).abs() < 1e-6);
+    assert_eq!((kept.len(), ghosts.kept(1, 0..4).len()), (10, 0));
+    // One other frame: the mask is what is left out of it.
+    assert_eq!(ghosts.mask().at(0, 1), (255.0f32 * 0.9 + 0.5) as u8);
+}
