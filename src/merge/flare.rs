@@ -1,7 +1,7 @@
 //! Flare: the veil that lens and sensor scatter over the picture, found and taken off.
 //!
 //! In: radiance. Out: radiance without the veil, and a [`FlareReport`]. Cost: two passes over the picture, and 14 Fourier transforms of 512 x
-//! 512, some 0.3 s of one core. Source: Ward's hdrgen (option `-f`; Reinhard et al., "High Dynamic Range Imaging", 2nd ed. 2010, section 4.8)
+//! 512, some 0.3 s of one core. Source: Ward's hdrgen (option `-f`; Reinhard et al., "High Dynamic Range Imaging", 2nd ed. 2010, chapter 4)
 //! bounds a point spread by how dark it is around what is bright, and takes off at most 98 %. That bound is taken here of the whole veil at
 //! once, and only believed where the picture shows it.
 //!
@@ -9,8 +9,8 @@
 //! cell being 1/256 of the picture's: of light that is scattered less far nothing is known here. No place is darker than the veil over it. So the
 //! share s of the light that is scattered is at most the least of (dark parts of a cell) / (veil there for s = 1). A scene without
 //! anything black has such a least too, though no flare; but then what is darkest has nothing to do with where the veil is strong. So the
-//! cells are sorted into [`BINS`] by the strength of the veil, and flare is found if in at least [`WITNESSES`] of them, over a range of
-//! strengths of [`RANGE`] stops, the darkest come near to the same share. The exponent k is that by which the most do.
+//! cells are sorted into 24 bins by the strength of the veil, and flare is found if in at least 6 of them, over a range of
+//! strengths of a stop, the darkest come near to the same share. The exponent k is that by which the most do.
 
 use super::statistics::{BT709, luminance};
 use super::{FLOOR, RadianceMap};

@@ -5,10 +5,10 @@
 //! The difference of a cell and channel is divided by its standard deviation, of which the square is the sum of
 //!
 //! - the noise of both codes, through the curve's slope;
-//! - a share of the radiance itself: at least [`LEAST`], for the curve and the exposures are not known better, and as much as the bracket
+//! - a share of the radiance itself: at least `LEAST`, for the curve and the exposures are not known better, and as much as the bracket
 //!   shows: the quartiles of the ratio of frame to standard at this level of radiance, over the whole picture. The ratio's median there is
 //!   divided out first: it is the response's error, not motion;
-//! - the gradient times [`ASTRAY`] pixels: what alignment and sharpness may differ by at an edge.
+//! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken.
 
