@@ -21,6 +21,7 @@ use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::{self, Exposures};
+use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
 use crate::tonemap::{self, DisplayImage, Operator};
 use crate::write::{self, Metadata, Written, aligned};
@@ -149,8 +150,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         check_taken(taken, &bracket)?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
-        let bracket = line.exposures(bracket, &alignment, options);
-        let (curve, recovered) = line.response(&bracket, &alignment, options)?;
+        let (bracket, curve, recovered) = line.response(bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let (radiance, merged, ghosts, flare) = line.merge(&bracket, &alignment, &curve, region, options)?;
@@ -337,35 +337,36 @@ impl<'a> Line<'a> {
         Ok(alignment)
     }
 
-    /// The bracket with the exposures that are divided out. Its time counts as the response's.
-    fn exposures(&mut self, bracket: Bracket, alignment: &Alignment, options: &Options) -> Bracket {
-        if options.exposures == Exposures::AsGiven {
-            return bracket;
-        }
-        let ((corrections, warnings), time) = self.timed(Stage::Response, || ratios::corrections(&bracket, alignment));
-        self.times.response = time;
-        self.warnings.extend(warnings);
-        bracket.corrected(&corrections.iter().map(|c| c.stops).collect::<Vec<_>>())
-    }
-
+    /// The bracket with the exposures that are divided out, and the curve.
     fn response(
         &mut self,
-        bracket: &Bracket,
+        bracket: Bracket,
         alignment: &Alignment,
         options: &Options,
-    ) -> Result<(ResponseCurve, ResponseReport)> {
-        let (recovered, time) = self.timed(Stage::Response, || match &options.response_file {
-            Some(path) => {
-                let saved = SavedResponse::read(path)?;
-                let report = ResponseReport { model: "file", ..ResponseReport::default() };
-                Ok((saved.curve, report, Vec::new()))
-            }
-            None => response::recover(bracket, alignment, &options.response),
+    ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
+        let (done, time) = self.timed(Stage::Response, || -> Result<_> {
+            let is_tuned = options.exposures == Exposures::FineTuned;
+            let is_sought = options.response_file.is_none() && options.response.is_sought();
+            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment) } else { Places::default() };
+            let (bracket, mut warnings) =
+                if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
+            let (curve, report) = match &options.response_file {
+                Some(path) => {
+                    let report = ResponseReport { model: "file", ..ResponseReport::default() };
+                    (SavedResponse::read(path)?.curve, report)
+                }
+                None => {
+                    let (curve, report, more) = response::recover_from(&[&places], &options.response)?;
+                    warnings.extend(more);
+                    (curve, report)
+                }
+            };
+            Ok((bracket, curve, report, warnings))
         });
-        let (curve, report, warnings) = recovered?;
-        self.times.response = Some(self.times.response.unwrap_or(0.0) + time.unwrap_or(0.0));
+        let (bracket, curve, report, warnings) = done?;
+        self.times.response = time;
         self.warnings.extend(warnings);
-        Ok((curve, report))
+        Ok((bracket, curve, report))
     }
 
     fn merge(

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// What the photographs are, and how they are aligned.
 #[derive(Debug, Args)]
 pub struct Aligned {
-    /// The photographs of one bracket, JPEG, PNG or TIFF, in any order; for `response` of one or many, or folders of them
+    /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
 

@@ -3,14 +3,13 @@
 use super::input::Common;
 use super::progress::Bar;
 use super::radiance::Radiance;
+use super::recovery::Recovery;
 use clap::ValueEnum;
 use hdralign::error::Error;
 use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
-use hdralign::response::ratios::Exposures;
-use hdralign::response::{ResponseModel, mitsunaga_nayar};
 use hdralign::tonemap::Operator;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -34,25 +33,16 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,
 
-    /// How the camera's response is had
-    #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
-    response_model: ResponseArg,
-
-    /// The degree of mitsunaga-nayar's polynomial, 1 to 10 [default: the least that fits]
-    #[arg(long, value_name = "N", conflicts_with = "response")]
-    response_degree: Option<usize>,
+    #[command(flatten)]
+    recovery: Recovery,
 
     /// Use a response saved before, instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
-    #[arg(long, value_name = "FILE", conflicts_with = "response_model")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
     response: Option<PathBuf>,
 
     /// Save the response; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr)
     #[arg(long, value_name = "FILE")]
     save_response: Option<PathBuf>,
-
-    /// What becomes of the exposures
-    #[arg(long, value_enum, default_value_t, value_name = "HOW")]
-    exposures: ExposuresArg,
 
     /// How far a code value is trusted
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
@@ -92,57 +82,6 @@ pub struct Args {
     save_aligned: Option<PathBuf>,
 }
 
-/// See [`Exposures`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-pub enum ExposuresArg {
-    /// Fine-tuned from the pixels, within a sixth of a stop; those of -e are not touched
-    #[default]
-    FineTuned,
-    /// As the files say
-    AsGiven,
-}
-
-impl ExposuresArg {
-    /// What it stands for.
-    pub fn option(self) -> Exposures {
-        match self {
-            ExposuresArg::FineTuned => Exposures::FineTuned,
-            ExposuresArg::AsGiven => Exposures::AsGiven,
-        }
-    }
-}
-
-/// See [`ResponseModel`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-pub enum ResponseArg {
-    /// From the bracket, after Debevec & Malik
-    #[default]
-    Debevec,
-    /// From the bracket, after Robertson, Borman & Stevenson
-    Robertson,
-    /// From the bracket, as a polynomial, after Mitsunaga & Nayar
-    MitsunagaNayar,
-    /// Code values are proportional to light
-    Linear,
-    /// The sRGB curve
-    Srgb,
-}
-
-impl ResponseArg {
-    /// The model, of this degree where it has one.
-    pub fn model(self, degree: Option<usize>) -> ResponseModel {
-        match self {
-            ResponseArg::Debevec => ResponseModel::default(),
-            ResponseArg::Robertson => ResponseModel::Robertson(Default::default()),
-            ResponseArg::MitsunagaNayar => {
-                ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..Default::default() })
-            }
-            ResponseArg::Linear => ResponseModel::Linear,
-            ResponseArg::Srgb => ResponseModel::Srgb,
-        }
-    }
-}
-
 /// See [`Weight`].
 #[derive(Debug, Clone, Copy, Default, ValueEnum)]
 enum WeightArg {
@@ -179,17 +118,17 @@ impl OperatorArg {
 }
 
 impl Args {
-    fn options(&self) -> Options {
+    fn options(&self) -> Result<Options, Error> {
         let outputs = if self.output.is_empty() {
             pipeline::default_outputs(&self.common.aligned.images)
         } else {
             self.output.clone()
         };
         let common = self.common.options();
-        Options {
+        Ok(Options {
             outputs,
-            exposures: self.exposures.option(),
-            response: self.response_model.model(self.response_degree),
+            exposures: self.recovery.exposures(),
+            response: self.recovery.model()?,
             response_file: self.response.clone(),
             save_response: self.save_response.clone(),
             weight: match self.weight {
@@ -209,17 +148,13 @@ impl Args {
             save_aligned: self.save_aligned.clone(),
             write: self.radiance.write(common.write.overwrite),
             ..common
-        }
+        })
     }
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    if args.response_degree.is_some() && !matches!(args.response_model, ResponseArg::MitsunagaNayar) {
-        let reason = "only --response-model mitsunaga-nayar has a degree".to_owned();
-        return Err(Error::Option { option: "--response-degree", reason });
-    }
     let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
-    let outcome = pipeline::run(&args.common.aligned.images, &args.options(), &|p| bar.show(p));
+    let outcome = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
     bar.clear();
     super::finish(&outcome?.report, &args.common)
 }

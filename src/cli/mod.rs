@@ -8,6 +8,7 @@ mod inspect;
 mod merge;
 mod progress;
 mod radiance;
+mod recovery;
 mod response;
 mod summary;
 mod tonemap;

@@ -1,8 +1,8 @@
 //! `hdralign response`.
 
 use super::input::Aligned;
-use super::merge::{ExposuresArg, ResponseArg};
 use super::progress::Bar;
+use super::recovery::Recovery;
 use hdralign::error::Error;
 use hdralign::pipeline::camera::{self, CameraReport};
 use hdralign::pipeline::{self};
@@ -20,7 +20,9 @@ Examples:
   hdralign merge --response 5d.json *.jpg             uses it";
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = AFTER_HELP)]
+#[command(after_help = AFTER_HELP, mut_arg("images", |images| {
+    images.help("The photographs of one or many brackets, JPEG, PNG or TIFF, or folders of them")
+}))]
 pub struct Args {
     #[command(flatten)]
     aligned: Aligned,
@@ -34,17 +36,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     plot: Vec<PathBuf>,
 
-    /// How the camera's response is had
-    #[arg(long, value_enum, default_value_t, value_name = "MODEL")]
-    response_model: ResponseArg,
-
-    /// The degree of mitsunaga-nayar's polynomial, 1 to 10 [default: the least that fits]
-    #[arg(long, value_name = "N")]
-    response_degree: Option<usize>,
-
-    /// What becomes of the exposures
-    #[arg(long, value_enum, default_value_t, value_name = "HOW")]
-    exposures: ExposuresArg,
+    #[command(flatten)]
+    recovery: Recovery,
 
     /// Print a report to standard output, as JSON, instead of the paths written
     #[arg(long)]
@@ -55,8 +48,8 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let Aligned { images, quiet, strict, .. } = &args.aligned;
     let options = camera::Options {
         line: pipeline::Options {
-            response: args.response_model.model(args.response_degree),
-            exposures: args.exposures.option(),
+            response: args.recovery.model()?,
+            exposures: args.recovery.exposures(),
             ..args.aligned.options()
         },
         curves: args.output.clone(),

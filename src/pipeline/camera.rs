@@ -1,20 +1,21 @@
 //! A camera's response from one or many brackets: load, align and fine-tune each, pool their samples, save the curve and draw it.
 //!
 //! In: photographs and folders of them, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost: loading and aligning
-//! each bracket, one after the other; the frames of all are in memory until the curve is found, three bytes a pixel.
+//! each bracket, one after the other; of each, what its flat places show is kept.
 //! Source: the pooling is that of `response::recover_from`: what a camera does is the same in all its brackets, and together they show
 //! more of its codes.
 
 use super::names::natural;
 use super::{Line, Progress, check_placed, in_pool};
-use crate::align::Alignment;
 use crate::align::given::Given;
-use crate::bracket::{Bracket, ReferenceChoice};
+use crate::bracket::{Capture, ReferenceChoice};
 use crate::error::{Error, Result, Warning};
 use crate::inspect::response_plot;
 use crate::report::{FrameReport, Report, WarningReport};
 use crate::response::file::{Format, SavedResponse};
-use crate::response::{self, ResponseReport, samples};
+use crate::response::ratios::{self, Exposures};
+use crate::response::samples::{self, Places};
+use crate::response::{self, ResponseReport};
 use crate::write::{self, Written};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -85,6 +86,15 @@ impl CameraReport {
     }
 }
 
+/// What is kept of a bracket: its frames are not.
+struct Seen {
+    /// The reference's file.
+    path: PathBuf,
+    capture: Capture,
+    places: Places,
+    report: BracketReport,
+}
+
 /// Recovers the response of the camera that took `images`, photographs and folders; those of one folder are one bracket.
 ///
 /// # Errors
@@ -97,7 +107,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let photographs = brackets.concat();
         check_names(&photographs, options)?;
         let mut line = Line::new(watch);
-        let mut seen: Vec<(Bracket, Alignment)> = Vec::with_capacity(brackets.len());
+        let mut seen: Vec<Seen> = Vec::with_capacity(brackets.len());
         let mut found_given = 0;
         for paths in &brackets {
             let mut own = options.line.clone();
@@ -108,20 +118,29 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             found_given += own.align.given.len();
             let alignment = line.align(&bracket, &own)?;
             check_placed(&bracket, &alignment)?;
-            let bracket = line.exposures(bracket, &alignment, &own);
-            seen.push((bracket, alignment));
+            let mut places = Places::of(&bracket, &alignment);
+            let mut bracket = bracket;
+            if own.exposures == Exposures::FineTuned {
+                let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
+                line.warnings.extend(warnings);
+                bracket = tuned;
+            }
+            let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
+            let first = bracket.reference();
+            let (path, capture) = (first.path().to_owned(), first.capture.clone());
+            seen.push(Seen { path, capture, places, report: BracketReport { reference, frames } });
         }
         if found_given < options.line.align.given.len() {
             let reason = "a photograph named there is in none of the brackets".to_owned();
             return Err(Error::Option { option: "--leave-out or --unmoved", reason });
         }
         line.warnings.extend(differing_cameras(&seen));
-        let pairs: Vec<(&Bracket, &Alignment)> = seen.iter().map(|(b, a)| (b, a)).collect();
-        let (curve, recovered, warnings) = response::recover_from(&pairs, &options.line.response)?;
+        let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
+        let (curve, recovered, warnings) = response::recover_from(&places, &options.line.response)?;
         line.warnings.extend(warnings);
-        let first = seen[0].0.reference();
+        let first = &seen[0];
         if let Some(reason) = recovered.fallback {
-            return Err(Error::NoResponse { path: first.path().to_owned(), reason });
+            return Err(Error::NoResponse { path: first.path.clone(), reason });
         }
         let saved = SavedResponse { make: first.capture.make.clone(), model: first.capture.model.clone(), curve };
         let mut files = Vec::new();
@@ -138,7 +157,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             files.push(written);
         }
         if !options.plots.is_empty() {
-            files.extend(plots(&saved, &recovered, &pairs, &options.plots)?);
+            files.extend(plots(&saved, &recovered, &seen, &options.plots)?);
         }
         let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
         let mut pending = Vec::new();
@@ -147,16 +166,12 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             pending.push(written.file);
         }
         write::commit(pending, options.line.write.overwrite)?;
-        let bracket_report = |(bracket, alignment): &(Bracket, Alignment)| {
-            let Report { reference, frames, .. } = Report::new(bracket, alignment, alignment.overlap);
-            BracketReport { reference, frames }
-        };
         Ok(CameraReport {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             camera_make: saved.make.clone(),
             camera_model: saved.model.clone(),
-            brackets: seen.iter().map(bracket_report).collect(),
+            brackets: seen.into_iter().map(|bracket| bracket.report).collect(),
             response: recovered,
             outputs: names.iter().map(|p| p.to_string_lossy().into_owned()).collect(),
             warnings: line.warnings.iter().map(WarningReport::from).collect(),
@@ -254,33 +269,23 @@ fn camera(make: Option<&str>, model: Option<&str>) -> Option<String> {
     (!name.is_empty()).then_some(name)
 }
 
-fn differing_cameras(seen: &[(Bracket, Alignment)]) -> Vec<Warning> {
-    let name = |bracket: &Bracket| {
-        let capture = &bracket.reference().capture;
-        camera(capture.make.as_deref(), capture.model.as_deref())
-    };
-    let Some(kept) = seen.first().and_then(|(bracket, _)| name(bracket)) else { return Vec::new() };
-    let others = seen.iter().filter_map(|(bracket, _)| Some((bracket, name(bracket)?)));
+fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
+    let name = |bracket: &Seen| camera(bracket.capture.make.as_deref(), bracket.capture.model.as_deref());
+    let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
+    let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
     let others = others.filter(|(_, found)| *found != kept);
     others
-        .map(|(bracket, found)| {
-            let path = bracket.reference().path().to_owned();
-            Warning::CamerasDiffer { path, found, kept: kept.clone() }
-        })
+        .map(|(bracket, found)| Warning::CamerasDiffer { path: bracket.path.clone(), found, kept: kept.clone() })
         .collect()
 }
 
 /// The plots, whole but not yet named.
-fn plots(
-    saved: &SavedResponse,
-    recovered: &ResponseReport,
-    pairs: &[(&Bracket, &Alignment)],
-    paths: &[PathBuf],
-) -> Result<Vec<Written>> {
-    let drawn = samples::draw(pairs, DRAWN);
+fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
+    let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
+    let drawn = samples::draw(&places, DRAWN);
     let title = camera(saved.make.as_deref(), saved.model.as_deref()).unwrap_or_else(|| "Camera response".to_owned());
-    let frames: usize = pairs.iter().map(|(bracket, _)| bracket.frames().len()).sum();
-    let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(pairs.len(), "bracket"));
+    let frames: usize = seen.iter().map(|bracket| bracket.report.frames.len()).sum();
+    let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(seen.len(), "bracket"));
     if let Some(fits) = &recovered.channels {
         let residuals = fits.map(|fit| format!("{:.3}", fit.residual_stops));
         notes +=

@@ -26,7 +26,7 @@ use crate::error::{Result, Warning};
 use fit::Told;
 use mitsunaga_nayar::Ratio;
 use rayon::prelude::*;
-use samples::Sample;
+use samples::{Places, Sample};
 use serde::Serialize;
 use std::f64::consts::LN_2;
 
@@ -36,8 +36,9 @@ pub const CODES: usize = 256;
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Of the exposure at code 1, what code 0 is taken to mean by the stated curves: rounding leaves it anywhere below a half.
-const BLACK: f64 = 1.0 / 16.0;
+/// Of the exposure at code 1, what code 0 means at the least: rounding leaves it anywhere below a half, a quarter in the mean. No sample
+/// tells, and less would make specks of what is but rounded down.
+const BLACK: f64 = 1.0 / 4.0;
 
 /// The codes below and above which the channels' curves run in parallel.
 const ENDS: (usize, usize) = (12, 243);
@@ -150,6 +151,13 @@ pub enum ResponseModel {
     Srgb,
 }
 
+impl ResponseModel {
+    /// Whether it is sought in the bracket.
+    pub fn is_sought(&self) -> bool {
+        !matches!(self, ResponseModel::Linear | ResponseModel::Srgb)
+    }
+}
+
 impl Default for ResponseModel {
     fn default() -> Self {
         ResponseModel::Debevec(debevec::Options::default())
@@ -211,16 +219,16 @@ pub fn recover(
     alignment: &Alignment,
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
-    recover_from(&[(bracket, alignment)], model)
+    recover_from(&[&Places::of(bracket, alignment)], model)
 }
 
-/// The response of the camera that took all of `brackets`, by `model`: their samples are pooled, each bracket's exposures
-/// relative to its own reference.
+/// The response of the camera that took all the brackets of which `places` are, by `model`: their samples are pooled, each bracket's
+/// exposures relative to its own reference.
 ///
 /// # Errors
 /// As [`recover`].
 pub fn recover_from(
-    brackets: &[(&Bracket, &Alignment)],
+    places: &[&Places],
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
     let stated = |curve, model| {
@@ -234,7 +242,7 @@ pub fn recover_from(
         ResponseModel::Robertson(options) => options.validate().map(|()| ("robertson", options.samples))?,
         ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| ("mitsunaga-nayar", options.samples))?,
     };
-    let drawn = samples::draw(brackets, count);
+    let drawn = samples::draw(places, count);
     let channels: Vec<Told<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();
     Ok(match together(&channels, drawn.black) {
         Ok((curve, fits)) => {
@@ -284,7 +292,9 @@ fn together(channels: &[Told<Channel>], black: [f64; 3]) -> Told<(ResponseCurve,
     let g = std::array::from_fn(|c| channels[c].as_ref().map_or(mean, |channel| channel.g));
     let borrowed = Fit { borrowed: true, ..Fit::default() };
     let fits = std::array::from_fn(|c| channels[c].as_ref().map_or(borrowed, |channel| channel.fit));
-    let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g)));
+    // A borrowed curve is known where the others are: all of it is theirs.
+    let codes = fits.map(|fit: Fit| if fit.borrowed { (0.0, 255.0) } else { fit.codes });
+    let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g, codes)));
     let curve = curve.and_then(|curve| curve.with_black(black));
     curve.map(|curve| (curve, fits)).ok_or_else(|| "the curve found is not finite".to_owned())
 }
@@ -311,21 +321,28 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// The curves with the same steps in all channels at both ends, the median ones: few samples are there, and where channels part, what is
-/// black or white in the scene takes a colour.
-fn with_common_ends(g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {
+/// The curves with common steps at both ends, and beyond the `codes` that a channel saw: the median of the channels that saw them. Few
+/// samples are there, and where channels part, what is black or white in the scene takes a colour.
+fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
-        let mut steps = g.map(|channel| channel[z + 1] - channel[z]);
+        let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;
+        let all: Vec<usize> = (0..3).filter(|&c| saw(c)).collect();
+        let mut steps: Vec<f64> =
+            if all.is_empty() { vec![0, 1, 2] } else { all }.into_iter().map(|c| g[c][z + 1] - g[c][z]).collect();
         steps.sort_by(f64::total_cmp);
-        steps[1]
+        (steps[(steps.len() - 1) / 2] + steps[steps.len() / 2]) / 2.0
     };
-    g.map(|mut channel| {
-        for z in (0..ENDS.0).rev() {
+    std::array::from_fn(|c| {
+        let mut channel = g[c];
+        let low = (codes[c].0.ceil() as usize).clamp(ENDS.0, MID);
+        let high = (codes[c].1 as usize).clamp(MID, ENDS.1);
+        for z in (0..low).rev() {
             channel[z] = channel[z + 1] - step(z);
         }
-        for z in ENDS.1..CODES - 1 {
+        for z in high..CODES - 1 {
             channel[z + 1] = channel[z] + step(z);
         }
+        channel[0] = channel[0].max(channel[1] + libm::log(BLACK));
         channel
     })
 }

@@ -1,7 +1,7 @@
 //! The exposures fine-tuned: what the pixels say of the ratios that were written down.
 //!
-//! In: a bracket and its alignment. Out: for each frame, stops by which its exposure is [corrected](Correction), within bounds; mostly
-//! none. Cost: one drawing of samples, and a few systems of some sixty unknowns, a few milliseconds.
+//! In: a bracket and what its frames have of flat places. Out: for each frame, stops by which its exposure is [corrected](Correction), within bounds; mostly
+//! none. Cost: a few systems of some sixty unknowns, a few milliseconds.
 //! Source: Ward's hdrgen, option -e, which fine-tunes exposures within 4 to 25 %; the model is Debevec & Malik 1997, equation 3, with
 //! the exposures among its unknowns:
 //!
@@ -15,9 +15,8 @@
 //! not corrected at all. Places that contradict the others (something moved) lose their weight by Tukey's biweight. Corrections
 //! that are all smaller than what such a fit is sure of are none: exposures that are exact stay so.
 
-use super::samples::{Sample, draw};
+use super::samples::{Places, Sample, draw};
 use super::{hat, stops};
-use crate::align::Alignment;
 use crate::bracket::Bracket;
 use crate::bracket::exposure::ExposureSource;
 use crate::error::Warning;
@@ -70,15 +69,23 @@ fn leeway(source: ExposureSource) -> (f64, f64) {
     }
 }
 
-/// The correction of each frame of `bracket`, and what there is to say about them.
-pub fn corrections(bracket: &Bracket, alignment: &Alignment) -> (Vec<Correction>, Vec<Warning>) {
+/// `bracket` and its `places` with the exposures corrected, and what there is to say about it.
+pub fn fine_tuned(bracket: Bracket, places: &mut Places) -> (Bracket, Vec<Warning>) {
+    let (corrections, warnings) = corrections(&bracket, places);
+    let bracket = bracket.corrected(&corrections.iter().map(|c| c.stops).collect::<Vec<_>>());
+    places.time(&bracket);
+    (bracket, warnings)
+}
+
+/// The correction of each frame of `bracket` from its `places`, and what there is to say about them.
+pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<Warning>) {
     let none = || (vec![Correction::default(); bracket.frames().len()], Vec::new());
     let Some(first) = bracket.frames().first() else { return none() };
     let (sigma, bound) = leeway(first.exposure.source);
     if bound <= 0.0 || bracket.frames().iter().any(|frame| frame.exposure.source != first.exposure.source) {
         return none();
     }
-    let samples = draw(&[(bracket, alignment)], PLACES).channels;
+    let samples = draw(&[places], PLACES).channels;
     // Samples know exposures, not frames; those of one exposure are corrected alike.
     let mut times: Vec<f64> = samples.iter().flatten().flat_map(|s| s.views.iter().map(|v| v.ln_time)).collect();
     times.sort_by(f64::total_cmp);

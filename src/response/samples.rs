@@ -53,9 +53,10 @@ pub struct Sample {
 /// A frame that was placed.
 struct Placed<'a> {
     frame: &'a Frame,
+    /// Among the bracket's.
+    index: usize,
     /// Reference pixel -> frame pixel; none where it is the same.
     matrix: Option<Matrix3<f64>>,
-    ln_time: f64,
 }
 
 /// One channel of a patch.
@@ -67,13 +68,19 @@ struct Patch {
 }
 
 /// A place as all frames saw it; none for a frame that does not cover it.
+#[derive(Debug, Clone)]
 struct Candidate {
     patches: Vec<Option<[Patch; 3]>>,
     roughness: f64,
 }
 
-/// The frames of a bracket and the places that they saw.
-type Seen<'a> = (Vec<Placed<'a>>, Vec<Candidate>);
+/// The flat places of a bracket, and what the frames that were placed have of them.
+#[derive(Debug, Clone, Default)]
+pub struct Places {
+    /// ln dt of each frame over the reference's, by rising exposure, and which of the bracket's it is.
+    frames: Vec<(usize, f64)>,
+    places: Vec<Candidate>,
+}
 
 /// What the scene shows of each channel.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -84,10 +91,44 @@ pub struct Drawn {
     pub black: [f64; 3],
 }
 
+impl Places {
+    /// The flat places that the frames of `bracket` saw.
+    pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
+        let frames = placed(bracket, alignment);
+        let mut seen = Places { frames: frames.iter().map(|frame| (frame.index, 0.0)).collect(), places: Vec::new() };
+        seen.time(bracket);
+        if frames.len() < 2 {
+            return seen;
+        }
+        let Rect { x0, y0, .. } = alignment.overlap;
+        let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
+        let cells = (READ / (TRIES * TRIES * frames.len())).max(1);
+        let side = ((width * height) as f64 / cells as f64).sqrt().max((TRIES * PATCH) as f64);
+        let (columns, rows) = ((width as f64 / side) as usize, (height as f64 / side) as usize);
+        seen.places = (0..rows)
+            .into_par_iter()
+            .flat_map_iter(|row| (0..columns).map(move |column| (column, row)))
+            .filter_map(|(column, row)| {
+                let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
+                let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
+                tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
+            })
+            .collect();
+        seen
+    }
+
+    /// Takes the exposures that `bracket`, of which the places are, has now.
+    pub fn time(&mut self, bracket: &Bracket) {
+        let reference = bracket.reference().exposure.relative();
+        for (index, ln_time) in &mut self.frames {
+            *ln_time = libm::log(bracket.frames()[*index].exposure.relative() / reference);
+        }
+    }
+}
+
 /// At most `count` samples for each of R, G and B from all the brackets of one camera together, and where its black is.
-pub fn draw(brackets: &[(&Bracket, &Alignment)], count: usize) -> Drawn {
-    let seen: Vec<_> = brackets.iter().map(|(bracket, alignment)| places(bracket, alignment)).collect();
-    let drawn: Vec<_> = (0..3).into_par_iter().map(|c| (spread(&seen, c, count), black(&seen, c))).collect();
+pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
+    let drawn: Vec<_> = (0..3).into_par_iter().map(|c| (spread(brackets, c, count), black(brackets, c))).collect();
     let mut all = Drawn::default();
     for (c, (samples, black)) in drawn.into_iter().enumerate() {
         (all.channels[c], all.black[c]) = (samples, black);
@@ -95,34 +136,11 @@ pub fn draw(brackets: &[(&Bracket, &Alignment)], count: usize) -> Drawn {
     all
 }
 
-/// The frames of one bracket that take part, and the flat places that they saw.
-fn places<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Seen<'a> {
-    let frames = placed(bracket, alignment);
-    if frames.len() < 2 {
-        return (frames, Vec::new());
-    }
-    let Rect { x0, y0, .. } = alignment.overlap;
-    let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
-    let cells = (READ / (TRIES * TRIES * frames.len())).max(1);
-    let side = ((width * height) as f64 / cells as f64).sqrt().max((TRIES * PATCH) as f64);
-    let (columns, rows) = ((width as f64 / side) as usize, (height as f64 / side) as usize);
-    let places: Vec<Candidate> = (0..rows)
-        .into_par_iter()
-        .flat_map_iter(|row| (0..columns).map(move |column| (column, row)))
-        .filter_map(|(column, row)| {
-            let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
-            let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
-            tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
-        })
-        .collect();
-    (frames, places)
-}
-
 /// The range of frames that say something of a place: not those so short that a longer one is no brighter.
-fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize> {
+fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
-        views.filter_map(|(i, (p, frame))| Some((i, p.as_ref()?[channel].mean, frame.ln_time / LN_2))).collect();
+        views.filter_map(|(i, (p, (_, ln_time)))| Some((i, p.as_ref()?[channel].mean, ln_time / LN_2))).collect();
     let first = views.windows(2).find(|pair| {
         let (step, rise) = (pair[1].2 - pair[0].2, pair[1].1 - pair[0].1);
         rise > step * (RISE.0 * pair[0].1).max(RISE.1)
@@ -132,9 +150,9 @@ fn telling(place: &Candidate, frames: &[Placed], channel: usize) -> Range<usize>
 }
 
 /// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise.
-fn black(seen: &[Seen], channel: usize) -> f64 {
+fn black(seen: &[&Places], channel: usize) -> f64 {
     let mut codes: Vec<f64> = Vec::new();
-    for (frames, place) in seen.iter().flat_map(|(frames, places)| places.iter().map(move |place| (frames, place))) {
+    for (frames, place) in seen.iter().flat_map(|seen| seen.places.iter().map(|place| (&seen.frames, place))) {
         let silent = &place.patches[..telling(place, frames, channel).start];
         codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
     }
@@ -148,18 +166,17 @@ fn black(seen: &[Seen], channel: usize) -> f64 {
 
 /// The frames that take part.
 fn placed<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Vec<Placed<'a>> {
-    let reference = bracket.reference().exposure.relative();
-    let frames = bracket.frames().iter().zip(&alignment.verdicts);
+    let frames = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
     frames
-        .filter(|(_, verdict)| verdict.status != Status::Rejected)
-        .filter_map(|(frame, verdict)| {
+        .filter(|(_, (_, verdict))| verdict.status != Status::Rejected)
+        .filter_map(|(index, (frame, verdict))| {
             Some(Placed {
                 frame,
+                index,
                 matrix: match verdict.warp? {
                     Warp::Identity => None,
                     warp => Some(warp.matrix(frame.width(), frame.height())),
                 },
-                ln_time: libm::log(frame.exposure.relative() / reference),
             })
         })
         .collect()
@@ -246,10 +263,9 @@ fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patc
 }
 
 /// At most `count` samples of a channel, as equal in number over the steps of brightness as there are places; the flattest of each.
-fn spread(seen: &[Seen], channel: usize, count: usize) -> Vec<Sample> {
+fn spread(seen: &[&Places], channel: usize, count: usize) -> Vec<Sample> {
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
-    let all: Vec<_> =
-        seen.iter().flat_map(|(frames, places)| places.iter().map(move |place| (place, frames))).collect();
+    let all: Vec<_> = seen.iter().flat_map(|seen| seen.places.iter().map(|place| (place, &seen.frames))).collect();
     for (index, &(place, frames)) in all.iter().enumerate() {
         let codes: Vec<Patch> = place.patches.iter().flatten().map(|patch| patch[channel]).collect();
         if sample(place, frames, channel).views.len() >= 2 {
@@ -268,11 +284,11 @@ fn spread(seen: &[Seen], channel: usize, count: usize) -> Vec<Sample> {
 }
 
 /// The views of a place in a channel that are not clipped.
-fn sample(place: &Candidate, frames: &[Placed], channel: usize) -> Sample {
+fn sample(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Sample {
     let range = telling(place, frames, channel);
-    let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, frame)| {
+    let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, &(_, ln_time))| {
         let patch = patch.as_ref()?[channel];
-        patch.seen.then_some(View { code: patch.mean, ln_time: frame.ln_time })
+        patch.seen.then_some(View { code: patch.mean, ln_time })
     });
     Sample { views: views.collect() }
 }
@@ -290,7 +306,7 @@ mod tests {
     #[test]
     fn samples_are_unclipped_brighten_and_cover_the_codes() {
         let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let drawn = draw(&[(&bracket, &alignment)], 500);
+        let drawn = draw(&[&Places::of(&bracket, &alignment)], 500);
         for samples in &drawn.channels {
             assert!(samples.len() > 100 && samples.len() <= 500, "{}", samples.len());
             for s in samples {
@@ -305,7 +321,7 @@ mod tests {
     #[test]
     fn edges_and_what_darkens_are_left_out() {
         let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
-        assert!(draw(&[(&bracket, &alignment)], 500).channels.iter().all(Vec::is_empty));
+        assert!(draw(&[&Places::of(&bracket, &alignment)], 500).channels.iter().all(Vec::is_empty));
         let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
         assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
         assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
@@ -326,13 +342,13 @@ mod tests {
         // A camera whose black is 18 codes up: short exposures of dark places say nothing.
         let (bracket, alignment) =
             still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
-        assert!(draw(&[(&bracket, &alignment)], 500).black.iter().all(|&b| b < 4.0));
+        assert!(draw(&[&Places::of(&bracket, &alignment)], 500).black.iter().all(|&b| b < 4.0));
         let frames = bracket.frames().iter().map(|frame| {
             let Codes::Eight(codes) = frame.samples() else { unreachable!() };
             let lifted = codes.iter().map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8).collect();
             Frame::new(frame.path().to_owned(), 400, 300, Codes::Eight(lifted), frame.exposure.clone())
         });
         let lifted = Bracket::new(frames.collect(), &crate::bracket::ReferenceChoice::Number(2)).unwrap();
-        assert!(draw(&[(&lifted, &alignment)], 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
+        assert!(draw(&[&Places::of(&lifted, &alignment)], 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
     }
 }

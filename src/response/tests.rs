@@ -106,11 +106,10 @@ fn brackets_of_one_camera_tell_more_together() {
     let bright = still((400, 300), &[30.0, 60.0, 120.0], |x, y| tiles(x, y).map(|e| 0.001 + e / 120.0));
     let (_, report, _) = recover(&dark.0, &dark.1, &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_some());
-    let (both, report, _) =
-        recover_from(&[(&dark.0, &dark.1), (&bright.0, &bright.1)], &ResponseModel::default()).unwrap();
+    let [dark, bright] = [dark, bright].map(|(bracket, alignment)| Places::of(&bracket, &alignment));
+    let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
-    let (reversed, ..) =
-        recover_from(&[(&bright.0, &bright.1), (&dark.0, &dark.1)], &ResponseModel::default()).unwrap();
+    let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();
     // Sums in another order, and among places that are equally flat others may be drawn.
     assert!((off(&reversed) - off(&both)).abs() < 0.01);
     let (none, report, _) = recover_from(&[], &ResponseModel::default()).unwrap();

@@ -1,6 +1,7 @@
 use super::super::samples::View;
 use super::super::tests::still;
 use super::*;
+use crate::align::Alignment;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice};
 
@@ -141,18 +142,20 @@ fn written(times: &[f64], written: &[f64]) -> (Bracket, Alignment) {
 fn a_bracket_is_corrected_within_bounds_but_not_against_the_user() {
     let times = [0.0625, 0.25, 1.0, 4.0];
     let (exact, alignment) = written(&times, &times);
-    assert!(corrections(&exact, &alignment).0.iter().all(|c| c.stops == 0.0));
+    assert!(corrections(&exact, &Places::of(&exact, &alignment)).0.iter().all(|c| c.stops == 0.0));
 
     let (rounded, alignment) = written(&times, &[0.0625, 0.23, 1.08, 4.0]);
-    let (found, warnings) = corrections(&rounded, &alignment);
-    let tuned = rounded.corrected(&found.iter().map(|c| c.stops).collect::<Vec<_>>());
+    let mut places = Places::of(&rounded, &alignment);
+    let (tuned, warnings) = fine_tuned(rounded, &mut places);
+    // The places have the exposures as corrected: nothing is left to correct.
+    assert!(corrections(&tuned, &places).0.iter().all(|c| c.stops == 0.0));
     let ev: Vec<f64> = tuned.frames().iter().map(|f| f.exposure.ev()).collect();
     // The second step against its neighbours: 2 + 2 - 2 * 2 = 0, whatever the common power.
     assert!((ev[0] - 3.0 * ev[1] + 3.0 * ev[2] - ev[3]).abs() < 0.03, "{ev:?}");
     assert!(warnings.is_empty() && tuned.frames()[1].exposure.correction_stops() > 0.05);
 
     let (wild, alignment) = written(&times, &[0.0625, 0.12, 1.9, 4.0]);
-    let (found, warnings) = corrections(&wild, &alignment);
+    let (found, warnings) = corrections(&wild, &Places::of(&wild, &alignment));
     assert!(found.iter().all(|c| c.stops.abs() <= 1.0 / 6.0 + 1e-12) && !warnings.is_empty(), "{found:?}");
 
     let (given, alignment) = still((400, 300), &times, tiles);
@@ -163,5 +166,5 @@ fn a_bracket_is_corrected_within_bounds_but_not_against_the_user() {
         .zip(exposures)
         .map(|(frame, exposure)| Frame::new(frame.path().to_owned(), 400, 300, frame.samples().clone(), exposure));
     let given = Bracket::new(frames.collect(), &ReferenceChoice::Number(2)).unwrap();
-    assert!(corrections(&given, &alignment).0.iter().all(|c| c.stops == 0.0));
+    assert!(corrections(&given, &Places::of(&given, &alignment)).0.iter().all(|c| c.stops == 0.0));
 }
