@@ -10,7 +10,7 @@
 //! share s of the light that is scattered is at most the least of (dark parts of a cell) / (veil there for s = 1). A scene without
 //! anything black has such a least too, though no flare; but then what is darkest has nothing to do with where the veil is strong. So the
 //! cells are sorted into 24 bins by the strength of the veil, and flare is found if in at least 6 of them, over a range of
-//! strengths of a stop, the darkest come near to the same share. The exponent k is that by which the most do.
+//! strengths of a stop, the darkest come near to the same share, and that is one which lenses have. The exponent k is that by which the most do.
 
 use super::statistics::{BT709, luminance};
 use super::{FLOOR, RadianceMap};
@@ -36,8 +36,11 @@ const NEAR: f64 = 1.35;
 const WITNESSES: usize = 6;
 /// The range of veils that they must span, in stops.
 const RANGE: f64 = 1.0;
-/// A share of scattered light that is worth taking off.
-const WORTH: f64 = 0.002;
+/// Shares of scattered light that are worth taking off, and that a lens has: ISO 9358 finds 0.5 to 5 %. More is haze, or a scene whose
+/// shadows are lit.
+const SHARES: std::ops::Range<f64> = 0.002..0.1;
+/// How many times as bright as the darkest cell the brightest must be: with less light there is no veil to be seen (Ward's bound).
+const BRIGHT: f32 = 500.0;
 /// The most that is taken off a pixel.
 const MOST: f32 = 0.98;
 
@@ -55,6 +58,11 @@ pub fn remove(map: &mut RadianceMap) -> FlareReport {
     let (width, height) = (map.pixels.width(), map.pixels.height());
     let side = width.max(height).div_ceil(CELLS);
     let (means, dark) = cells(&map.pixels, side);
+    let brightest = means.as_slice().iter().map(|&mean| luminance(mean, BT709)).fold(0.0, f32::max);
+    let darkest = dark.as_slice().iter().fold(f32::MAX, |least, &d| least.min(d));
+    if brightest < BRIGHT * darkest {
+        return FlareReport::default();
+    }
     let size = (means.width(), means.height());
     let channels: [Spectrum; 3] = std::array::from_fn(|c| {
         Spectrum::of(|x, y| if x < size.0 && y < size.1 { f64::from(means.at(x, y)[c]) } else { 0.0 })
@@ -123,7 +131,7 @@ struct Witness {
 
 impl Witness {
     fn is_flare(&self) -> bool {
-        self.bins >= WITNESSES && self.stops >= RANGE && (WORTH..0.5).contains(&self.share)
+        self.bins >= WITNESSES && self.stops >= RANGE && SHARES.contains(&self.share)
     }
 }
 

@@ -225,7 +225,7 @@ fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, wei
         }
     });
     let clips = |table: &Table| match weight {
-        Weight::Uniform => (f32::MAX, 0.0),
+        Weight::Uniform => (f32::MAX, 1.0),
         _ => {
             let (begins, sure) = (table.radiance[CLIPS.0], table.radiance[CLIPS.1]);
             (sure, 1.0 / (sure - begins))

@@ -80,3 +80,108 @@ impl Mean {
         self.is_black
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::layer::layers;
+    use super::super::weight::Weight;
+    use super::super::{MergeOptions, merge};
+    use crate::align::Alignment;
+    use crate::bracket::exposure::Exposure;
+    use crate::bracket::{Bracket, Frame, ReferenceChoice, Samples};
+    use crate::response::{ResponseCurve, hat};
+
+    const SIZE: (usize, usize) = (9, 7);
+
+    /// A still bracket of the exposures 2^`stops` with these codes in all channels; the reference is the second.
+    fn bracket(frames: &[(f64, &dyn Fn(usize, usize) -> [u8; 3])]) -> (Bracket, Alignment) {
+        let frame = |&(stops, code): &(f64, &dyn Fn(usize, usize) -> [u8; 3])| {
+            let codes = (0..SIZE.0 * SIZE.1).flat_map(|i| code(i % SIZE.0, i / SIZE.0)).collect();
+            let exposure = Exposure::given(stops).unwrap();
+            Frame::new(format!("{stops}").into(), SIZE.0, SIZE.1, Samples::Eight(codes), exposure)
+        };
+        let bracket = Bracket::new(frames.iter().map(frame).collect(), &ReferenceChoice::Number(2)).unwrap();
+        let alignment = Alignment::unmoved(&bracket);
+        (bracket, alignment)
+    }
+
+    fn merged(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> Vec<[f32; 3]> {
+        let options = MergeOptions { weight, region: alignment.overlap };
+        merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap().0.pixels.into_vec()
+    }
+
+    /// The equation at the head of the stage, word for word, of a place without clipped neighbours.
+    fn textbook(codes: &[[u8; 3]], times: &[f64], channel: usize) -> f64 {
+        let curve = ResponseCurve::srgb();
+        let x = |code: u8| f64::from(curve.exposures(channel)[usize::from(code)]);
+        let say = |j: usize| (times[j] / times[times.len() - 1]).sqrt();
+        let (mut sum, mut weight, mut vouched) = (0.0, 0.0, 0.0f64);
+        for (j, codes) in codes.iter().enumerate() {
+            let z = codes[channel];
+            let top = f64::from(codes.iter().copied().max().unwrap());
+            let v = ((255.0 - top) / 16.0).clamp(0.25, 1.0);
+            let (begins, sure) = (x(230) / times[j], x(250) / times[j]);
+            let u = ((sure - vouched) / (sure - begins)).clamp(0.0, 1.0);
+            let mut w = hat(f64::from(z)) * say(j) * v * u;
+            if j == 0 {
+                w += say(j) * (f64::from(z) / 255.0 / 127.5 + 1e-6);
+            }
+            if j == times.len() - 1 {
+                w += say(j) * u * ((1.0 - f64::from(z) / 255.0) / 127.5 + 1e-6);
+            }
+            sum += w * x(z) / times[j];
+            weight += w;
+            vouched = vouched.max(if z > 6 { x(z - 6) / times[j] } else { 0.0 });
+        }
+        sum / weight
+    }
+
+    #[test]
+    fn every_pixel_is_what_the_equation_says() {
+        let codes = |j: usize, x: usize, y: usize| {
+            std::array::from_fn(|c| ((37 * x + 61 * y + 89 * j + 23 * c + x * y * (j + 2)) % 250) as u8)
+        };
+        let frames = [0, 1, 2].map(|j| move |x: usize, y: usize| -> [u8; 3] { codes(j, x, y) });
+        let (bracket, alignment) = bracket(&[(-2.0, &frames[0]), (0.0, &frames[1]), (1.5, &frames[2])]);
+        let times = [0.25, 1.0, libm::exp2(1.5)];
+        for (i, pixel) in merged(&bracket, &alignment, Weight::Hat).iter().enumerate() {
+            let seen = [0, 1, 2].map(|j| codes(j, i % SIZE.0, i / SIZE.0));
+            for c in 0..3 {
+                let expected = textbook(&seen, &times, c);
+                // A dozen operations on floats of 24 bits; u takes the difference of nearly equal numbers.
+                assert!((f64::from(pixel[c]) / expected - 1.0).abs() < 2e-4, "{i} {c}: {} for {expected}", pixel[c]);
+            }
+        }
+    }
+
+    #[test]
+    fn what_shorter_frames_vouch_for_clips_the_longer_whatever_its_code() {
+        // At code 200 two stops down, the longer is beyond its top; JPEG has pulled its code to 235.
+        let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &|_, _| [235; 3])]);
+        let truth = 4.0 * ResponseCurve::srgb().exposures(0)[200];
+        for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau, Weight::MannPicard, Weight::Noise] {
+            let pixel = merged(&bracket, &alignment, weight)[31];
+            assert!((pixel[1] / truth - 1.0).abs() < 1e-3, "{weight:?} {pixel:?} for {truth}");
+        }
+        // Without that, the plain mean is far off.
+        assert!(merged(&bracket, &alignment, Weight::Uniform)[31][1] < 0.8 * truth);
+    }
+
+    #[test]
+    fn beside_clipped_pixels_a_frame_counts_half() {
+        let at = |x: usize, y: usize| if (x, y) == (4, 3) { [255; 3] } else { [140; 3] };
+        let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [90; 3]), (0.0, &at)]);
+        let curve = ResponseCurve::srgb();
+        let layers = layers(&bracket, &alignment, &curve, Weight::Hat);
+        let mut shares = Vec::new();
+        for y in 0..SIZE.1 {
+            let strip = layers[1].strip(0..SIZE.0, y..y + 1);
+            layers[1].row(&strip, 0, SIZE.0, |x, _, share| shares.push((x, y, share)));
+        }
+        assert_eq!(shares.len(), SIZE.0 * SIZE.1);
+        for (x, y, share) in shares {
+            let near = x.abs_diff(4) <= 1 && y.abs_diff(3) <= 1;
+            assert_eq!(share, if near { 0.5 } else { 1.0 }, "{x} {y}");
+        }
+    }
+}

@@ -31,7 +31,7 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
         ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
             damaged(format!("{what}; convert it to RGB first"))
         }
-        other => damaged(other.to_string()),
+        other => damaged(format!("{other}; if it is cut short or damaged, copy it again")),
     };
     let image = reader()
         .no_deep_data()

@@ -30,11 +30,15 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     parse(bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
 }
 
+/// What the decoder says, and what to do about it.
+fn said(e: tiff::TiffError) -> String {
+    format!("{e}; if it is cut short or damaged, copy it again")
+}
+
 type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
 fn parse(mut bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
-    let said = |e: tiff::TiffError| e.to_string();
     disguise_logluv(&mut bytes);
     let bytes = bytes.as_slice();
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
@@ -107,7 +111,6 @@ fn turn(orientation: u16) -> Turn {
 }
 
 fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
-    let said = |e: tiff::TiffError| e.to_string();
     if decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(said)?.unwrap_or(1) != 1 {
         return Err("its colours are kept apart; bring them together first, as with `tiffcp -p contig`".into());
     }
@@ -140,7 +143,6 @@ fn logluv(
     packed: bool,
     scale: f32,
 ) -> Parsed<Vec<[f32; 3]>> {
-    let said = |e: tiff::TiffError| e.to_string();
     let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(said);
     if decoder.find_tag(Tag::TileWidth).map_err(said)?.is_some() {
         return Err("it is LogLuv by tiles; make it strips first, as with `tiffcp -s`".into());

@@ -43,7 +43,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { samples: 2000, smoothness: 10.0, rounds: 3 }
+        Options { samples: 2000, smoothness: 100.0, rounds: 3 }
     }
 }
 
@@ -227,12 +227,16 @@ mod tests {
         let times = [-4.0, -2.0, 0.0, 2.0];
         let gamma = scene(600, &times, |x| libm::pow(x, 1.0 / 2.2));
         let (g, fit) = channel(&gamma, &Options::default()).unwrap();
-        assert!(difference(&g, |v| libm::pow(v, 2.2)) < 0.03, "{fit:?}");
+        let off = difference(&g, |v| libm::pow(v, 2.2));
+        // At code 10 it parts from sRGB's straight toe, which is where smoothness takes it.
+        assert!(off < 0.05, "{off} {fit:?}");
         assert!(g.windows(2).all(|w| w[0] < w[1]) && g[MID] == 0.0);
         // Log-like: 12 stops over the codes, of which the scene has those from 21.
         let log = scene(600, &times, |x| 1.0 + libm::log2(x.max(1e-9)) / 12.0);
         let (g, fit) = channel(&log, &Options::default()).unwrap();
-        assert!(difference_from(24, &g, |v| libm::exp2(12.0 * v)) < 0.03, "{fit:?}");
+        let off = difference_from(24, &g, |v| libm::exp2(12.0 * v));
+        // So far from sRGB's curve the smoothness costs something.
+        assert!(off < 0.06, "{off} {fit:?}");
     }
 
     #[test]
@@ -255,10 +259,10 @@ mod tests {
         let (g, fit) = channel(&samples, &Options::default()).unwrap();
         let about_srgb = difference_from(24, &g, film);
         assert!(about_srgb < 0.035, "{about_srgb} {fit:?}");
-        let normal = Normal::new(&samples, &vec![1.0; samples.len()], 5.0);
+        let normal = Normal::new(&samples, &vec![1.0; samples.len()], Options::default().smoothness);
         let (straight, _) = normal.by_svd(&Basis::values(), &[0.0; CODES]).unwrap();
         let straight = difference_from(24, &straight, film);
-        assert!(straight > 1.5 * about_srgb, "{straight} and {about_srgb}");
+        assert!(straight > 1.2 * about_srgb, "{straight} and {about_srgb}");
     }
 
     #[test]
@@ -274,8 +278,8 @@ mod tests {
         };
         let (plain, robust) = (bent(0), bent(3));
         // An eighth of the places moved, all to the brighter. Where the move is within the noise nothing can tell, so that a part of
-        // the bend stays (0.065 of 0.265 stops, whatever the number of rounds): the claim is the ratio, not an accuracy.
-        assert!(robust < plain / 3.0, "{robust} and {plain} stops");
+        // the bend stays (0.083 of 0.211 stops, whatever the number of rounds): the claim is the ratio, not an accuracy.
+        assert!(robust < plain / 2.4, "{robust} and {plain} stops");
     }
 
     #[test]
