@@ -17,10 +17,12 @@ use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::threshold::Percentile;
 use hdralign::align::{AlignOptions, Alignment, Model, align};
 use hdralign::bracket::{Bracket, Frame, LoadOptions, ReferenceChoice, Samples, load};
-use hdralign::merge::{MergeOptions, merge, weight::Weight};
+use hdralign::merge::deghost::{self, Deghost};
+use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
-use hdralign::response::{ResponseCurve, ResponseModel, recover};
+use hdralign::response::samples::Places;
+use hdralign::response::{ResponseCurve, ResponseModel, ratios, recover_from};
 use hdralign::tonemap::{Operator, tonemap};
 use hdralign::write::{self, Metadata};
 use std::hint::black_box;
@@ -176,12 +178,30 @@ fn radiance(c: &mut Criterion) {
     let all = pixels(&bracket);
     let mut group = c.benchmark_group("radiance");
     group.throughput(Throughput::Elements(5 * all));
-    group.bench_function("response", |b| b.iter(|| recover(black_box(&bracket), &placed, &ResponseModel::default())));
+    group.bench_function("places", |b| b.iter(|| Places::of(black_box(&bracket), &placed)));
+    let places = Places::of(&bracket, &placed);
+    group.bench_function("exposures", |b| b.iter(|| ratios::corrections(black_box(&bracket), &places)));
+    for (name, model) in [
+        ("debevec", ResponseModel::default()),
+        ("robertson", ResponseModel::Robertson(Default::default())),
+        ("mitsunaga-nayar", ResponseModel::MitsunagaNayar(Default::default())),
+    ] {
+        group.bench_function(format!("response {name}"), |b| b.iter(|| recover_from(&[black_box(&places)], &model)));
+    }
     let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
     let curve = ResponseCurve::srgb();
     group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options)));
+    let by_noise = MergeOptions { weight: Weight::Noise, ..options };
+    group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise)));
+    let deghost = Deghost::default();
+    group.bench_function("deghost", |b| {
+        b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, &deghost));
+    });
     let (map, _) = merge(&bracket, &placed, &curve, &options).expect("a whole region");
     group.throughput(Throughput::Elements(all));
+    group.bench_function("flare", |b| {
+        b.iter_batched(|| map.clone(), |mut map| flare::remove(&mut map), BatchSize::LargeInput)
+    });
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
     let picture = tonemap(&map, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");

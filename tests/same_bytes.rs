@@ -64,3 +64,16 @@ fn neither_threads_nor_the_order_change_what_features_find() {
     let other = results(&folder, [5, 4, 1, 3, 2], "--align sift --threads 7");
     assert_same("7 threads in another order", &one, &other);
 }
+
+/// What is asked for by options only: ghosts and flare, noise weights, another model, another colour space, units, encodings.
+#[test]
+fn neither_threads_nor_the_order_change_what_options_ask_for() {
+    let folder = folder();
+    let options = "--deghost --flare --weight noise --response-model robertson --colour acescg --absolute \
+                   --hdr-encoding xyze --tiff-encoding logluv32 --exr-type float";
+    let one = results(&folder, [1, 2, 3, 4, 5], &format!("{options} --threads 1"));
+    assert_eq!(one.1["response"]["model"], "robertson");
+    assert!(one.1["ghosts"]["frames"].as_array().is_some_and(|frames| frames.len() == FRAMES - 1));
+    let other = results(&folder, [5, 4, 1, 3, 2], &format!("{options} --threads 7"));
+    assert_same("7 threads in another order", &one, &other);
+}

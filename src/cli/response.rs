@@ -4,8 +4,8 @@ use super::input::Aligned;
 use super::progress::Bar;
 use super::recovery::Recovery;
 use hdralign::error::Error;
+use hdralign::pipeline;
 use hdralign::pipeline::camera::{self, CameraReport};
-use hdralign::pipeline::{self};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
