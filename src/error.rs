@@ -104,7 +104,7 @@ pub enum Error {
         reason: String,
     },
     /// An output exists already.
-    #[error("{}: exists already; choose another name with -o (a folder with -d), or replace it with --force", path.display())]
+    #[error("{}: exists already; choose another name, or replace it with --force", path.display())]
     OutputExists {
         /// The file.
         path: PathBuf,

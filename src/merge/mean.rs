@@ -13,6 +13,10 @@ const DECIDE: f32 = 1.0 / 127.5;
 /// What keeps the sum of weights above zero where the shortest exposure is black and the longest clips.
 const LEAST: f32 = 1e-6;
 
+/// Codes of the brightest channel from which on a frame may clip here, and from which on it does where shorter ones say so: JPEG pulls a
+/// clipped channel down by some codes, one of colour by many, but not all three. A frame far below its top shows something else: what moves.
+const MAY_CLIP: (f32, f32) = (205.0, 235.0);
+
 /// The mean of a pixel so far.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Mean {
@@ -33,10 +37,14 @@ impl Mean {
     pub fn add(&mut self, layer: &Layer, view: &View, share: f32, trust: f32) {
         let top = view.code[0].max(view.code[1]).max(view.code[2]);
         let v = trust * share * layer.guard[top as usize & 255];
+        // Beside clipped pixels, between which and their darker neighbours a moved frame is interpolated, any code may be a clipped one's.
+        let beside = share < 1.0;
+        let below_top =
+            if beside { 0.0 } else { ((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0))).clamp(0.0, 1.0) };
         let mut unclipped = [0.0; 3];
         for c in 0..3 {
             let (sure, slope) = layer.clips[c];
-            unclipped[c] = ((sure - self.vouched[c]) * slope).clamp(0.0, 1.0);
+            unclipped[c] = ((sure - self.vouched[c]) * slope).clamp(below_top, 1.0);
             let w = view.weight[c] * v * unclipped[c];
             self.sum[c] += w * view.radiance[c];
             self.weight[c] += w;
@@ -121,7 +129,8 @@ mod tests {
             let top = f64::from(codes.iter().copied().max().unwrap());
             let v = ((255.0 - top) / 16.0).clamp(0.25, 1.0);
             let (begins, sure) = (x(230) / times[j], x(250) / times[j]);
-            let u = ((sure - vouched) / (sure - begins)).clamp(0.0, 1.0);
+            let below_top = ((235.0 - top) / 30.0).clamp(0.0, 1.0);
+            let u = ((sure - vouched) / (sure - begins)).clamp(0.0, 1.0).max(below_top);
             let mut w = hat(f64::from(z)) * say(j) * v * u;
             if j == 0 {
                 w += say(j) * (f64::from(z) / 255.0 / 127.5 + 1e-6);
@@ -156,8 +165,9 @@ mod tests {
 
     #[test]
     fn what_shorter_frames_vouch_for_clips_the_longer_whatever_its_code() {
-        // At code 200 two stops down, the longer is beyond its top; JPEG has pulled its code to 235.
-        let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &|_, _| [235; 3])]);
+        // At code 200 two stops down, the longer is beyond its top; JPEG has pulled its codes down.
+        let pulled = |_: usize, _: usize| [235, 220, 240];
+        let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &pulled)]);
         let truth = 4.0 * ResponseCurve::srgb().exposures(0)[200];
         for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau, Weight::MannPicard, Weight::Noise] {
             let pixel = merged(&bracket, &alignment, weight)[31];
@@ -165,6 +175,17 @@ mod tests {
         }
         // Without that, the plain mean is far off.
         assert!(merged(&bracket, &alignment, Weight::Uniform)[31][1] < 0.8 * truth);
+    }
+
+    #[test]
+    fn what_glints_in_a_shorter_frame_does_not_silence_a_longer_one_that_shows_none() {
+        let of = |glint: u8| {
+            let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
+            merged(&bracket, &alignment, Weight::Hat)[31][1]
+        };
+        // The weights of the two alone decide: the longer has twice the say, and its code is nearer to the middle.
+        let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
+        assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
     }
 
     #[test]

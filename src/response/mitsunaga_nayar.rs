@@ -32,6 +32,9 @@ const DEGREES: RangeInclusive<usize> = 3..=10;
 type Terms = [f64; 11];
 /// A higher degree must leave less than this share of the error.
 const BETTER: f64 = 0.98;
+/// The least rise of ln f from one code to the next that a response has, from code 10 to 245: a tenth of sRGB's least. A polynomial that
+/// rises less somewhere follows what equal steps of exposure leave open, not the camera.
+const RISE: f64 = 1e-3;
 /// Ratios other than those given must leave less than this share of the error: f and R can drift together and fit as well as before.
 const REFINED: f64 = 0.8;
 /// Alternations of f and R, at most; and of these, those before R moves.
@@ -93,13 +96,15 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<(Found, Vec
     for degree in degrees {
         let found = pairs.clone().alternate(samples, degree, false);
         match (&best, &found) {
-            (Ok(best), Ok(found)) if found.error > BETTER * best.error => (),
+            (Ok(best), Ok(found)) if best.rises() && !found.rises() => (),
+            (Ok(best), Ok(found)) if best.rises() == found.rises() && found.error > BETTER * best.error => (),
             (Ok(_), Err(_)) => (),
             _ => best = found,
         }
     }
     let mut found = best?;
     if let Ok(refined) = pairs.alternate(samples, found.degree, true)
+        && refined.rises() >= found.rises()
         && refined.error < REFINED * found.error
     {
         found = refined;
@@ -117,6 +122,13 @@ struct Polynomial {
     degree: usize,
     /// Root mean square of ln f(M_pq) - ln f(M_p,q+1) - ln R.
     error: f64,
+}
+
+impl Polynomial {
+    /// Whether it rises as a response does.
+    fn rises(&self) -> bool {
+        self.g[10..=245].windows(2).all(|w| w[1] - w[0] > RISE)
+    }
 }
 
 /// One place in two consecutive exposures.

@@ -22,7 +22,7 @@ pub fn check_targets(outputs: &[PathBuf], inputs: &[PathBuf], overwrite: bool) -
         let place = place_of(output)?;
         let real = fs::canonicalize(output).unwrap_or_else(|_| place.clone());
         if sources.contains(&real) {
-            return Err(usage(output, "is one of the photographs; give the result another name"));
+            return Err(usage(output, "is one of the files that are read; give the result another name"));
         }
         if places.contains(&place) {
             return Err(usage(output, "is named twice; give every output a name of its own"));
@@ -276,7 +276,7 @@ mod tests {
             assert!(message.contains(said), "{message}");
         };
         fails(&["a.exr", "sub.exr/../a.exr"], true, "named twice");
-        fails(&["sub.exr/../in.png"], true, "one of the photographs");
+        fails(&["sub.exr/../in.png"], true, "one of the files that are read");
         fails(&["none/a.exr"], true, "make it first");
         fails(&["in.png/a.exr"], true, "not a folder");
         fails(&["sub.exr"], true, "it is a folder");
