@@ -101,9 +101,12 @@ mod tests {
 
     const SIZE: (usize, usize) = (9, 7);
 
-    /// A still bracket of the exposures 2^`stops` with these codes in all channels; the reference is the second.
-    fn bracket(frames: &[(f64, &dyn Fn(usize, usize) -> [u8; 3])]) -> (Bracket, Alignment) {
-        let frame = |&(stops, code): &(f64, &dyn Fn(usize, usize) -> [u8; 3])| {
+    /// The exposure in stops, and the codes of a pixel's column and row.
+    type Seen<'a> = (f64, &'a dyn Fn(usize, usize) -> [u8; 3]);
+
+    /// A still bracket of these frames; the reference is the second.
+    fn bracket(frames: &[Seen]) -> (Bracket, Alignment) {
+        let frame = |&(stops, code): &Seen| {
             let codes = (0..SIZE.0 * SIZE.1).flat_map(|i| code(i % SIZE.0, i / SIZE.0)).collect();
             let exposure = Exposure::given(stops).unwrap();
             Frame::new(format!("{stops}").into(), SIZE.0, SIZE.1, Samples::Eight(codes), exposure)

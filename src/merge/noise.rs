@@ -96,7 +96,7 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     for y in 0..BLOCK {
         for x in 0..BLOCK {
             let code = at(x, y);
-            if code < 0.5 || code > 254.5 {
+            if !(0.5..=254.5).contains(&code) {
                 return None;
             }
             sum += code;
