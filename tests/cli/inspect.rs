@@ -99,7 +99,7 @@ fn what_exists_is_kept_unless_forced() {
     let run = folder.line("inspect w2.jpg w3.jpg -d look");
     assert!(run.code == 1 && run.stdout.is_empty(), "{run:?}");
     assert!(
-        run.stderr.contains("w2.xor.svg") && run.stderr.contains("--force") && run.stderr.contains("-d"),
+        run.stderr.contains("w2.xor.svg") && run.stderr.contains("--force") && run.stderr.contains("another name"),
         "{run:?}"
     );
     assert_eq!((names(&folder, "look").len(), folder.bytes("look/w2.xor.svg")), (1, b"old".to_vec()));
