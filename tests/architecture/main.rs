@@ -6,8 +6,8 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 15] = [
-    "error", "plane", "pyramid", "bracket", "align", "response", "merge", "tonemap", "write", "read", "report",
+const LAYERS: [&str; 16] = [
+    "error", "simd", "plane", "pyramid", "bracket", "align", "response", "merge", "tonemap", "write", "read", "report",
     "inspect", "pipeline", "batch", "cli",
 ];
 
