@@ -16,7 +16,7 @@ use hdralign::align::resample::resample_rows;
 use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::threshold::Percentile;
 use hdralign::align::{AlignOptions, Alignment, Model, align};
-use hdralign::bracket::{Bracket, Frame, LoadOptions, ReferenceChoice, Samples, load};
+use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::deghost::{self, Deghost};
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
@@ -42,7 +42,8 @@ fn small() -> Bracket {
 /// `frame` with its mirror images to the right and below: four times the pixels.
 fn mirrored(frame: &Frame) -> Frame {
     let (width, height) = (frame.width(), frame.height());
-    let Samples::Eight(codes) = frame.samples() else { panic!("testdata/window is of 8 bit") };
+    let whole = frame.whole().expect("in memory");
+    let Codes::Eight(codes) = whole.codes() else { panic!("testdata/window is of 8 bit") };
     let fold = |i: usize, n: usize| if i < n { i } else { 2 * n - 1 - i };
     let mut four = Vec::with_capacity(4 * codes.len());
     for y in 0..2 * height {
@@ -79,7 +80,7 @@ fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) 
 /// The bitmap search from two grey planes to the motion: `benches/mtb_beside_opencv.py` runs it beside `cv2.AlignMTB`.
 fn bitmaps(c: &mut Criterion) {
     let bracket = small();
-    let [reference, frame] = [2, 3].map(|i| bracket.frames()[i].grey());
+    let [reference, frame] = [2, 3].map(|i| bracket.frames()[i].grey().expect("in memory"));
     let mut group = c.benchmark_group("mtb");
     for (name, size) in [("12 MP", (4096, 3072)), ("1024x768", (1024, 768))] {
         let planes = [mirrored_to(&reference, size, 0), mirrored_to(&frame, size, 23)];
@@ -106,7 +107,7 @@ fn bitmaps(c: &mut Criterion) {
 
 fn alignment(c: &mut Criterion) {
     let bracket = large();
-    let [reference, frame] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey()));
+    let [reference, frame] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey().expect("in memory")));
     let all = pixels(&bracket);
     let mut group = c.benchmark_group("align");
     group.throughput(Throughput::Elements(all));
@@ -131,10 +132,11 @@ fn alignment(c: &mut Criterion) {
     let both = CommonExposure::new(reference.level(0), frame.level(0), &tones);
     group.bench_function("agreement", |b| b.iter(|| survey(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
+    let window = bracket.frames()[3].whole().expect("in memory");
     group.bench_function("resample", |b| {
         b.iter(|| {
             let (columns, rows) = (0..bracket.width(), 0..bracket.height());
-            resample_rows(&bracket.frames()[3], black_box(&start), columns, rows, &mut out);
+            resample_rows(&window, black_box(&start), columns, rows, &mut out);
         });
     });
     group.throughput(Throughput::Elements(5 * all));
@@ -144,7 +146,7 @@ fn alignment(c: &mut Criterion) {
 fn features(c: &mut Criterion) {
     // On the level on which the ladder seeks them.
     let bracket = small();
-    let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey()));
+    let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey().expect("in memory")));
     let options = SiftOptions::default();
     let mut group = c.benchmark_group("features");
     let level = first.level(1);
@@ -179,7 +181,7 @@ fn radiance(c: &mut Criterion) {
     let mut group = c.benchmark_group("radiance");
     group.throughput(Throughput::Elements(5 * all));
     group.bench_function("places", |b| b.iter(|| Places::of(black_box(&bracket), &placed)));
-    let places = Places::of(&bracket, &placed);
+    let places = Places::of(&bracket, &placed).expect("in memory");
     group.bench_function("exposures", |b| b.iter(|| ratios::corrections(black_box(&bracket), &places)));
     for (name, model) in [
         ("debevec", ResponseModel::default()),
@@ -190,14 +192,14 @@ fn radiance(c: &mut Criterion) {
     }
     let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
     let curve = ResponseCurve::srgb();
-    group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options)));
+    group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options, None)));
     let by_noise = MergeOptions { weight: Weight::Noise, ..options };
-    group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise)));
+    group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise, None)));
     let deghost = Deghost::default();
     group.bench_function("deghost", |b| {
         b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, &deghost));
     });
-    let (map, _) = merge(&bracket, &placed, &curve, &options).expect("a whole region");
+    let (map, _) = merge(&bracket, &placed, &curve, &options, None).expect("a whole region");
     group.throughput(Throughput::Elements(all));
     group.bench_function("flare", |b| {
         b.iter_batched(|| map.clone(), |mut map| flare::remove(&mut map), BatchSize::LargeInput)

@@ -125,6 +125,17 @@ pub enum Error {
         /// What the system or the encoder said.
         source: io::Error,
     },
+    /// What does not fit into the memory allowed could not be put on disk, or had again.
+    #[error(
+        "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, or allow more with --max-memory",
+        folder.display()
+    )]
+    Scratch {
+        /// The folder of the scratch file.
+        folder: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// A file of transforms could not be used.
     #[error("{}: is no usable file of transforms: {reason}", path.display())]
     TransformsFile {

@@ -36,7 +36,7 @@
 //!
 //! # The layers
 //!
-//! A module uses only those before it: [`error`], [`simd`], [`plane`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! A module uses only those before it: [`error`], [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
 //! [`mod@write`], [`read`], [`report`], [`inspect`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
@@ -55,6 +55,7 @@ pub mod pyramid;
 pub mod read;
 pub mod report;
 pub mod response;
+pub mod scratch;
 pub mod simd;
 pub mod tonemap;
 pub mod write;

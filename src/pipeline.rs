@@ -212,7 +212,7 @@ pub fn inspect(
         let bracket = line.load(images, options)?;
         let alignment = line.align(&bracket, options)?;
         let (tables, _) = line.timed(Stage::Inspect, || {
-            let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings);
+            let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
             files::write(&inspection, folder, options.write.overwrite)
         });
         tables
@@ -347,7 +347,7 @@ impl<'a> Line<'a> {
         let (done, time) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
             let is_sought = options.response_file.is_none() && options.response.is_sought();
-            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment) } else { Places::default() };
+            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
             let (curve, report) = match &options.response_file {
@@ -380,7 +380,7 @@ impl<'a> Line<'a> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
-            let (mut map, mut report) = merge::merge_without(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let (mut map, mut report) = merge::merge(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let flare = options.flare.then(|| flare::remove(&mut map));
             if flare.is_some() {
                 report.radiance = Statistics::of(&map.pixels);

@@ -271,15 +271,15 @@ const DOUBT: f64 = 0.5;
 /// Places every frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range. That a frame cannot be placed is no error, but a verdict and a warning.
+/// [`Error::Option`] where an option is out of range; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = given::verdicts(bracket, &options.given)?;
     let verdicts = match options.mode {
         AlignMode::None => unmoved_but(bracket, &given),
-        AlignMode::Auto => search(bracket, options, &given, |s| s.auto()),
-        AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone()),
-        AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone()),
+        AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,
+        AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
+        AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
     let warnings = warn(bracket, &verdicts);
     let warps: Vec<Warp> = verdicts.iter().filter_map(|v| v.warp).collect();
@@ -293,27 +293,32 @@ fn search(
     options: &AlignOptions,
     given: &[Option<Verdict>],
     find: fn(&Search) -> Vec<Verdict>,
-) -> Vec<Verdict> {
-    let (pyramids, blank): (Vec<GreyPyramid>, Vec<bool>) = bracket.frames().par_iter().map(pyramid).unzip();
+) -> Result<Vec<Verdict>> {
+    let seen: Vec<Result<(GreyPyramid, bool)>> = bracket.frames().par_iter().map(pyramid).collect();
+    let (pyramids, blank): (Vec<_>, Vec<_>) = seen.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), given, options };
-    find(&search)
+    Ok(find(&search))
 }
 
 /// The grey pyramid in which the motion of `frame` is sought, and whether the frame is as good as blank. A dark one is brightened, so
 /// that neither rounding nor halving takes away what little it shows.
-fn pyramid(frame: &Frame) -> (GreyPyramid, bool) {
-    let grey = frame.grey();
+fn pyramid(frame: &Frame) -> Result<(GreyPyramid, bool)> {
+    let grey = frame.grey()?;
     let histogram = Histogram::of(&grey);
     let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
     let is_blank = nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK;
     // What is brighter than nearly all may burn out: a lamp still has its edge.
     let stops = nearly_most.leading_zeros().min(MOST_STOPS);
-    (GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) }), is_blank)
+    let grey = if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops)? };
+    Ok((GreyPyramid::new(grey), is_blank))
 }
 
 /// The grey pyramid in which the motion of `frame` is sought.
-pub fn grey_pyramid(frame: &Frame) -> GreyPyramid {
-    pyramid(frame).0
+///
+/// # Errors
+/// [`Error::Scratch`], where the frame is on disk.
+pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
+    Ok(pyramid(frame)?.0)
 }
 
 /// A frame within so many codes of black, or of white, may hold nothing but noise.

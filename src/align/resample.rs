@@ -5,7 +5,7 @@
 //! Common Resampling Tasks", Graphics Gems I (1990), recommends it for photographs; its weights are normalised to sum to 1.
 
 use super::warp::{Warp, map};
-use crate::bracket::{Frame, Samples};
+use crate::bracket::{Codes, Window};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
@@ -24,26 +24,51 @@ const LANES: usize = 24;
 /// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the steepest edge.
 const PHASES: usize = 1024;
 
+/// The rows of a frame of `size` pixels that are read for the reference's pixels `columns` x `rows`.
+pub fn rows_under(warp: &Warp, size: (usize, usize), columns: &Range<usize>, rows: &Range<usize>) -> Range<usize> {
+    if columns.is_empty() || rows.is_empty() {
+        return 0..0;
+    }
+    if *warp == Warp::Identity {
+        return rows.clone();
+    }
+    let h = warp.matrix(size.0, size.1);
+    let corners = [columns.start, columns.end - 1].map(|x| [rows.start, rows.end - 1].map(|y| (x as f64, y as f64)));
+    let corners = corners.as_flattened();
+    let w = |&(x, y): &(f64, f64)| h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
+    // A homography takes a convex figure to a convex one, unless it takes a line across it to infinity.
+    if !(corners.iter().all(|c| w(c) > 0.0) || corners.iter().all(|c| w(c) < 0.0)) {
+        return 0..size.1;
+    }
+    let places = corners.iter().map(|&(x, y)| map(&h, x, y).1);
+    let (top, bottom) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    // The taps, and a row for rounding; a cast from float keeps within the type.
+    let first = (top - (BEFORE + 1) as f64).max(0.0) as usize;
+    let end = (bottom + (TAPS - BEFORE + 1) as f64).max(0.0) as usize;
+    first.min(size.1)..end.min(size.1)
+}
+
 /// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by rows into `out`.
 ///
 /// A pixel whose place lies outside the rectangle of the frame's pixel centres is [`OUTSIDE`] in all channels.
 ///
 /// # Panics
-/// When `out` does not hold `columns.len() * rows.len()` pixels.
-pub fn resample_rows(frame: &Frame, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
+/// When `out` does not hold `columns.len() * rows.len()` pixels, or `window` not the [`rows_under`] them.
+pub fn resample_rows(window: &Window, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
     assert_eq!(out.len(), columns.len() * rows.len());
-    match frame.samples() {
-        Samples::Eight(codes) => {
-            Source { codes, size: (frame.width(), frame.height()), scale: 1.0 }.resample(warp, columns, rows, out)
-        }
-        Samples::Sixteen(codes) => Source { codes, size: (frame.width(), frame.height()), scale: 1.0 / 257.0 }
-            .resample(warp, columns, rows, out),
+    let (size, first) = ((window.width(), window.height()), window.rows().start);
+    match window.codes() {
+        Codes::Eight(codes) => Source { codes, first, size, scale: 1.0 }.resample(warp, columns, rows, out),
+        Codes::Sixteen(codes) => Source { codes, first, size, scale: 1.0 / 257.0 }.resample(warp, columns, rows, out),
     }
 }
 
 /// The code values of a frame, and what takes them to 0..=255.
 struct Source<'a, T> {
     codes: &'a [T],
+    /// The row that the codes begin with.
+    first: usize,
+    /// Of the whole frame.
     size: (usize, usize),
     scale: f32,
 }
@@ -53,7 +78,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         let lines = rows.zip(out.chunks_exact_mut(columns.len().max(1)));
         if *warp == Warp::Identity {
             for (y, line) in lines {
-                let from = 3 * (y * self.size.0 + columns.start);
+                let from = 3 * ((y - self.first) * self.size.0 + columns.start);
                 for (pixel, code) in line.iter_mut().zip(self.codes[from..].chunks_exact(3)) {
                     *pixel = [code[0], code[1], code[2]].map(|c| c.into() * self.scale);
                 }
@@ -76,7 +101,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         let mut sum = [0.0f32; LANES];
         let inside = left >= 0 && top >= 0 && left as usize + TAPS + 2 <= width && top as usize + TAPS <= height;
         if inside {
-            let first = 3 * (top as usize * width + left as usize);
+            let first = 3 * ((top as usize - self.first) * width + left as usize);
             for (j, w) in wy.iter().enumerate() {
                 let from = first + 3 * j * width;
                 if let Some(row) = self.codes.get(from..from + LANES).and_then(|r| r.first_chunk::<LANES>()) {
@@ -89,7 +114,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
             // At the border the outermost pixel stands for those beyond it.
             let clamp = |i: isize, size: usize| i.clamp(0, size as isize - 1) as usize;
             for (j, w) in wy.iter().enumerate() {
-                let y = clamp(top + j as isize, height);
+                let y = clamp(top + j as isize, height) - self.first;
                 for i in 0..TAPS {
                     let from = 3 * (y * width + clamp(left + i as isize, width));
                     for c in 0..3 {
@@ -180,6 +205,7 @@ fn lanczos3(x: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::bracket::exposure::Exposure;
+    use crate::bracket::{Frame, Samples};
 
     fn frame(width: usize, height: usize, f: impl Fn(f64, f64) -> f64) -> Frame {
         let codes = (0..width * height)
@@ -193,13 +219,14 @@ mod tests {
 
     fn whole(frame: &Frame, warp: &Warp) -> Vec<[f32; 3]> {
         let mut out = vec![[0.0; 3]; frame.width() * frame.height()];
-        resample_rows(frame, warp, 0..frame.width(), 0..frame.height(), &mut out);
+        resample_rows(&frame.whole().unwrap(), warp, 0..frame.width(), 0..frame.height(), &mut out);
         out
     }
 
     /// The paper's double sum, pixel by pixel, without tables.
     fn textbook(frame: &Frame, u: f64, v: f64, channel: usize) -> f64 {
-        let Samples::Sixteen(codes) = frame.samples() else { unreachable!() };
+        let whole = frame.whole().unwrap();
+        let Codes::Sixteen(codes) = whole.codes() else { unreachable!() };
         let (mut sum, mut weight) = (0.0, 0.0);
         for y in v.floor() as isize - 2..=v.floor() as isize + 3 {
             for x in u.floor() as isize - 2..=u.floor() as isize + 3 {
@@ -258,5 +285,32 @@ mod tests {
                 assert!((p[c] - q[c]).abs() < 1e-3);
             }
         }
+    }
+
+    /// A window of no more than the rows said to be read gives what the whole frame does: else the slices would be out of bounds.
+    #[test]
+    fn the_rows_under_a_strip_are_enough() {
+        let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());
+        let perspective = Matrix3::new(1.02, 0.03, -2.0, -0.04, 0.97, 3.0, 2e-4, -3e-4, 1.0);
+        let warps = [
+            Warp::Identity,
+            Warp::Rigid { dx: 3.3, dy: -7.8, angle: 0.2 },
+            Warp::Rigid { dx: 0.0, dy: 80.0, angle: -0.1 },
+            Warp::Homography(perspective),
+        ];
+        for warp in warps {
+            let all = whole(&f, &warp);
+            for rows in [0..1, 5..21, 40..90] {
+                let under = rows_under(&warp, (60, 90), &(4..57), &rows);
+                assert!(warp != Warp::Identity || under == rows);
+                let mut part = vec![[0.0; 3]; 53 * rows.len()];
+                resample_rows(&f.window(under).unwrap(), &warp, 4..57, rows.clone(), &mut part);
+                for (line, y) in part.chunks_exact(53).zip(rows) {
+                    assert_eq!(line, &all[60 * y + 4..60 * y + 57]);
+                }
+            }
+        }
+        let horizon = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.1, 0.0, -2.0);
+        assert_eq!(rows_under(&Warp::Homography(horizon), (60, 90), &(0..60), &(3..4)), 0..90);
     }
 }

@@ -10,13 +10,16 @@ use super::capture;
 use super::colour::{Found, Profile};
 use super::decode::{self, Decoded};
 use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
-use super::{Bracket, Capture, Frame, ReferenceChoice, Samples};
+use super::window::Store;
+use super::{Bracket, Capture, Codes, Frame, ReferenceChoice, Samples, reference};
 use crate::error::{Error, Result, Warning};
+use crate::scratch::{MemoryLimit, Scratch};
 use exif::{Exif, In, Tag};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What the user says of a bracket's files.
@@ -26,13 +29,15 @@ pub struct LoadOptions {
     pub ev: Option<Vec<f64>>,
     /// Which frame the others are aligned to. Default: automatic.
     pub reference: ReferenceChoice,
-    /// The most pixels that a file may say to have before it is decoded. Default: 500 million.
+    /// The most pixels that a file may say to have before it is decoded. Default: 2000 million.
     pub max_pixels: u64,
+    /// How much memory may be used: frames that do not fit are put on disk. Default: as much as is needed.
+    pub memory: Option<MemoryLimit>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        LoadOptions { ev: None, reference: ReferenceChoice::Auto, max_pixels: 500_000_000 }
+        LoadOptions { ev: None, reference: ReferenceChoice::Auto, max_pixels: 2_000_000_000, memory: None }
     }
 }
 
@@ -62,17 +67,18 @@ pub fn load_with_progress(
     refuse_same_files(paths)?;
 
     let done = AtomicUsize::new(0);
-    let pictures: Vec<Result<Picture>> = paths
-        .par_iter()
-        .map(|path| {
-            let picture = Picture::read(path, options.max_pixels);
-            progress(1 + done.fetch_add(1, Ordering::Relaxed));
-            picture
-        })
-        .collect();
-    let mut pictures = pictures.into_iter().collect::<Result<Vec<_>>>()?;
+    let read = |path: &PathBuf, scratch: Option<&Arc<Scratch>>| {
+        let picture = Picture::read(path, options.max_pixels, scratch);
+        progress(1 + done.fetch_add(1, Ordering::Relaxed));
+        picture
+    };
+    let (mut pictures, scratch) = match &options.memory {
+        None => (paths.par_iter().map(|path| read(path, None)).collect::<Vec<_>>(), None),
+        Some(limit) => read_within(limit, paths, read)?,
+    };
+    let mut pictures = pictures.drain(..).collect::<Result<Vec<_>>>()?;
     check_sizes(&pictures)?;
-    widen_mixed_depths(&mut pictures);
+    widen_mixed_depths(&mut pictures, scratch.as_ref())?;
 
     let mut warnings = Vec::new();
     let exposures = match given {
@@ -89,18 +95,47 @@ pub fn load_with_progress(
         .map(|(picture, exposure)| {
             notes.insert(picture.path.clone(), picture.warnings);
             let exposure = with_tags(exposure, &picture.tags);
-            let mut frame = Frame::new(picture.path, picture.width, picture.height, picture.samples, exposure);
+            let size = (picture.width, picture.height);
+            let mut frame = Frame::stored(picture.path, size, picture.store, picture.well_exposed, exposure);
             frame.profile = picture.profile;
             frame.capture = picture.capture;
             frame
         })
         .collect();
-    let bracket = Bracket::new(frames, &options.reference)?;
+    let bracket = Bracket { scratch, ..Bracket::new(frames, &options.reference)? };
     for frame in bracket.frames() {
         warnings.extend(notes.remove(frame.path()).unwrap_or_default());
     }
     warnings.extend(differing_profiles(&bracket));
     Ok((bracket, warnings))
+}
+
+/// What a run needs beside pixels, in bytes.
+const BASE: u64 = 64 << 20;
+
+/// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with the scratch file that they are on.
+fn read_within(
+    limit: &MemoryLimit,
+    paths: &[PathBuf],
+    read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
+) -> Result<(Vec<Result<Picture>>, Option<Arc<Scratch>>)> {
+    // The first tells how large they are.
+    let mut first = read(&paths[0], None)?;
+    let (pixels, count) = ((first.width * first.height) as u64, paths.len() as u64);
+    let frame = first.store.bytes();
+    // Beside the frames, alignment holds a pyramid of each, and merging the radiance.
+    let is_held = count * frame + (count * pixels * 3 / 2).max(12 * pixels) + BASE <= limit.bytes;
+    let scratch = if is_held { None } else { Some(Scratch::in_folder(&limit.folder)?) };
+    if let Some(scratch) = &scratch {
+        first.store.put_on(scratch)?;
+    }
+    // While it is decoded, a frame and its file are in memory.
+    let at_once = (limit.bytes.saturating_sub(BASE) / (2 * frame)).max(1);
+    let mut pictures = vec![Ok(first)];
+    for some in paths[1..].chunks(if is_held { paths.len() } else { at_once.min(count) as usize }) {
+        pictures.par_extend(some.par_iter().map(|path| read(path, scratch.as_ref())));
+    }
+    Ok((pictures, scratch))
 }
 
 /// The `-e` list as exposures.
@@ -160,7 +195,9 @@ struct Picture {
     path: PathBuf,
     width: usize,
     height: usize,
-    samples: Samples,
+    store: Store,
+    brightness: Brightness,
+    well_exposed: u64,
     tags: ExposureTags,
     profile: Option<Profile>,
     capture: Capture,
@@ -168,7 +205,8 @@ struct Picture {
 }
 
 impl Picture {
-    fn read(path: &Path, max_pixels: u64) -> Result<Self> {
+    /// Reads `path`; with a scratch file, the codes are put on it.
+    fn read(path: &Path, max_pixels: u64, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
         let unreadable = |source| Error::Read { path: path.into(), source };
         if path.is_dir() {
             let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
@@ -180,7 +218,23 @@ impl Picture {
         let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
-        Ok(Picture { path: path.into(), width, height, samples, tags, profile, capture, warnings })
+        let (brightness, well_exposed) = (Brightness::of(&samples, width), reference::well_exposed(&samples, width));
+        let mut store = Store::Held(samples);
+        if let Some(scratch) = scratch {
+            store.put_on(scratch)?;
+        }
+        Ok(Picture {
+            path: path.into(),
+            width,
+            height,
+            store,
+            brightness,
+            well_exposed,
+            tags,
+            profile,
+            capture,
+            warnings,
+        })
     }
 }
 
@@ -229,24 +283,29 @@ fn check_sizes(pictures: &[Picture]) -> Result<()> {
 }
 
 /// Code values of one bracket are of one scale: 8-bit frames among 16-bit ones are spread to 0..=65535.
-fn widen_mixed_depths(pictures: &mut [Picture]) {
-    let deep = |p: &Picture| matches!(p.samples, Samples::Sixteen(_));
-    if !pictures.iter().any(deep) {
-        return;
+fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) -> Result<()> {
+    if pictures.iter().all(|p| p.store.max() == pictures[0].store.max()) {
+        return Ok(());
     }
     for picture in pictures {
-        if let Samples::Eight(v) = &picture.samples {
-            let wide = v.iter().map(|&code| u16::from(code) * 257).collect();
-            picture.samples = Samples::Sixteen(wide);
-            let detail = "it is of 8 bit among frames of 16 bit, and was spread to 16".into();
-            picture.warnings.push(Warning::Metadata { path: picture.path.clone(), detail });
+        let whole = picture.store.window((picture.width, picture.height), 0..picture.height)?;
+        let Codes::Eight(v) = whole.codes() else { continue };
+        let wide = Samples::Sixteen(v.iter().map(|&code| u16::from(code) * 257).collect());
+        drop(whole);
+        picture.well_exposed = reference::well_exposed(&wide, picture.width);
+        picture.store = Store::Held(wide);
+        if let Some(scratch) = scratch {
+            picture.store.put_on(scratch)?;
         }
+        let detail = "it is of 8 bit among frames of 16 bit, and was spread to 16".into();
+        picture.warnings.push(Warning::Metadata { path: picture.path.clone(), detail });
     }
+    Ok(())
 }
 
 /// What the pixels say against the exposures that the user gives; these are taken all the same.
 fn doubtful(pictures: &[Picture], given: &[Exposure]) -> Option<Warning> {
-    let seen: Vec<Brightness> = pictures.par_iter().map(|p| Brightness::of(&p.samples, p.width)).collect();
+    let seen: Vec<Brightness> = pictures.iter().map(|p| p.brightness.clone()).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
     Some(Warning::ExposureDoubtful { detail: brightness::contradiction(&given, &seen)? })
 }
@@ -260,8 +319,7 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
     // By path, so that ties and chains are the same in any order of the command line.
     let mut order: Vec<usize> = (0..pictures.len()).collect();
     order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
-    let seen: Vec<Brightness> =
-        order.par_iter().map(|&i| Brightness::of(&pictures[i].samples, pictures[i].width)).collect();
+    let seen: Vec<Brightness> = order.iter().map(|&i| pictures[i].brightness.clone()).collect();
 
     let warning: fn(String) -> Warning;
     let what;

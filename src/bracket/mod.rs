@@ -1,7 +1,8 @@
 //! The bracket: differently exposed photographs of one scene, decoded and ordered.
 //!
 //! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the code values the camera wrote (8 or 16 bit,
-//! camera-encoded, orientation applied): three values a pixel, never floats. Cost: that of the decoders, one frame per thread.
+//! camera-encoded, orientation applied): three values a pixel, never floats; in memory, or on disk where memory is limited. Cost: that of the
+//! decoders, one frame per thread.
 
 mod brightness;
 mod capture;
@@ -11,15 +12,21 @@ pub mod exposure;
 mod load;
 mod nominal;
 mod reference;
+mod window;
 
 pub use load::{LoadOptions, load, load_with_progress};
 pub use reference::ReferenceChoice;
+pub use window::{Codes, Window};
 
 use crate::error::{Error, Result};
 use crate::plane::Plane;
+use crate::scratch::Scratch;
 use colour::{Primaries, Profile};
 use exposure::Exposure;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use window::Store;
 
 /// The code values of a picture: interleaved RGB by rows, three to a pixel.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,12 +76,14 @@ pub struct Capture {
 }
 
 /// One photograph, decoded.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Frame {
     path: PathBuf,
     width: usize,
     height: usize,
-    samples: Samples,
+    store: Store,
+    /// How much it shows: see [`reference::well_exposed`].
+    well_exposed: u64,
     /// How it was exposed.
     pub exposure: Exposure,
     /// Its colour profile; none is taken for sRGB.
@@ -89,8 +98,15 @@ impl Frame {
     /// # Panics
     /// When the number of samples does not fit the size, or the size is zero: decoders check before.
     pub fn new(path: PathBuf, width: usize, height: usize, samples: Samples, exposure: Exposure) -> Self {
-        assert!(width > 0 && height > 0 && samples.len() == 3 * width * height, "a frame holds three samples a pixel");
-        Frame { path, width, height, samples, exposure, profile: None, capture: Capture::default() }
+        let well_exposed = reference::well_exposed(&samples, width);
+        Frame::stored(path, (width, height), Store::Held(samples), well_exposed, exposure)
+    }
+
+    /// As [`new`](Self::new), of codes that are anywhere and were looked at before.
+    fn stored(path: PathBuf, size: (usize, usize), store: Store, well_exposed: u64, exposure: Exposure) -> Self {
+        let (width, height) = size;
+        assert!(width > 0 && height > 0 && store.len() == 3 * width * height, "a frame holds three samples a pixel");
+        Frame { path, width, height, store, well_exposed, exposure, profile: None, capture: Capture::default() }
     }
 
     /// The file it came from.
@@ -108,9 +124,28 @@ impl Frame {
         self.height
     }
 
-    /// The code values.
-    pub fn samples(&self) -> &Samples {
-        &self.samples
+    /// The largest code value: 255 or 65535.
+    pub fn max(&self) -> u16 {
+        self.store.max()
+    }
+
+    /// The code values of some of its rows.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where the frame is on disk.
+    ///
+    /// # Panics
+    /// When it has no such rows.
+    pub fn window(&self, rows: Range<usize>) -> Result<Window<'_>> {
+        self.store.window((self.width, self.height), rows)
+    }
+
+    /// All of its code values.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where the frame is on disk.
+    pub fn whole(&self) -> Result<Window<'_>> {
+        self.window(0..self.height)
     }
 
     /// The chromaticities that the samples are of: the profile's, or sRGB's where there is no profile or it does not say.
@@ -119,22 +154,30 @@ impl Frame {
     }
 
     /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
-    pub fn grey(&self) -> Plane<u8> {
-        let stride = 3 * self.width;
-        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
-            Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
-        })
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where the frame is on disk.
+    pub fn grey(&self) -> Result<Plane<u8>> {
+        let (all, stride) = (self.whole()?, 3 * self.width);
+        let codes = all.codes();
+        Ok(Plane::from_rows(self.width, self.height, |y, row| match codes {
+            Codes::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
+            Codes::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
+        }))
     }
 
     /// The grey picture as [`grey`](Self::grey) has it, but brightened by `stops` (0..=8) before it is rounded to 8 bit: of a dark frame
     /// much is between its codes, in its three channels and in the bits beyond the eighth.
-    pub fn grey_brightened(&self, stops: u32) -> Plane<u8> {
-        let stride = 3 * self.width;
-        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => brightened_row(&v[y * stride..][..stride], row, stops, |code| u32::from(code) << 8),
-            Samples::Sixteen(v) => brightened_row(&v[y * stride..][..stride], row, stops, u32::from),
-        })
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where the frame is on disk.
+    pub fn grey_brightened(&self, stops: u32) -> Result<Plane<u8>> {
+        let (all, stride) = (self.whole()?, 3 * self.width);
+        let codes = all.codes();
+        Ok(Plane::from_rows(self.width, self.height, |y, row| match codes {
+            Codes::Eight(v) => brightened_row(&v[y * stride..][..stride], row, stops, |code| u32::from(code) << 8),
+            Codes::Sixteen(v) => brightened_row(&v[y * stride..][..stride], row, stops, u32::from),
+        }))
     }
 }
 
@@ -156,6 +199,7 @@ fn brightened_row<T: Copy>(rgb: &[T], grey: &mut [u8], stops: u32, code16: impl 
 pub struct Bracket {
     frames: Vec<Frame>,
     reference: usize,
+    scratch: Option<Arc<Scratch>>,
 }
 
 impl Bracket {
@@ -188,7 +232,7 @@ impl Bracket {
                 _ => reference::best(&frames, &[]),
             },
         };
-        Ok(Bracket { frames, reference })
+        Ok(Bracket { frames, reference, scratch: None })
     }
 
     /// The same frames in the same order, the exposure of each corrected by so many stops: order is by the exposures as loaded.
@@ -211,6 +255,11 @@ impl Bracket {
     /// The index of the reference in [`frames`](Self::frames).
     pub fn reference_index(&self) -> usize {
         self.reference
+    }
+
+    /// The scratch file that the frames are on, where they do not fit into the memory allowed.
+    pub fn scratch(&self) -> Option<&Arc<Scratch>> {
+        self.scratch.as_ref()
     }
 
     /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has
@@ -246,7 +295,8 @@ mod tests {
 
     #[test]
     fn grey_is_wards_at_either_depth() {
-        let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap()).grey().at(0, 0);
+        let of =
+            |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap()).grey().unwrap().at(0, 0);
         assert_eq!(of(Samples::Eight(vec![10, 200, 30])), ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8);
         assert_eq!(of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])), of(Samples::Eight(vec![10, 200, 30])));
         assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
@@ -257,12 +307,12 @@ mod tests {
         let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap());
         // (54 + 2 * 183) / 256 = 1.64, of which 1 is left; times 64 it is 105.
         let dark = of(Samples::Eight(vec![1, 2, 0]));
-        assert_eq!([0, 6, 8].map(|stops| dark.grey_brightened(stops).at(0, 0)), [1, 105, 255]);
+        assert_eq!([0, 6, 8].map(|stops| dark.grey_brightened(stops).unwrap().at(0, 0)), [1, 105, 255]);
         // 0.64 of a code at 8 bit.
         let deep = of(Samples::Sixteen(vec![164, 164, 164]));
-        assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).at(0, 0)), [0, 41]);
+        assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).unwrap().at(0, 0)), [0, 41]);
         let plain = of(Samples::Eight(vec![10, 200, 30]));
-        assert_eq!(plain.grey_brightened(0), plain.grey());
+        assert_eq!(plain.grey_brightened(0).unwrap(), plain.grey().unwrap());
     }
 
     #[test]

@@ -63,8 +63,7 @@ pub(super) fn named(frames: &[Frame], path: &Path) -> Option<usize> {
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let excluded: Vec<usize> = except.iter().filter_map(|path| named(frames, path)).collect();
     let is_open = |i: &usize| !excluded.contains(i) || excluded.len() >= frames.len();
-    let seen: Vec<u64> =
-        frames.iter().enumerate().map(|(i, f)| if is_open(&i) { well_exposed(f) } else { 0 }).collect();
+    let seen: Vec<u64> = frames.iter().enumerate().map(|(i, f)| if is_open(&i) { f.well_exposed } else { 0 }).collect();
     let most = seen.iter().copied().max().unwrap_or(0);
     let centre = frames.len() as i64 - 1;
     (0..frames.len())
@@ -73,8 +72,8 @@ pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
         .unwrap_or(frames.len() / 2)
 }
 
-/// Of every fourth pixel of every fourth row, how many have all channels within 1/16 .. 15/16 of the range.
-fn well_exposed(frame: &Frame) -> u64 {
+/// Of every fourth pixel of every fourth row of a picture `width` pixels wide, how many have all channels within 1/16 .. 15/16 of the range.
+pub(super) fn well_exposed(samples: &Samples, width: usize) -> u64 {
     fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
         let inside = |p: &[T]| p.iter().all(|&c| c >= low && c <= high);
         v.chunks_exact(3 * width)
@@ -82,9 +81,9 @@ fn well_exposed(frame: &Frame) -> u64 {
             .map(|row| row.chunks_exact(3).step_by(4).filter(|p| inside(p)).count() as u64)
             .sum()
     }
-    match &frame.samples {
-        Samples::Eight(v) => count(v, frame.width, 16, 239),
-        Samples::Sixteen(v) => count(v, frame.width, 16 << 8, 239 << 8),
+    match samples {
+        Samples::Eight(v) => count(v, width, 16, 239),
+        Samples::Sixteen(v) => count(v, width, 16 << 8, 239 << 8),
     }
 }
 

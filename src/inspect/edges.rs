@@ -7,7 +7,7 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::{png_rgb, reduce};
-use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
 use crate::align::warp::{Warp, map};
 use crate::bracket::Frame;
 use crate::plane::Plane;
@@ -82,8 +82,8 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
             page.drawing.outline(place, Pen { colour: BOX, width: 1.6, opacity: 1.0 });
             let (width, height) = ((detail.width * MAGNIFIED) as f64, (detail.height * MAGNIFIED) as f64);
             let (x, y) = (corner.0 + i as f64 * (width + DETAIL_GAP), corner.1 + size.1 + DETAIL_GAP);
-            let still = detail.grey(couple.reference, &Warp::Identity).edges(FAINT_DETAIL * reference.full).strength;
-            let moved = detail.grey(couple.frame, warp).edges(FAINT_DETAIL * view.full).strength;
+            let still = detail.grey(couple.reference, &Warp::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
+            let moved = detail.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
             page.drawing.picture(Area { x, y, width, height }, &png_rgb(&two_colours(&still, &moved))?);
         }
     }
@@ -110,15 +110,17 @@ impl Detail {
     }
 
     /// Grey levels of `frame` there, resampled as merging does.
-    fn grey(&self, frame: &Frame, warp: &Warp) -> Grey {
+    fn grey(&self, frame: &Frame, warp: &Warp) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
-        resample_rows(frame, warp, columns, rows, &mut codes);
+        let under = rows_under(warp, (frame.width(), frame.height()), &columns, &rows);
+        let window = frame.window(under).map_err(|e| e.to_string())?;
+        resample_rows(&window, warp, columns, rows, &mut codes);
         let grey = |p: &[f32; 3]| ((54.0 * p[0] + 183.0 * p[1] + 19.0 * p[2]) / 256.0).clamp(0.0, 255.0) as u8;
         let outside: Vec<bool> = codes.iter().map(|p| p[0] == OUTSIDE).collect();
         let levels = codes.iter().map(grey).collect();
         let plane = |values| Plane::from_vec(self.width, self.height, values);
-        Grey { levels: plane(levels), outside: Some(Plane::from_vec(self.width, self.height, outside)) }
+        Ok(Grey { levels: plane(levels), outside: Some(Plane::from_vec(self.width, self.height, outside)) })
     }
 }
 

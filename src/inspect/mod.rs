@@ -22,7 +22,7 @@ use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching,
 use crate::align::mtb::GreyPyramid;
 use crate::align::{AlignOptions, Alignment, grey_pyramid};
 use crate::bracket::{Bracket, Frame};
-use crate::error::Warning;
+use crate::error::{Result, Warning};
 use crate::report::{Report, WarningReport};
 use drawing::Drawing;
 use edges::Couple;
@@ -121,13 +121,17 @@ impl SheetKind {
 }
 
 /// Gathers what speaks for and against every place of `alignment`, which was found with `options` and gave `warnings`.
+///
+/// # Errors
+/// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
 pub fn inspect<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
     options: &AlignOptions,
     warnings: &[Warning],
-) -> Inspection<'a> {
-    let pyramids: Vec<GreyPyramid> = bracket.frames().par_iter().map(grey_pyramid).collect();
+) -> Result<Inspection<'a>> {
+    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(grey_pyramid).collect();
+    let pyramids = pyramids.into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
     let features: Vec<FrameFeatures> = pyramids.par_iter().map(|p| FrameFeatures::new(p, options)).collect();
     let against: Vec<Option<Against>> = (0..pyramids.len())
@@ -163,7 +167,7 @@ pub fn inspect<'a>(
     let mut report = Report::new(bracket, alignment, alignment.overlap);
     report.warnings = warnings.iter().map(WarningReport::from).collect();
     let tables = Tables::new(report, &found);
-    Inspection { bracket, alignment, pyramids, evidence, tables }
+    Ok(Inspection { bracket, alignment, pyramids, evidence, tables })
 }
 
 impl Inspection<'_> {
@@ -181,7 +185,7 @@ impl Inspection<'_> {
     ///
     /// # Errors
     /// In words, where a picture is too large for a PNG file.
-    pub fn sheet(&self, i: usize, kind: SheetKind) -> Result<Option<Sheet>, String> {
+    pub fn sheet(&self, i: usize, kind: SheetKind) -> std::result::Result<Option<Sheet>, String> {
         let evidence = &self.evidence[i];
         let against = evidence.against.as_ref();
         let drawn = |drawing| Ok(Some(Sheet::Drawing(kind, drawing)));

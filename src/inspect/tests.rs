@@ -29,7 +29,7 @@ fn bracket() -> Bracket {
 fn with_inspection(check: impl FnOnce(Inspection)) {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let (alignment, warnings) = align::align(&bracket, &options).unwrap();
-    check(inspect(&bracket, &alignment, &options, &warnings));
+    check(inspect(&bracket, &alignment, &options, &warnings).unwrap());
 }
 
 fn drawn(sheet: Option<Sheet>) -> Drawing {
@@ -124,7 +124,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
     alignment.verdicts[0].status = Status::Rejected;
     alignment.verdicts[0].warp = None;
     alignment.verdicts[0].reason = Some("a reason".into());
-    let inspection = inspect(&bracket, &alignment, &options, &[]);
+    let inspection = inspect(&bracket, &alignment, &options, &[]).unwrap();
     assert!(inspection.tables().to_text().contains("dark <1>.png: left out: a reason"));
     let merged = inspection.tables().frames[0].features.merged;
     assert_eq!((merged.off_px, merged.verdict), (None, Some(tables::KindVerdict::NoPlace)));
@@ -139,9 +139,9 @@ fn bitmaps_that_speak_against_a_place_are_told() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
     let told = "its bitmap differs more as aligned than unmoved";
-    assert!(!inspect(&bracket, &alignment, &options, &warnings).tables().to_text().contains(told));
+    assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(told));
     alignment.verdicts[0].warp = Some(rigid(-40.0, 30.0, -3.0));
-    let text = inspect(&bracket, &alignment, &options, &warnings).tables().to_text();
+    let text = inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text();
     assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
 }
 

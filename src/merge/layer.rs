@@ -5,10 +5,11 @@
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Status};
-use crate::bracket::{Bracket, Frame, Samples};
+use crate::bracket::{self, Bracket, Frame, Window};
+use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
 use std::ops::Range;
 
@@ -101,19 +102,30 @@ pub(super) struct Layer<'a> {
 }
 
 impl Layer<'_> {
-    /// What the frame has at columns `columns` and rows `rows` of the reference.
-    pub fn strip(&self, columns: Range<usize>, rows: Range<usize>) -> Strip<'_> {
-        let wide = |range: &Range<usize>, most: usize| range.start.saturating_sub(1)..(range.end + 1).min(most);
-        let (c, r) = (wide(&columns, self.frame.width()), wide(&rows, self.frame.height()));
+    /// What is needed of the frame for strips of columns `columns` and rows `rows` of the reference.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    pub fn window(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Window<'_>> {
+        let size = (self.frame.width(), self.frame.height());
+        self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
+    }
+
+    /// What the frame, of which `window` is read, has at columns `columns` and rows `rows` of the reference.
+    pub fn strip<'w>(&self, window: &'w Window, columns: Range<usize>, rows: Range<usize>) -> Strip<'w> {
+        let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
         let (before, width, height) = ((columns.start - c.start, rows.start - r.start), c.len(), r.len());
-        let codes = match (self.frame.samples(), self.warp) {
-            (Samples::Eight(codes), Warp::Identity) => {
-                let stride = 3 * self.frame.width();
-                Codes::Exact(&codes[r.start * stride + 3 * c.start..(r.end - 1) * stride + 3 * c.end], stride)
+        let codes = match (window.codes(), self.warp) {
+            (bracket::Codes::Eight(codes), Warp::Identity) => {
+                let (stride, first) = (3 * window.width(), window.rows().start);
+                Codes::Exact(
+                    &codes[(r.start - first) * stride + 3 * c.start..(r.end - 1 - first) * stride + 3 * c.end],
+                    stride,
+                )
             }
             (_, warp) => {
                 let mut moved = vec![[OUTSIDE; 3]; width * height];
-                resample_rows(self.frame, &warp, c, r, &mut moved);
+                resample_rows(window, &warp, c, r, &mut moved);
                 Codes::Moved(moved)
             }
         };
@@ -181,13 +193,18 @@ impl Layer<'_> {
     }
 }
 
+/// `range` and one more to either side, where there is one.
+fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
+    range.start.saturating_sub(1)..(range.end + 1).min(most)
+}
+
 /// The frames that were placed, by rising exposure. Weights are such that the longest exposure's middle code has 1.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
     alignment: &Alignment,
     curve: &ResponseCurve,
     weight: Weight,
-) -> Vec<Layer<'a>> {
+) -> Result<Vec<Layer<'a>>> {
     let reference = bracket.reference().exposure.relative();
     let placed = bracket.frames().iter().zip(&alignment.verdicts);
     let mut layers: Vec<Layer> = placed
@@ -196,7 +213,7 @@ pub(super) fn layers<'a>(
             let warp = verdict.warp?;
             Some(layer(frame, warp, frame.exposure.relative() / reference, curve, weight))
         })
-        .collect();
+        .collect::<Result<_>>()?;
     let most = layers.last().map_or(1.0, |layer| layer.say);
     for layer in &mut layers {
         layer.say /= most;
@@ -204,13 +221,13 @@ pub(super) fn layers<'a>(
             table.weight.iter_mut().for_each(|w| *w /= most);
         }
     }
-    layers
+    Ok(layers)
 }
 
 /// `frame`, exposed `time` times as long as the reference.
-fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, weight: Weight) -> Layer<'a> {
+fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, weight: Weight) -> Result<Layer<'a>> {
     let noise = match weight {
-        Weight::Noise => Noise::of(frame, warp != Warp::Identity),
+        Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
         _ => Noise::least(),
     };
     let tables = std::array::from_fn(|c| {
@@ -231,7 +248,7 @@ fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, wei
             (sure, 1.0 / (sure - begins))
         }
     };
-    Layer {
+    Ok(Layer {
         frame,
         warp,
         say: weight.say(curve, time, &noise),
@@ -241,5 +258,5 @@ fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, wei
             _ => ((255.0 - code as f32) / GUARD.0).clamp(GUARD.1, 1.0),
         }),
         tables: Box::new(tables),
-    }
+    })
 }

@@ -118,7 +118,7 @@ mod tests {
 
     fn merged(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> Vec<[f32; 3]> {
         let options = MergeOptions { weight, region: alignment.overlap };
-        merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap().0.pixels.into_vec()
+        merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap().0.pixels.into_vec()
     }
 
     /// The equation at the head of the stage, word for word, of a place without clipped neighbours.
@@ -196,10 +196,11 @@ mod tests {
         let at = |x: usize, y: usize| if (x, y) == (4, 3) { [255; 3] } else { [140; 3] };
         let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [90; 3]), (0.0, &at)]);
         let curve = ResponseCurve::srgb();
-        let layers = layers(&bracket, &alignment, &curve, Weight::Hat);
+        let layers = layers(&bracket, &alignment, &curve, Weight::Hat).unwrap();
+        let window = layers[1].window(&(0..SIZE.0), &(0..SIZE.1)).unwrap();
         let mut shares = Vec::new();
         for y in 0..SIZE.1 {
-            let strip = layers[1].strip(0..SIZE.0, y..y + 1);
+            let strip = layers[1].strip(&window, 0..SIZE.0, y..y + 1);
             layers[1].row(&strip, 0, SIZE.0, |x, _, share| shares.push((x, y, share)));
         }
         assert_eq!(shares.len(), SIZE.0 * SIZE.1);

@@ -41,10 +41,11 @@ use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
 use deghost::Ghosts;
-use layer::{Strip, layers};
+use layer::{Layer, Strip, layers};
 use mean::Mean;
 use serde::Serialize;
 use statistics::Statistics;
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use weight::Weight;
 
@@ -87,92 +88,147 @@ pub struct MergeReport {
     pub radiance: Statistics,
 }
 
-/// The radiance of `options.region`.
-///
-/// Frames that are rejected take no part, nor does a frame where it does not cover the pixel.
-///
-/// # Errors
-/// [`Error::Option`] where the region is empty or not within the reference, or where no frame was placed.
-pub fn merge(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    curve: &ResponseCurve,
-    options: &MergeOptions,
-) -> Result<(RadianceMap, MergeReport)> {
-    merge_without(bracket, alignment, curve, options, None)
+/// A merge that is ready to be done, as a whole or slab by slab: the frames that take part, and what their codes mean.
+pub struct Merging<'a> {
+    bracket: &'a Bracket,
+    region: Rect,
+    layers: Vec<Layer<'a>>,
+    ghosts: Option<&'a Ghosts>,
 }
 
-/// As [`merge`], but what `ghosts` (found over the same region) leaves out of a frame takes no part: its weight there is multiplied by
-/// the factor kept, and a frame of which less than half is kept decides nothing.
+/// Some rows of the result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Slab {
+    /// Their radiance.
+    pub map: RadianceMap,
+    /// See [`MergeReport::all_clipped`].
+    pub all_clipped: usize,
+    /// See [`MergeReport::all_black`].
+    pub all_black: usize,
+}
+
+impl<'a> Merging<'a> {
+    /// The merge of `options.region`.
+    ///
+    /// Frames that are rejected take no part, nor does a frame where it does not cover the pixel. What `ghosts` (found over the same
+    /// region) leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less
+    /// than half is kept decides nothing.
+    ///
+    /// # Errors
+    /// [`Error::Option`] where the region is empty or not within the reference, or where no frame was placed; [`Error::Scratch`].
+    pub fn of(
+        bracket: &'a Bracket,
+        alignment: &Alignment,
+        curve: &ResponseCurve,
+        options: &MergeOptions,
+        ghosts: Option<&'a Ghosts>,
+    ) -> Result<Self> {
+        let region = options.region;
+        let Rect { x0, y0, x1, y1 } = region;
+        if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
+            return Err(Error::Option {
+                option: "--crop",
+                reason: format!(
+                    "columns {x0}..{x1} and rows {y0}..{y1} are no part of a picture of {}x{} pixels",
+                    bracket.width(),
+                    bracket.height()
+                ),
+            });
+        }
+        let layers = layers(bracket, alignment, curve, options.weight)?;
+        if layers.is_empty() {
+            return Err(Error::Option {
+                option: "--align",
+                reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
+            });
+        }
+        Ok(Merging { bracket, region, layers, ghosts })
+    }
+
+    /// Width and height of the result, in pixels.
+    pub fn size(&self) -> (usize, usize) {
+        (self.region.width(), self.region.height())
+    }
+
+    /// How many frames take part.
+    pub fn frames(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// The rows `rows` of the result, which do not depend on where the slab begins and ends.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where frames are on disk.
+    ///
+    /// # Panics
+    /// When the result has no such rows.
+    pub fn slab(&self, rows: Range<usize>) -> Result<Slab> {
+        let Rect { x0, y0, x1, .. } = self.region;
+        assert!(rows.start < rows.end && rows.end <= self.region.height());
+        let (first, columns) = (rows.start, x0..x1);
+        let whole = y0 + rows.start..y0 + rows.end;
+        let windows = self.layers.iter().map(|layer| layer.window(&columns, &whole)).collect::<Result<Vec<_>>>()?;
+        let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let width = self.region.width();
+        let mut pixels = Plane::filled(width, rows.len(), [FLOOR; 3]);
+        pixels.fill_bands(|rows, band| {
+            let (mut clipped, mut black) = (0, 0);
+            let mut means = vec![Mean::default(); width];
+            for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
+                let strip = first + strip..first + strip + out.len() / width;
+                let of_frame = y0 + strip.start..y0 + strip.end;
+                let layers = self.layers.iter().zip(&windows);
+                let strips: Vec<Strip> =
+                    layers.map(|(layer, window)| layer.strip(window, columns.clone(), of_frame.clone())).collect();
+                let kept = |i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.clone()));
+                let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(kept).collect();
+                for (y, line) in out.chunks_exact_mut(width).enumerate() {
+                    means.fill(Mean::default());
+                    for ((layer, strip), kept) in self.layers.iter().zip(&strips).zip(&kept) {
+                        let kept = kept.get(y * width..).unwrap_or(&[]);
+                        layer.row(strip, y, width, |x, view, share| {
+                            means[x].add(layer, view, share, kept.get(x).copied().unwrap_or(1.0));
+                        });
+                    }
+                    for (pixel, mean) in line.iter_mut().zip(&means) {
+                        if let Some(radiance) = mean.radiance() {
+                            *pixel = radiance;
+                            clipped += usize::from(mean.is_clipped());
+                            black += usize::from(mean.is_black());
+                        }
+                    }
+                }
+            }
+            // Whole numbers add up to the same in any order.
+            all_clipped.fetch_add(clipped, Ordering::Relaxed);
+            all_black.fetch_add(black, Ordering::Relaxed);
+        });
+        let map = RadianceMap { pixels, primaries: self.bracket.reference().primaries() };
+        Ok(Slab { map, all_clipped: all_clipped.into_inner(), all_black: all_black.into_inner() })
+    }
+}
+
+/// All of a [merge](Merging) at once.
 ///
 /// # Errors
-/// Those of [`merge`].
-pub fn merge_without(
+/// Those of [`Merging::of`].
+pub fn merge(
     bracket: &Bracket,
     alignment: &Alignment,
     curve: &ResponseCurve,
     options: &MergeOptions,
     ghosts: Option<&Ghosts>,
 ) -> Result<(RadianceMap, MergeReport)> {
-    let Rect { x0, y0, x1, y1 } = options.region;
-    if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
-        return Err(Error::Option {
-            option: "--crop",
-            reason: format!(
-                "columns {x0}..{x1} and rows {y0}..{y1} are no part of a picture of {}x{} pixels",
-                bracket.width(),
-                bracket.height()
-            ),
-        });
-    }
-    let layers = layers(bracket, alignment, curve, options.weight);
-    if layers.is_empty() {
-        return Err(Error::Option {
-            option: "--align",
-            reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
-        });
-    }
-    let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let (width, height) = (x1 - x0, y1 - y0);
-    let mut pixels = Plane::filled(width, height, [FLOOR; 3]);
-    pixels.fill_bands(|rows, band| {
-        let (mut clipped, mut black) = (0, 0);
-        let mut means = vec![Mean::default(); width];
-        for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
-            let strip = y0 + strip..y0 + strip + out.len() / width;
-            let strips: Vec<Strip> = layers.iter().map(|layer| layer.strip(x0..x1, strip.clone())).collect();
-            let kept = |i| ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.start - y0..strip.end - y0));
-            let kept: Vec<Vec<f32>> = (0..layers.len()).map(kept).collect();
-            for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                means.fill(Mean::default());
-                for ((layer, strip), kept) in layers.iter().zip(&strips).zip(&kept) {
-                    let kept = kept.get(y * width..).unwrap_or(&[]);
-                    layer.row(strip, y, width, |x, view, share| {
-                        means[x].add(layer, view, share, kept.get(x).copied().unwrap_or(1.0));
-                    });
-                }
-                for (pixel, mean) in line.iter_mut().zip(&means) {
-                    if let Some(radiance) = mean.radiance() {
-                        *pixel = radiance;
-                        clipped += usize::from(mean.is_clipped());
-                        black += usize::from(mean.is_black());
-                    }
-                }
-            }
-        }
-        // Whole numbers add up to the same in any order.
-        all_clipped.fetch_add(clipped, Ordering::Relaxed);
-        all_black.fetch_add(black, Ordering::Relaxed);
-    });
+    let merging = Merging::of(bracket, alignment, curve, options, ghosts)?;
+    let Slab { map, all_clipped, all_black } = merging.slab(0..merging.size().1)?;
     let report = MergeReport {
-        frames: layers.len(),
-        all_clipped: all_clipped.into_inner(),
-        all_black: all_black.into_inner(),
+        frames: merging.frames(),
+        all_clipped,
+        all_black,
         reference_exposure: bracket.reference().exposure.relative(),
-        radiance: Statistics::of(&pixels),
+        radiance: Statistics::of(&map.pixels),
     };
-    let primaries = bracket.reference().primaries();
-    Ok((RadianceMap { pixels, primaries }, report))
+    Ok((map, report))
 }
 
 #[cfg(test)]
@@ -184,7 +240,7 @@ mod tests {
 
     fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, MergeReport) {
         let options = MergeOptions { weight, region: alignment.overlap };
-        merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap()
+        merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap()
     }
 
     /// Twelve stops from left to right.
@@ -253,9 +309,9 @@ mod tests {
         assert_eq!(whole, on(3));
         let region = Rect { x0: 7, y0: 70, x1: 31, y1: 190 };
         let options = MergeOptions { weight: Weight::Gaussian, region };
-        let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap();
+        let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options, None).unwrap();
         assert!((0..120).all(|y| part.pixels.row(y) == &whole.0.pixels.row(y + 70)[7..31]));
         let options = MergeOptions { region: Rect { x1: 51, ..region }, ..options };
-        assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).is_err());
+        assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options, None).is_err());
     }
 }

@@ -9,7 +9,8 @@
 //! white noise, whatever slope it lies on. Texture only adds to it, so that the lower quartile of all blocks of a brightness is taken.
 //! Noise that the camera or its JPEG has smoothed shows less here than it is; [`LEAST`] stands for what is then left of it.
 
-use crate::bracket::{Frame, Samples};
+use crate::bracket::{Codes, Frame};
+use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
 
 /// Side of a block: that of JPEG's, and on the same grid.
@@ -43,12 +44,15 @@ impl Noise {
     }
 
     /// What `frame` shows; `moved` where it is read between its pixels.
-    pub(super) fn of(frame: &Frame, moved: bool) -> Self {
-        let steps = match frame.samples() {
-            Samples::Eight(codes) => measure(codes, frame.width(), 1.0),
-            Samples::Sixteen(codes) => measure(codes, frame.width(), 257.0),
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
+        let steps = match frame.whole()?.codes() {
+            Codes::Eight(codes) => measure(codes, frame.width(), 1.0),
+            Codes::Sixteen(codes) => measure(codes, frame.width(), 257.0),
         };
-        Noise { steps, error: if moved { ERROR.1 } else { ERROR.0 } }
+        Ok(Noise { steps, error: if moved { ERROR.1 } else { ERROR.0 } })
     }
 
     /// The variance of the exposure that a channel's code means, in units of its square: (sigma_Z dX/dZ)^2 + (error X)^2.
@@ -155,14 +159,14 @@ mod tests {
             let normal: f64 = (0..12).map(|k| random(12 * i as u64 + k)).sum();
             (code + sigma(code) * normal + 0.5) as u8
         });
-        let samples = Samples::Eight(codes.collect());
+        let samples = crate::bracket::Samples::Eight(codes.collect());
         Frame::new("a".into(), width, height, samples, Exposure::given(0.0).expect("a number"))
     }
 
     #[test]
     fn noise_is_measured_at_every_brightness() {
         let sigma = |code: f64| 1.5 + code / 50.0;
-        let noise = Noise::of(&frame(sigma), false);
+        let noise = Noise::of(&frame(sigma), false).unwrap();
         for code in [40, 100, 160, 220] {
             // The lower quartile of 49 dependent squares lies some 15 % under their mean; rounding adds 1/12.
             let (found, truth) = (noise.code_variance(1, code).sqrt(), sigma(code as f64));
@@ -174,9 +178,9 @@ mod tests {
 
     #[test]
     fn a_clean_frame_has_the_least_noise_and_a_moved_one_more_error() {
-        assert_eq!(Noise::of(&frame(|_| 0.0), false), Noise::least());
+        assert_eq!(Noise::of(&frame(|_| 0.0), false).unwrap(), Noise::least());
         let curve = ResponseCurve::srgb();
-        let (still, moved) = (Noise::of(&frame(|_| 0.0), false), Noise::of(&frame(|_| 0.0), true));
+        let (still, moved) = (Noise::of(&frame(|_| 0.0), false).unwrap(), Noise::of(&frame(|_| 0.0), true).unwrap());
         assert!(moved.variance(&curve, 1, 200) > still.variance(&curve, 1, 200));
         // By hand: X of code 128 is 1 and dX/dZ there 2.4 / (128 + 0.055 * 255) = 0.0169: 2 % of 1 and one code's worth.
         assert!((still.variance(&curve, 1, 128) - (0.0169f64.powi(2) + 0.02f64.powi(2))).abs() < 2e-5);

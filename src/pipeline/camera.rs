@@ -118,7 +118,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             found_given += own.align.given.len();
             let alignment = line.align(&bracket, &own)?;
             check_placed(&bracket, &alignment)?;
-            let mut places = Places::of(&bracket, &alignment);
+            let mut places = Places::of(&bracket, &alignment)?;
             let mut bracket = bracket;
             if own.exposures == Exposures::FineTuned {
                 let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);

@@ -219,7 +219,7 @@ pub fn recover(
     alignment: &Alignment,
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
-    recover_from(&[&Places::of(bracket, alignment)], model)
+    recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
 /// The response of the camera that took all the brackets of which `places` are, by `model`: their samples are pooled, each bracket's

@@ -6,9 +6,11 @@
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
 
+use crate::align::resample::rows_under;
 use crate::align::warp::{Warp, map};
 use crate::align::{Alignment, Rect, Status};
-use crate::bracket::{Bracket, Frame, Samples as Codes};
+use crate::bracket::{Bracket, Codes, Frame, Window};
+use crate::error::Result;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::f64::consts::LN_2;
@@ -55,7 +57,23 @@ struct Placed<'a> {
     frame: &'a Frame,
     /// Among the bracket's.
     index: usize,
+    warp: Warp,
     /// Reference pixel -> frame pixel; none where it is the same.
+    matrix: Option<Matrix3<f64>>,
+}
+
+impl Placed<'_> {
+    /// What is needed of it for patches of the reference's `columns` and `rows`.
+    fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
+        let size = (self.frame.width(), self.frame.height());
+        let window = self.frame.window(rows_under(&self.warp, size, columns, rows))?;
+        Ok(Strip { window, matrix: self.matrix })
+    }
+}
+
+/// Some rows of it.
+struct Strip<'a> {
+    window: Window<'a>,
     matrix: Option<Matrix3<f64>>,
 }
 
@@ -93,28 +111,36 @@ pub struct Drawn {
 
 impl Places {
     /// The flat places that the frames of `bracket` saw.
-    pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    pub fn of(bracket: &Bracket, alignment: &Alignment) -> Result<Self> {
         let frames = placed(bracket, alignment);
         let mut seen = Places { frames: frames.iter().map(|frame| (frame.index, 0.0)).collect(), places: Vec::new() };
         seen.time(bracket);
         if frames.len() < 2 {
-            return seen;
+            return Ok(seen);
         }
-        let Rect { x0, y0, .. } = alignment.overlap;
+        let Rect { x0, y0, x1, .. } = alignment.overlap;
         let (width, height) = (alignment.overlap.width(), alignment.overlap.height());
         let cells = (READ / (TRIES * TRIES * frames.len())).max(1);
         let side = ((width * height) as f64 / cells as f64).sqrt().max((TRIES * PATCH) as f64);
         let (columns, rows) = ((width as f64 / side) as usize, (height as f64 / side) as usize);
-        seen.places = (0..rows)
+        let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
+        let strips: Vec<Result<Vec<Candidate>>> = (0..rows)
             .into_par_iter()
-            .flat_map_iter(|row| (0..columns).map(move |column| (column, row)))
-            .filter_map(|(column, row)| {
-                let at = |cell: usize, k: usize| ((cell as f64 + k as f64 / TRIES as f64) * side) as usize;
-                let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
-                tries.filter_map(|(x, y)| look(&frames, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
+            .map(|row| {
+                let read = y0 + at(row, 0)..y0 + at(row, TRIES - 1) + PATCH;
+                let strips = frames.iter().map(|frame| frame.strip(&(x0..x1), &read)).collect::<Result<Vec<_>>>()?;
+                let best = |column: usize| {
+                    let tries = (0..TRIES * TRIES).map(|k| (x0 + at(column, k % TRIES), y0 + at(row, k / TRIES)));
+                    tries.filter_map(|(x, y)| look(&strips, x, y)).min_by(|a, b| a.roughness.total_cmp(&b.roughness))
+                };
+                Ok((0..columns).filter_map(best).collect())
             })
             .collect();
-        seen
+        seen.places = strips.into_iter().collect::<Result<Vec<_>>>()?.concat();
+        Ok(seen)
     }
 
     /// Takes the exposures that `bracket`, of which the places are, has now.
@@ -170,24 +196,19 @@ fn placed<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Vec<Placed<'a>> {
     frames
         .filter(|(_, (_, verdict))| verdict.status != Status::Rejected)
         .filter_map(|(index, (frame, verdict))| {
-            Some(Placed {
-                frame,
-                index,
-                matrix: match verdict.warp? {
-                    Warp::Identity => None,
-                    warp => Some(warp.matrix(frame.width(), frame.height())),
-                },
-            })
+            let warp = verdict.warp?;
+            let matrix = (warp != Warp::Identity).then(|| warp.matrix(frame.width(), frame.height()));
+            Some(Placed { frame, index, warp, matrix })
         })
         .collect()
 }
 
 /// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
-fn look(frames: &[Placed], x: usize, y: usize) -> Option<Candidate> {
+fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
     let mut patches: Vec<Option<[Patch; 3]>> = Vec::with_capacity(frames.len());
     let mut roughness: f64 = 0.0;
-    for placed in frames {
-        let patch = read(placed, x, y);
+    for strip in frames {
+        let patch = read(strip, x, y);
         for p in patch.iter().flatten().filter(|p| p.seen) {
             roughness = roughness.max(p.deviation);
         }
@@ -213,9 +234,9 @@ fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
 
 /// The patch of a frame that lies on (x, y) of the reference. A flat patch bears being moved by part of a pixel, so that the
 /// nearest whole pixel does.
-fn read(placed: &Placed, x: usize, y: usize) -> Option<[Patch; 3]> {
-    let (width, height) = (placed.frame.width(), placed.frame.height());
-    let (x, y) = match &placed.matrix {
+fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
+    let (width, height) = (strip.window.width(), strip.window.height());
+    let (x, y) = match &strip.matrix {
         None => (x, y),
         Some(h) => {
             let half = (PATCH / 2) as f64;
@@ -230,8 +251,8 @@ fn read(placed: &Placed, x: usize, y: usize) -> Option<[Patch; 3]> {
     if x.saturating_add(PATCH) > width || y.saturating_add(PATCH) > height {
         return None;
     }
-    let start = 3 * (y * width + x);
-    Some(match placed.frame.samples() {
+    let start = 3 * ((y - strip.window.rows().start) * width + x);
+    Some(match strip.window.codes() {
         Codes::Eight(codes) => measure(&codes[start..], 3 * width, 1.0),
         Codes::Sixteen(codes) => measure(&codes[start..], 3 * width, 257.0),
     })
@@ -306,7 +327,7 @@ mod tests {
     #[test]
     fn samples_are_unclipped_brighten_and_cover_the_codes() {
         let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let drawn = draw(&[&Places::of(&bracket, &alignment)], 500);
+        let drawn = draw(&[&Places::of(&bracket, &alignment).unwrap()], 500);
         for samples in &drawn.channels {
             assert!(samples.len() > 100 && samples.len() <= 500, "{}", samples.len());
             for s in samples {
@@ -321,7 +342,7 @@ mod tests {
     #[test]
     fn edges_and_what_darkens_are_left_out() {
         let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
-        assert!(draw(&[&Places::of(&bracket, &alignment)], 500).channels.iter().all(Vec::is_empty));
+        assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).channels.iter().all(Vec::is_empty));
         let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
         assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
         assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
@@ -330,11 +351,12 @@ mod tests {
     #[test]
     fn a_place_is_found_where_the_warp_puts_it() {
         let (bracket, alignment) = still((60, 60), &[0.5, 1.0], |x, y| [0.002 * (x + 3 * y) as f64; 3]);
-        let mut frames = placed(&bracket, &alignment);
-        let expected = read(&frames[0], 17, 24).unwrap()[0].mean;
-        frames[0].matrix = Some(Warp::Rigid { dx: 7.0, dy: 4.0, angle: 0.0 }.matrix(60, 60));
-        assert_eq!(read(&frames[0], 10, 20).unwrap()[0].mean, expected);
-        assert!(read(&frames[0], 50, 20).is_none());
+        let frames = placed(&bracket, &alignment);
+        let mut strip = frames[0].strip(&(0..60), &(0..60)).unwrap();
+        let expected = read(&strip, 17, 24).unwrap()[0].mean;
+        strip.matrix = Some(Warp::Rigid { dx: 7.0, dy: 4.0, angle: 0.0 }.matrix(60, 60));
+        assert_eq!(read(&strip, 10, 20).unwrap()[0].mean, expected);
+        assert!(read(&strip, 50, 20).is_none());
     }
 
     #[test]
@@ -342,13 +364,22 @@ mod tests {
         // A camera whose black is 18 codes up: short exposures of dark places say nothing.
         let (bracket, alignment) =
             still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
-        assert!(draw(&[&Places::of(&bracket, &alignment)], 500).black.iter().all(|&b| b < 4.0));
+        assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).black.iter().all(|&b| b < 4.0));
         let frames = bracket.frames().iter().map(|frame| {
-            let Codes::Eight(codes) = frame.samples() else { unreachable!() };
+            let whole = frame.whole().unwrap();
+            let Codes::Eight(codes) = whole.codes() else { unreachable!() };
             let lifted = codes.iter().map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8).collect();
-            Frame::new(frame.path().to_owned(), 400, 300, Codes::Eight(lifted), frame.exposure.clone())
+            Frame::new(
+                frame.path().to_owned(),
+                400,
+                300,
+                crate::bracket::Samples::Eight(lifted),
+                frame.exposure.clone(),
+            )
         });
         let lifted = Bracket::new(frames.collect(), &crate::bracket::ReferenceChoice::Number(2)).unwrap();
-        assert!(draw(&[&Places::of(&lifted, &alignment)], 500).black.iter().all(|&b| (18.0..24.0).contains(&b)));
+        assert!(
+            draw(&[&Places::of(&lifted, &alignment).unwrap()], 500).black.iter().all(|&b| (18.0..24.0).contains(&b))
+        );
     }
 }

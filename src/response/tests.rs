@@ -106,7 +106,7 @@ fn brackets_of_one_camera_tell_more_together() {
     let bright = still((400, 300), &[30.0, 60.0, 120.0], |x, y| tiles(x, y).map(|e| 0.001 + e / 120.0));
     let (_, report, _) = recover(&dark.0, &dark.1, &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_some());
-    let [dark, bright] = [dark, bright].map(|(bracket, alignment)| Places::of(&bracket, &alignment));
+    let [dark, bright] = [dark, bright].map(|(bracket, alignment)| Places::of(&bracket, &alignment).unwrap());
     let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
     let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();

@@ -7,7 +7,7 @@ use super::{Metadata, Pending, RowWriter, Written, tiff};
 use crate::align::resample::{OUTSIDE, resample_rows};
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
-use crate::bracket::{Bracket, Frame, Samples};
+use crate::bracket::{Bracket, Codes, Window};
 use crate::error::{Error, Result};
 use crate::plane::{BAND_ROWS, band_count, band_rows};
 use rayon::prelude::*;
@@ -41,7 +41,7 @@ pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
 /// Writes the part `region` of every placed frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`], [`Error::Scratch`].
 pub fn write(
     bracket: &Bracket,
     alignment: &Alignment,
@@ -56,14 +56,15 @@ pub fn write(
         let size = (region.width(), region.height());
         let metadata = Metadata { profile: frame.profile.clone(), ..metadata.clone() };
         let file = Pending::create(&path)?;
-        files.push(match frame.samples() {
-            Samples::Eight(_) => {
+        let whole = frame.whole()?;
+        files.push(match whole.codes() {
+            Codes::Eight(_) => {
                 let writer = tiff::Writer::<u8>::new(file, size, &metadata)?;
-                push(Box::new(writer), frame, &warp, region, |code| (code + 0.5) as u8)?
+                push(Box::new(writer), &whole, &warp, region, |code| (code + 0.5) as u8)?
             }
-            Samples::Sixteen(_) => {
+            Codes::Sixteen(_) => {
                 let writer = tiff::Writer::<u16>::new(file, size, &metadata)?;
-                push(Box::new(writer), frame, &warp, region, |code| (code * 257.0 + 0.5) as u16)?
+                push(Box::new(writer), &whole, &warp, region, |code| (code * 257.0 + 0.5) as u16)?
             }
         });
     }
@@ -75,7 +76,7 @@ const BANDS_AT_ONCE: usize = 8;
 
 fn push<T: Copy + Send + Sync>(
     mut writer: Box<dyn RowWriter<[T; 3]> + '_>,
-    frame: &Frame,
+    window: &Window,
     warp: &Warp,
     region: Rect,
     round: impl Fn(f32) -> T + Sync,
@@ -88,7 +89,7 @@ fn push<T: Copy + Send + Sync>(
                 let rows = band_rows(band, region.height());
                 let mut codes = vec![[0.0f32; 3]; rows.len() * region.width()];
                 let rows = region.y0 + rows.start..region.y0 + rows.end;
-                resample_rows(frame, warp, region.x0..region.x1, rows, &mut codes);
+                resample_rows(window, warp, region.x0..region.x1, rows, &mut codes);
                 codes.iter().map(|p| if p[0] == OUTSIDE { [round(0.0); 3] } else { p.map(&round) }).collect()
             })
             .collect();

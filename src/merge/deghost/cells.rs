@@ -8,7 +8,8 @@
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
 use crate::align::warp::map;
-use crate::bracket::Samples;
+use crate::bracket::Codes;
+use crate::error::Result;
 
 /// Codes from here on may be clipped: JPEG moves them by some codes.
 const CLIPPED: f32 = 248.0;
@@ -107,14 +108,17 @@ impl Cell {
 }
 
 /// The cells of `region`, each `side` pixels (even), as `layer` sees them; it is placed frame number `number`.
-pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Plane<Cell> {
+///
+/// # Errors
+/// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<Plane<Cell>> {
     let radiance = &layer.meaning.radiance;
-    match layer.frame.samples() {
-        Samples::Eight(codes) => {
+    Ok(match layer.frame.whole()?.codes() {
+        Codes::Eight(codes) => {
             let of = |code: u8, c: usize| (f32::from(code), radiance[c][usize::from(code)]);
             averaged(layer, codes, of, region, side, number)
         }
-        Samples::Sixteen(codes) => {
+        Codes::Sixteen(codes) => {
             let of = |code: u16, c: usize| {
                 let code = f32::from(code) * (1.0 / 257.0);
                 let below = (code as usize).min(CODES - 2);
@@ -123,7 +127,7 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Plane<C
             };
             averaged(layer, codes, of, region, side, number)
         }
-    }
+    })
 }
 
 /// As [`average`]; `of` gives a code on the scale 0..=255, and its radiance in a channel.

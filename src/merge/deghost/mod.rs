@@ -113,7 +113,7 @@ struct Layer<'a> {
 /// Where in `region` each placed frame shows something else than the reference.
 ///
 /// # Errors
-/// [`Error::Option`] where the strength is out of its range.
+/// [`Error::Option`] where the strength is out of its range; [`Error::Scratch`].
 pub fn find(
     bracket: &Bracket,
     alignment: &Alignment,
@@ -143,9 +143,9 @@ pub fn find(
         if outwards.is_empty() {
             continue;
         }
-        let mut standard = seen(reference);
+        let mut standard = seen(reference)?;
         for i in outwards {
-            let frame = seen(i);
+            let frame = seen(i)?;
             let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();
             let moved = evidence::moved(&standard, &frame, &meanings, side, options.limits());
             let moved = evidence::widened(&moved, MARGIN.div_ceil(side));
