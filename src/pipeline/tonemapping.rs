@@ -5,7 +5,7 @@
 
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
-use crate::error::{Result, Warning};
+use crate::error::Result;
 use crate::merge::gamut;
 use crate::read;
 use crate::report::WarningReport;
@@ -58,12 +58,7 @@ pub fn tonemap_file(
             Some(space) => gamut::converted(map, space),
             None => (map, 0),
         };
-        if outside > 0 {
-            let detail = format!(
-                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside"
-            );
-            warnings.push(Warning::OutOfGamut { detail });
-        }
+        warnings.extend(gamut::warning(outside));
         let mut report = TonemapReport::new(input, &map, &metadata);
         report.time_s.load = timed(Stage::Tonemap, began);
         let since = Instant::now();
