@@ -11,7 +11,7 @@
 mod csv;
 pub mod debevec;
 pub mod file;
-mod fit;
+pub(crate) mod fit;
 pub mod mitsunaga_nayar;
 mod monotone;
 pub mod ratios;
