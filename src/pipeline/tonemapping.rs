@@ -44,6 +44,8 @@ pub fn tonemap_file(
         for path in &options.outputs {
             write::Format::of(path)?;
         }
+        // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
+        read::check(input)?;
         write::check_targets(&options.outputs, &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
         let timed = |stage, since: Instant| {
