@@ -14,7 +14,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be opened or read.
-    #[error("{}: cannot be read: {source}; check the name and the permissions", path.display())]
+    #[error("{}: cannot be read: {source}{}", path.display(), remedy(source, "; check the name and the permissions"))]
     Read {
         /// The file.
         path: PathBuf,
@@ -51,9 +51,7 @@ pub enum Error {
         found: &'static str,
     },
     /// A bracket needs at least two frames.
-    #[error(
-        "a bracket needs at least two photographs, {given} given; name them all, as in `hdralign merge IMG_1.jpg IMG_2.jpg IMG_3.jpg`"
-    )]
+    #[error("a bracket needs at least two photographs, {given} given; name them all")]
     TooFewFrames {
         /// How many were given.
         given: usize,
@@ -118,7 +116,7 @@ pub enum Error {
         known: &'static str,
     },
     /// A result could not be written.
-    #[error("{}: cannot be written: {source}; check the folder, its permissions and the space left", path.display())]
+    #[error("{}: cannot be written: {source}{}", path.display(), remedy(source, "; check the folder, its permissions and the space left"))]
     Write {
         /// The file.
         path: PathBuf,
@@ -170,6 +168,12 @@ impl Error {
             Error::TooFewFrames { .. } | Error::SameFile { .. } | Error::Option { .. } | Error::UnknownExtension { .. }
         )
     }
+}
+
+/// `advice`, but where a name was refused by the program itself, which then says what to do.
+fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
+    let is_told = matches!(source.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory);
+    if is_told && source.get_ref().is_some() { "" } else { advice }
 }
 
 /// What a user should know about a result that was nevertheless made.

@@ -403,12 +403,7 @@ impl<'a> Line<'a> {
             Some(space) => gamut::converted(map, space),
             None => (map, 0),
         };
-        if outside > 0 {
-            let detail = format!(
-                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside, at their luminance"
-            );
-            self.warnings.push(Warning::OutOfGamut { detail });
-        }
+        self.warnings.extend(gamut::warning(outside));
         let unit = calibration.map_or(Unit::Relative, |_| Unit::CdM2);
         if let Some(calibration) = calibration {
             calibration::calibrate(&mut map, calibration.cd_m2_per_unit);

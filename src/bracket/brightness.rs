@@ -13,6 +13,7 @@
 //! a whole number of EV, as cameras bracket; otherwise 1.40 is divided out. The result is right to some tenths of the step.
 
 use super::Samples;
+use super::colour::srgb_to_linear;
 
 /// How much steeper than sRGB a camera's mid tones are, in the median; see above.
 const CONTRAST: f64 = 1.40;
@@ -123,8 +124,7 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
 
 /// The sRGB curve (IEC 61966-2-1) of a code 0..=255.
 fn linear(code: f64) -> f64 {
-    let v = code / 255.0;
-    if v <= 0.04045 { v / 12.92 } else { libm::pow((v + 0.055) / 1.055, 2.4) }
+    srgb_to_linear(code / 255.0)
 }
 
 /// The exposures of `frames` in EV, in their order, that of the darkest being 0. `None` where neighbours in brightness cannot be compared.

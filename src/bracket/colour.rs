@@ -88,6 +88,12 @@ impl Primaries {
     }
 }
 
+/// The light that an sRGB code stands for, both on the scale 0..=1 (IEC 61966-2-1:1999, section 5.2): what a display shows for it, and what
+/// a camera's picture is taken to mean where nothing better is known.
+pub fn srgb_to_linear(encoded: f64) -> f64 {
+    if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
+}
+
 /// A linear colour space with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]

@@ -1,5 +1,6 @@
 //! Arguments that the commands share.
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use hdralign::align::given::{Given, Place};
 use hdralign::align::mtb::MtbOptions;
@@ -76,7 +77,7 @@ pub struct Common {
     crop: CropArg,
 
     /// Write a report of everything that was done, as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
     /// Print the report to standard output instead of the paths written
@@ -120,6 +121,11 @@ enum CropArg {
     Common,
     /// The whole of the reference
     None,
+}
+
+/// The file for the report; `-` is what other programs take for standard output.
+fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
+    if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
 impl Aligned {

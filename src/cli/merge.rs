@@ -119,6 +119,7 @@ impl OperatorArg {
 
 impl Args {
     fn options(&self) -> Result<Options, Error> {
+        self.check_strength()?;
         let outputs = if self.output.is_empty() {
             pipeline::default_outputs(&self.common.aligned.images)
         } else {
@@ -149,6 +150,25 @@ impl Args {
             write: self.radiance.write(common.write.overwrite),
             ..common
         })
+    }
+}
+
+impl Args {
+    /// A strength after a space is a photograph to the parser: who means one is told how it is typed.
+    fn check_strength(&self) -> Result<(), Error> {
+        let images = &self.common.aligned.images;
+        let strength = images.iter().find(|image| {
+            let number = image.to_str().and_then(|name| name.parse::<f64>().ok());
+            number.is_some_and(|n| (0.0..=1.0).contains(&n)) && !image.exists()
+        });
+        match strength.filter(|_| self.deghost.is_some()) {
+            None => Ok(()),
+            Some(name) => {
+                let name = name.display();
+                let reason = format!("there is no photograph {name}; a strength is given as in `--deghost={name}`");
+                Err(Error::Option { option: "--deghost", reason })
+            }
+        }
     }
 }
 

@@ -57,9 +57,24 @@ Examples:
   hdralign inspect *.jpg -d look
   hdralign tonemap room.exr -o room.png";
 
+impl Command {
+    /// As it is typed.
+    fn name(&self) -> &'static str {
+        match self {
+            Command::Merge(_) => "merge",
+            Command::Align(_) => "align",
+            Command::Response(_) => "response",
+            Command::Inspect(_) => "inspect",
+            Command::Tonemap(_) => "tonemap",
+        }
+    }
+}
+
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let outcome = match Cli::parse().command {
+    let command = Cli::parse().command;
+    let name = command.name();
+    let outcome = match command {
         Command::Merge(args) => merge::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Response(args) => response::run(&args),
@@ -69,7 +84,12 @@ pub fn run() -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("hdralign: {error}");
+            // The library knows of no commands.
+            let example = match error {
+                Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
+                _ => String::new(),
+            };
+            eprintln!("hdralign: {error}{example}");
             ExitCode::from(if error.is_usage() { 2 } else { 1 })
         }
     }

@@ -8,6 +8,7 @@ use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen, rasterise};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::png_rgb;
 use crate::error::{Error, Result};
+use crate::response::fit::at;
 use crate::response::samples::{Drawn, Sample};
 use crate::response::{CODES, MID, ResponseCurve, hat};
 use std::f64::consts::LN_2;
@@ -76,11 +77,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
 
 /// A place's views: code, and ln of the exposure that its radiance and the frames' times mean, the radiance that which suits `g` best.
 fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (f64, f64)> + 'a {
-    let at = |code: f64| {
-        let below = (code.max(0.0) as usize).min(CODES - 2);
-        g[below] + (code - below as f64) * (g[below + 1] - g[below])
-    };
-    let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(v.code) - v.ln_time));
+    let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(g, v.code) - v.ln_time));
     let (weight, sum) = weights.fold((0.0, 0.0), |(a, b), (w, ln_e)| (a + w, b + w * ln_e));
     sample.views.iter().map(move |v| (v.code, sum / weight + v.ln_time))
 }

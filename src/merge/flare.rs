@@ -15,6 +15,7 @@
 use super::statistics::{BT709, luminance};
 use super::{FLOOR, RadianceMap};
 use crate::plane::Plane;
+use crate::pyramid::between_cells;
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -82,9 +83,9 @@ pub fn remove(map: &mut RadianceMap) -> FlareReport {
     let spread = spread(exponent);
     let veils = channels.map(|channel| channel.times(&spread).values(size));
     map.pixels.fill_rows(|y, row| {
-        let (above, below, fy) = place(y, side, size.1);
+        let (above, below, fy) = between_cells(y, side, size.1);
         for (x, pixel) in row.iter_mut().enumerate() {
-            let (left, right, fx) = place(x, side, size.0);
+            let (left, right, fx) = between_cells(x, side, size.0);
             for c in 0..3 {
                 let along = |row: usize| {
                     let (a, b) = (veils[c].at(left, row), veils[c].at(right, row));
@@ -168,12 +169,6 @@ fn spread(exponent: f64) -> Spectrum {
     };
     let sum: f64 = (0..SIZE).map(|y| (0..SIZE).map(|x| at(x, y)).sum::<f64>()).sum();
     Spectrum::of(|x, y| at(x, y) / sum)
-}
-
-/// Between which two cells a pixel lies, and how far towards the second.
-fn place(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
-    let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
-    (at as usize, (at as usize + 1).min(count - 1), at - libm::floor(at))
 }
 
 type Complex = (f64, f64);

@@ -8,6 +8,7 @@
 
 use super::{FLOOR, RadianceMap};
 use crate::bracket::colour::{Conversion, Primaries, Space};
+use crate::error::Warning;
 use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 
@@ -59,6 +60,14 @@ pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
     (map, outside)
 }
 
+/// What there is to say of `outside` pixels that were drawn into a colour space.
+pub fn warning(outside: usize) -> Option<Warning> {
+    let detail = format!(
+        "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside, at their luminance"
+    );
+    (outside > 0).then_some(Warning::OutOfGamut { detail })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,6 +90,7 @@ mod tests {
         // BT.2020's own green is far outside of sRGB.
         let green = [0.0, 2.0, 0.0];
         let (narrow, outside) = converted(map(vec![green], Primaries::BT2020), Space::Srgb);
+        assert!(warning(outside).is_some_and(|w| w.to_string().starts_with("1 pixels have colours outside")));
         let [r, g, b] = narrow.pixels.at(0, 0);
         assert!(outside == 1 && r >= FLOOR && b >= FLOOR && g > r && g > b);
         let luminance = 0.2126 * r + 0.7152 * g + 0.0722 * b;
@@ -91,6 +101,7 @@ mod tests {
     fn nothing_is_done_where_nothing_is_to_do() {
         let same = map(vec![[0.1, 0.2, 0.3]], Primaries::DISPLAY_P3);
         assert_eq!(converted(same.clone(), Space::DisplayP3), (same, 0));
+        assert_eq!(warning(0), None);
         assert_eq!(into_gamut([-1.0, 0.1, 0.1], [0.2, 0.7, 0.1]), ([FLOOR; 3], true));
         assert_eq!(into_gamut([f32::NAN, -1.0, 0.1], [0.2, 0.7, 0.1]), ([FLOOR; 3], true));
     }

@@ -5,7 +5,7 @@
 
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
-use crate::error::{Result, Warning};
+use crate::error::Result;
 use crate::merge::gamut;
 use crate::read;
 use crate::report::WarningReport;
@@ -44,6 +44,8 @@ pub fn tonemap_file(
         for path in &options.outputs {
             write::Format::of(path)?;
         }
+        // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
+        read::check(input)?;
         write::check_targets(&options.outputs, &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
         let timed = |stage, since: Instant| {
@@ -58,12 +60,7 @@ pub fn tonemap_file(
             Some(space) => gamut::converted(map, space),
             None => (map, 0),
         };
-        if outside > 0 {
-            let detail = format!(
-                "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside"
-            );
-            warnings.push(Warning::OutOfGamut { detail });
-        }
+        warnings.extend(gamut::warning(outside));
         let mut report = TonemapReport::new(input, &map, &metadata);
         report.time_s.load = timed(Stage::Tonemap, began);
         let since = Instant::now();

@@ -39,6 +39,14 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     Ok((map, metadata))
 }
 
+/// Whether the first bytes of the file `path` are those of a radiance map.
+///
+/// # Errors
+/// [`Error::Read`], [`Error::NotRadiance`].
+pub fn check(path: &Path) -> Result<()> {
+    Kind::of(path).map(|_| ())
+}
+
 /// The formats that are read.
 enum Kind {
     Exr,

@@ -163,14 +163,20 @@ pub fn residual(samples: &[Sample], trust: &[f64], g: &[f64]) -> f64 {
     (square / weight).sqrt()
 }
 
-/// Tukey's biweight of each sample's weighted misfit, with 4.685 robust standard deviations as its reach.
+/// How far each sample is trusted, by its weighted misfit: [`tukey`].
 pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
     let misfits: Vec<f64> = samples.iter().map(|s| (misfit(s, g).1 / s.views.len() as f64).sqrt()).collect();
-    let mut sorted = misfits.clone();
+    tukey(&misfits)
+}
+
+/// Tukey's biweight of each misfit, 0 or more, with 4.685 robust standard deviations as its reach: 1 for none, 0 beyond.
+pub fn tukey(misfits: &[f64]) -> Vec<f64> {
+    let mut sorted = misfits.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let reach = 4.685 * sorted[sorted.len() / 2] / 0.6745 + f64::MIN_POSITIVE;
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let reach = 4.685 * median / 0.6745 + f64::MIN_POSITIVE;
     let trust = |m: f64| (1.0 - (m / reach) * (m / reach)).max(0.0);
-    misfits.into_iter().map(|m| trust(m) * trust(m)).collect()
+    misfits.iter().map(|&m| trust(m) * trust(m)).collect()
 }
 
 /// Made-up cameras, for the tests of all models.
@@ -231,6 +237,17 @@ mod tests {
         assert!(kept > 300, "{kept}");
         // g = 2 ln z bends by 1 / z^2 between codes, and the noise is 0.43 codes: 2 x 0.43 / z nepers, weighted to the middle.
         assert!((0.001..0.03).contains(&residual(&samples, &trust, &g)));
+    }
+
+    #[test]
+    fn a_misfit_far_beyond_the_others_has_no_trust() {
+        // The median, 1, is 0.6745 standard deviations of normal misfits: 4.685 of them are 6.95.
+        let trust = tukey(&[0.0, 1.0, 1.0, 1.0, 6.9, 7.0]);
+        assert!(
+            trust[0] == 1.0 && trust[1] > 0.95 && trust[4] > 0.0 && trust[4] < 1e-3 && trust[5] == 0.0,
+            "{trust:?}"
+        );
+        assert_eq!((tukey(&[0.0; 3]), tukey(&[])), (vec![1.0; 3], Vec::new()));
     }
 
     #[test]

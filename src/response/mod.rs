@@ -11,7 +11,7 @@
 mod csv;
 pub mod debevec;
 pub mod file;
-mod fit;
+pub(crate) mod fit;
 pub mod mitsunaga_nayar;
 mod monotone;
 pub mod ratios;
@@ -22,6 +22,7 @@ mod spline;
 
 use crate::align::Alignment;
 use crate::bracket::Bracket;
+use crate::bracket::colour::srgb_to_linear;
 use crate::error::{Result, Warning};
 use fit::Told;
 use mitsunaga_nayar::Ratio;
@@ -88,10 +89,7 @@ impl ResponseCurve {
 
     /// Exposure by the sRGB transfer function (IEC 61966-2-1): what a camera's picture is taken for when nothing better is known.
     pub fn srgb() -> Self {
-        Self::stated(|v| match v {
-            v if v <= 0.04045 => v / 12.92,
-            v => libm::pow((v + 0.055) / 1.055, 2.4),
-        })
+        Self::stated(srgb_to_linear)
     }
 
     /// The same curve in all channels: `exposure` of a code on the scale 0..=1, which must be positive and increase above 0.

@@ -15,9 +15,11 @@
 //! not corrected at all. Places that contradict the others (something moved) lose their weight by Tukey's biweight. Corrections
 //! that are all smaller than what such a fit is sure of are none: exposures that are exact stay so.
 
+use super::fit::tukey;
 use super::samples::{Places, Sample, draw};
 use super::{hat, stops};
 use crate::bracket::Bracket;
+use crate::bracket::colour::srgb_to_linear;
 use crate::bracket::exposure::ExposureSource;
 use crate::error::Warning;
 use nalgebra::{DMatrix, DVector};
@@ -128,7 +130,7 @@ fn fit(samples: &[Vec<Sample>; 3], times: &[f64], sigma: f64) -> Option<Vec<f64>
                 (0..3).into_par_iter().map(|c| misfits(&samples[c], &trust[c], times, &g[c], &d)).collect();
             let (square, weight) = fits.iter().fold((0.0, 0.0), |(s, w), f| (s + f.1, w + f.2));
             noise = (square / weight.max(f64::MIN_POSITIVE)).sqrt().max(NOISE * LN_2);
-            trust = fits.into_iter().map(|(misfits, ..)| biweight(&misfits)).collect();
+            trust = fits.into_iter().map(|(misfits, ..)| tukey(&misfits)).collect();
         }
     }
     d.iter().all(|v| v.is_finite()).then(|| d.iter().map(|&v| stops(v)).collect())
@@ -157,13 +159,13 @@ fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     basis
 }
 
-/// The sRGB curve as ln of the exposure (IEC 61966-2-1), and finite at 0.
+/// The sRGB curve as ln of the exposure, and finite at 0.
 fn base(code: f64) -> f64 {
-    let v = code.max(0.25) / 255.0;
-    libm::log(if v <= 0.04045 { v / 12.92 } else { libm::pow((v + 0.055) / 1.055, 2.4) })
+    libm::log(srgb_to_linear(code.max(0.25) / 255.0))
 }
 
-/// The first of the four coefficients that count at a code, and what each counts: uniform cubic B-splines.
+/// The first of the four coefficients that count at a code, and what each counts: cubic B-splines on even knots, at any code, where those of
+/// `spline.rs` have knots of their own and are told at whole codes alone.
 fn spline(code: f64) -> (usize, [f64; 4]) {
     let x = (code / 255.0 * INTERVALS as f64).clamp(0.0, INTERVALS as f64 - 1e-9);
     let f = x - x.floor();
@@ -278,15 +280,6 @@ fn misfits(
     });
     let each = each.collect();
     (each, squares, weights)
-}
-
-/// Tukey's biweight with 4.685 robust standard deviations as its reach.
-fn biweight(misfits: &[f64]) -> Vec<f64> {
-    let mut sorted = misfits.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let reach = 4.685 * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0) / 0.6745 + f64::MIN_POSITIVE;
-    let trust = |m: f64| (1.0 - (m / reach) * (m / reach)).max(0.0);
-    misfits.iter().map(|&m| trust(m) * trust(m)).collect()
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! In: radiance RGB, or linear RGB relative to display white. Out: the other, or codes. Cost: about 10 ns a pixel; the tables are made
 //! once. Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
 
-use crate::bracket::colour::{Conversion, Primaries};
+use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use std::sync::LazyLock;
 
 /// Luminance of linear sRGB: the second row of its matrix to XYZ.
@@ -79,7 +79,7 @@ struct Codes {
 static CODES: LazyLock<Codes> = LazyLock::new(|| {
     let mut next = [f32::INFINITY; 256];
     for (code, begin) in next.iter_mut().enumerate().take(255) {
-        let exact = to_linear((code as f64 + 0.5) / 255.0);
+        let exact = srgb_to_linear((code as f64 + 0.5) / 255.0);
         // The first float at or above: so that comparing floats decides as comparing the exact numbers.
         let nearest = exact as f32;
         *begin = if f64::from(nearest) < exact { nearest.next_up() } else { nearest };
@@ -88,11 +88,6 @@ static CODES: LazyLock<Codes> = LazyLock::new(|| {
     let base = (0..=CELLS).map(|cell| code_of(cell as f32 / CELLS as f32)).collect();
     Codes { base, next }
 });
-
-/// The sRGB electro-optical transfer, 0..=1 to 0..=1: what a display shows for a code value.
-pub fn to_linear(encoded: f64) -> f64 {
-    if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
-}
 
 /// The codes of linear light by sRGB, rounded to nearest; outside 0..=1 the nearest end, NaN as 0.
 #[derive(Clone, Copy)]
@@ -149,7 +144,7 @@ mod tests {
     fn every_code_comes_back() {
         let encoder = Encoder::new();
         for code in 0..=255u8 {
-            assert_eq!(encoder.code(to_linear(f64::from(code) / 255.0) as f32), code);
+            assert_eq!(encoder.code(srgb_to_linear(f64::from(code) / 255.0) as f32), code);
         }
     }
 

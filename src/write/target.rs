@@ -69,7 +69,7 @@ fn usage(path: &Path, reason: &str) -> Error {
 }
 
 fn refused(path: &Path, reason: String) -> Error {
-    write_error(path, io::Error::other(reason))
+    write_error(path, io::Error::new(io::ErrorKind::InvalidInput, reason))
 }
 
 fn write_error(path: &Path, source: io::Error) -> Error {

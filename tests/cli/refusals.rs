@@ -47,7 +47,10 @@ fn a_text_called_jpg_is_named_for_what_it_is() {
 
 #[test]
 fn one_photograph_is_no_bracket() {
-    refused(&Folder::with_bracket(), "merge w1.jpg", 2, &["at least two", "1 given", "hdralign merge IMG_1.jpg"]);
+    for command in ["merge", "align", "response", "inspect"] {
+        let example = format!("hdralign {command} IMG_1.jpg");
+        refused(&Folder::with_bracket(), &format!("{command} w1.jpg"), 2, &["at least two", "1 given", &example]);
+    }
 }
 
 #[test]
@@ -96,6 +99,9 @@ fn an_output_in_no_folder_is_refused_before_any_work() {
     refused(&folder, &format!("{bad} w3.jpg/a.png"), 1, &["w3.jpg/a.png", "not a folder"]);
     fs::create_dir(folder.at("sub.png")).expect("a folder");
     refused(&folder, &format!("{bad} sub.png"), 1, &["sub.png", "it is a folder"]);
+    // One remedy, not two.
+    let run = folder.line(&format!("{bad} none/a.png"));
+    assert!(!run.stderr.contains("the space left"), "{}", run.stderr);
     // Work has not begun: the photographs, of which one is missing, have not been looked at.
     refused(&folder, "merge w1.jpg gone.jpg -o none/a.png", 1, &["none/a.png"]);
 }
@@ -173,6 +179,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
         ("--crop all", &["--crop", "all", "common"]),
         ("--unknown", &["--unknown"]),
         ("--quiet --verbose", &["--quiet", "--verbose"]),
+        ("--report -", &["--report", "--json"]),
     ] {
         for command in ["merge", "align"] {
             refused(&folder, &format!("{command} w2.jpg w3.jpg {options}"), 2, said);
@@ -184,6 +191,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
         ("merge", &["IMAGES"]),
         ("merge w2.jpg w3.jpg --weight heavy", &["--weight", "heavy", "hat"]),
         ("merge w2.jpg w3.jpg --response r.json --response-model srgb", &["--response"]),
+        ("merge w2.jpg w3.jpg --deghost 0.25", &["no photograph 0.25", "--deghost=0.25"]),
         ("merge w2.jpg w3.jpg --response-degree 4", &["--response-degree", "mitsunaga-nayar"]),
         (
             "merge w2.jpg w3.jpg --response-model mitsunaga-nayar --response-degree 11",

@@ -73,6 +73,10 @@ fn what_is_no_radiance_is_refused_with_a_remedy() {
     let before = folder.listing();
     refused(folder.line("tonemap w1.jpg -o x.png"), 1, "hdralign merge");
     refused(folder.line("tonemap gone.exr"), 1, "gone.exr");
+    // The result's name would be the same; what is wrong is the input.
+    folder.put("photo.png", b"\x89PNG\r\n\x1a\n and so on");
+    refused(folder.line("tonemap photo.png"), 1, "photo.png: is a PNG picture, not a radiance map");
+    std::fs::remove_file(folder.at("photo.png")).unwrap();
     refused(folder.line("tonemap w1.jpg -o x.bmp"), 2, ".png");
     folder.line(&format!("{MERGE} -o room.exr")).done();
     let whole = folder.bytes("room.exr");

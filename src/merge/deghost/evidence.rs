@@ -179,7 +179,8 @@ fn differences(standard: &Plane<Cell>, frame: &Plane<Cell>, meanings: &[&Meaning
     })
 }
 
-/// The plane smoothed by (1, 4, 6, 4, 1) / 16 along both axes; the border stands for what is beyond.
+/// The plane smoothed by (1, 4, 6, 4, 1) / 16 along both axes; the border stands for what is beyond. [`crate::pyramid::binomial`] is another:
+/// of codes through a table, its sums taken from the outside in, which rounds otherwise.
 fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     let near = |i: usize, d: usize, size: usize| (i + d).saturating_sub(2).min(size - 1);
@@ -207,7 +208,7 @@ fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     smooth
 }
 
-/// The means of 2x2; at an odd border of what there is.
+/// The means of 2x2; at an odd border of what there is, which bitmaps ([`crate::pyramid::halve`]) drop.
 fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {

@@ -25,6 +25,7 @@ use crate::align::{Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
+use crate::pyramid::between_cells;
 use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
 use serde::Serialize;
@@ -249,13 +250,11 @@ impl Ghosts {
     }
 }
 
-/// Between which two cells of `count` a pixel lies, and how far towards the second.
+/// As [`between_cells`]: sides are powers of 2, of which nothing is lost here.
 #[inline]
 fn place(pixel: usize, side: usize, count: usize) -> (usize, usize, f32) {
-    let at = (pixel as f32 + 0.5) / side as f32 - 0.5;
-    let at = at.clamp(0.0, (count - 1) as f32);
-    let first = at as usize;
-    (first, (first + 1).min(count - 1), at - first as f32)
+    let (first, second, f) = between_cells(pixel, side, count);
+    (first, second, f as f32)
 }
 
 #[cfg(test)]
