@@ -56,68 +56,122 @@ pub struct FlareReport {
 
 /// Takes the veil off `map`, where one is found; every value stays positive.
 pub fn remove(map: &mut RadianceMap) -> FlareReport {
-    let (width, height) = (map.pixels.width(), map.pixels.height());
-    let side = width.max(height).div_ceil(CELLS);
-    let (means, dark) = cells(&map.pixels, side);
-    let brightest = means.as_slice().iter().map(|&mean| luminance(mean, BT709)).fold(0.0, f32::max);
-    let darkest = dark.as_slice().iter().fold(f32::MAX, |least, &d| least.min(d));
-    if brightest < BRIGHT * darkest {
-        return FlareReport::default();
-    }
-    let size = (means.width(), means.height());
-    let channels: [Spectrum; 3] = std::array::from_fn(|c| {
-        Spectrum::of(|x, y| if x < size.0 && y < size.1 { f64::from(means.at(x, y)[c]) } else { 0.0 })
-    });
-    let grey = channels[0].weighed(0.2126).plus(&channels[1].weighed(0.7152)).plus(&channels[2].weighed(0.0722));
-    let mut best: Option<(Witness, f64)> = None;
-    for exponent in EXPONENTS {
-        let found = witness(&dark, &grey.times(&spread(exponent)).values(size));
-        // The first of equals: the one that reaches farthest.
-        if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
-            best = Some((found, exponent));
-        }
-    }
-    let Some((found, exponent)) = best.filter(|(found, _)| found.is_flare()) else {
-        return FlareReport::default();
-    };
-    let spread = spread(exponent);
-    let veils = channels.map(|channel| channel.times(&spread).values(size));
-    map.pixels.fill_rows(|y, row| {
-        let (above, below, fy) = between_cells(y, side, size.1);
-        for (x, pixel) in row.iter_mut().enumerate() {
-            let (left, right, fx) = between_cells(x, side, size.0);
-            for c in 0..3 {
-                let along = |row: usize| {
-                    let (a, b) = (veils[c].at(left, row), veils[c].at(right, row));
-                    a + fx * (b - a)
-                };
-                let veil = found.share * (along(above) + fy * (along(below) - along(above)));
-                pixel[c] = (pixel[c] - veil as f32).max((1.0 - MOST) * pixel[c]).max(FLOOR);
-            }
-        }
-    });
-    FlareReport { scattered_fraction: found.share, falloff_exponent: Some(exponent) }
+    let mut cells = Cells::new(map.pixels.width(), map.pixels.height());
+    cells.see(&map.pixels);
+    let Some(veil) = cells.veil() else { return FlareReport::default() };
+    veil.take_off(0, &mut map.pixels);
+    veil.report()
 }
 
-/// The mean of each cell, and its dark: the luminance that few of its pixels are below.
-fn cells(pixels: &Plane<[f32; 3]>, side: usize) -> (Plane<[f32; 3]>, Plane<f32>) {
-    let (width, height) = (pixels.width().div_ceil(side), pixels.height().div_ceil(side));
-    let both = Plane::from_rows(width, height, |j, row: &mut [([f32; 3], f32)]| {
-        for (i, cell) in row.iter_mut().enumerate() {
-            let (mut sum, mut all) = ([0.0f32; 3], Vec::with_capacity(side * side));
-            for y in side * j..(side * (j + 1)).min(pixels.height()) {
-                for pixel in &pixels.row(y)[side * i..(side * (i + 1)).min(pixels.width())] {
-                    sum = std::array::from_fn(|c| sum[c] + pixel[c]);
-                    all.push(luminance(*pixel, BT709));
+/// What is seen of a picture, from top to bottom: for each cell its mean and its dark, the luminance that few of its pixels are below.
+#[derive(Debug, Clone)]
+pub struct Cells {
+    /// Of a cell, in pixels.
+    side: usize,
+    columns: usize,
+    means: Vec<[f32; 3]>,
+    dark: Vec<f32>,
+}
+
+impl Cells {
+    /// Those of a picture of `width` x `height` pixels, of which nothing was seen yet.
+    pub fn new(width: usize, height: usize) -> Self {
+        let side = width.max(height).div_ceil(CELLS).max(1);
+        Cells { side, columns: width.div_ceil(side), means: Vec::new(), dark: Vec::new() }
+    }
+
+    /// Of a cell, in pixels: what is [seen](Self::see) at a time is a multiple of so many rows.
+    pub fn side(&self) -> usize {
+        self.side
+    }
+
+    /// Sees the next rows: as many as there are left, or a multiple of [`side`](Self::side).
+    pub fn see(&mut self, pixels: &Plane<[f32; 3]>) {
+        let side = self.side;
+        let both = Plane::from_rows(self.columns, pixels.height().div_ceil(side), |j, row: &mut [([f32; 3], f32)]| {
+            for (i, cell) in row.iter_mut().enumerate() {
+                let (mut sum, mut all) = ([0.0f32; 3], Vec::with_capacity(side * side));
+                for y in side * j..(side * (j + 1)).min(pixels.height()) {
+                    for pixel in &pixels.row(y)[side * i..(side * (i + 1)).min(pixels.width())] {
+                        sum = std::array::from_fn(|c| sum[c] + pixel[c]);
+                        all.push(luminance(*pixel, BT709));
+                    }
+                }
+                let rank = (DARKER.1 * (all.len() - 1) as f64) as usize;
+                let dark = *all.select_nth_unstable_by(rank, f32::total_cmp).1;
+                *cell = (sum.map(|s| s / all.len() as f32), dark);
+            }
+        });
+        for (mean, dark) in both.into_vec() {
+            self.means.push(mean);
+            self.dark.push(dark);
+        }
+    }
+
+    /// The veil over what was seen, where there is one.
+    pub fn veil(self) -> Option<Veil> {
+        let size = (self.columns, self.means.len() / self.columns.max(1));
+        let brightest = self.means.iter().map(|&mean| luminance(mean, BT709)).fold(0.0, f32::max);
+        let darkest = self.dark.iter().fold(f32::MAX, |least, &d| least.min(d));
+        if brightest < BRIGHT * darkest {
+            return None;
+        }
+        let means = Plane::from_vec(size.0, size.1, self.means);
+        let dark = Plane::from_vec(size.0, size.1, self.dark);
+        let channels: [Spectrum; 3] = std::array::from_fn(|c| {
+            Spectrum::of(|x, y| if x < size.0 && y < size.1 { f64::from(means.at(x, y)[c]) } else { 0.0 })
+        });
+        let grey = channels[0].weighed(0.2126).plus(&channels[1].weighed(0.7152)).plus(&channels[2].weighed(0.0722));
+        let mut best: Option<(Witness, f64)> = None;
+        for exponent in EXPONENTS {
+            let found = witness(&dark, &grey.times(&spread(exponent)).values(size));
+            // The first of equals: the one that reaches farthest.
+            if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
+                best = Some((found, exponent));
+            }
+        }
+        let (found, exponent) = best.filter(|(found, _)| found.is_flare())?;
+        let spread = spread(exponent);
+        let channels = channels.map(|channel| channel.times(&spread).values(size));
+        Some(Veil { side: self.side, share: found.share, exponent, channels })
+    }
+}
+
+/// A veil that was found.
+#[derive(Debug, Clone)]
+pub struct Veil {
+    side: usize,
+    /// The share of the light that is scattered.
+    share: f64,
+    exponent: f64,
+    /// The veil for a share of 1, by cells.
+    channels: [Plane<f64>; 3],
+}
+
+impl Veil {
+    /// Takes it off `pixels`, which begin with row `first` of the picture.
+    pub fn take_off(&self, first: usize, pixels: &mut Plane<[f32; 3]>) {
+        let size = (self.channels[0].width(), self.channels[0].height());
+        pixels.fill_rows(|y, row| {
+            let (above, below, fy) = between_cells(first + y, self.side, size.1);
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let (left, right, fx) = between_cells(x, self.side, size.0);
+                for c in 0..3 {
+                    let along = |row: usize| {
+                        let (a, b) = (self.channels[c].at(left, row), self.channels[c].at(right, row));
+                        a + fx * (b - a)
+                    };
+                    let veil = self.share * (along(above) + fy * (along(below) - along(above)));
+                    pixel[c] = (pixel[c] - veil as f32).max((1.0 - MOST) * pixel[c]).max(FLOOR);
                 }
             }
-            let rank = (DARKER.1 * (all.len() - 1) as f64) as usize;
-            let dark = *all.select_nth_unstable_by(rank, f32::total_cmp).1;
-            *cell = (sum.map(|s| s / all.len() as f32), dark);
-        }
-    });
-    let (means, dark) = both.into_vec().into_iter().unzip();
-    (Plane::from_vec(width, height, means), Plane::from_vec(width, height, dark))
+        });
+    }
+
+    /// What is told of it.
+    pub fn report(&self) -> FlareReport {
+        FlareReport { scattered_fraction: self.share, falloff_exponent: Some(self.exponent) }
+    }
 }
 
 /// What speaks for flare of one fall-off.
