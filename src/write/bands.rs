@@ -1,37 +1,49 @@
 //! The cut of rows into bands: what every writer does with the rows it is pushed.
 //!
 //! In: rows in order, in portions of any size. Out: the fixed bands of 64 rows, encoded in parallel and handed on in order, so that
-//! neither the portions nor the threads show in the file. Cost: a copy of rows that do not fill a band; 16 encoded bands in memory.
+//! neither the portions nor the threads show in the file. Cost: a copy of rows that do not fill a band; about one encoded band a thread
+//! in memory, 16 where the disk is slower than the encoder. Buffers are kept from push to push.
+//!
+//! Every thread takes the next band that nobody has. Whoever has encoded one and finds nobody at the disk hands on all that lie ready in
+//! order, while the others go on encoding: no thread waits for another.
 
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::io;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Bands encoded side by side before they are written: bounds the memory, and has no part in the bytes.
-const BANDS_AT_ONCE: usize = 16;
+/// Encoded bands that may wait for the disk before an encoder does: bounds the memory, and has no part in the bytes.
+const MOST_WAITING: usize = 16;
 
-/// Cuts rows that come in any portions into the fixed bands, encodes these in parallel and hands the results on in order.
+/// Cuts rows that come in any portions into the fixed bands, encodes these in parallel and hands the results on in order. `S` is what an
+/// encoder keeps from band to band for its buffers' sake.
 #[derive(Debug)]
-pub(super) struct Bands<P> {
+pub(super) struct Bands<P, S = ()> {
     pub(super) width: usize,
     pub(super) height: usize,
     /// Rows handed on; always at the start of a band, or the end.
     done: usize,
     rest: Vec<P>,
+    scratch: Mutex<Vec<S>>,
+    /// Buffers of bands that are written, for those to come.
+    spare: Vec<Vec<u8>>,
 }
 
-impl<P: Copy + Sync> Bands<P> {
+impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
     pub(super) fn new((width, height): (usize, usize)) -> Self {
-        Bands { width, height, done: 0, rest: Vec::new() }
+        Bands { width, height, done: 0, rest: Vec::new(), scratch: Mutex::default(), spare: Vec::new() }
     }
 
-    /// Takes `rows`; `encode(first row, pixels)` makes of each band what `sink` then gets.
+    /// Takes `rows`; `encode(first row, pixels, scratch, out)` appends each band to the empty `out`; `sink` then gets that in order, with
+    /// what `encode` says of it. The first error of `sink` ends it all.
     pub(super) fn push<R: Send>(
         &mut self,
         mut rows: &[P],
-        encode: impl Fn(usize, &[P]) -> R + Sync,
-        mut sink: impl FnMut(R) -> Result<()>,
+        encode: impl Fn(usize, &[P], &mut S, &mut Vec<u8>) -> R + Sync,
+        sink: impl FnMut(&[u8], R) -> Result<()> + Send,
     ) -> Result<()> {
         let band = BAND_ROWS * self.width;
         let missing = (self.height - self.done) * self.width - self.rest.len();
@@ -40,6 +52,7 @@ impl<P: Copy + Sync> Bands<P> {
             "rows come whole, and not more than there are"
         );
         let last = rows.len() == missing;
+        let mut filled = Vec::new();
         if !self.rest.is_empty() {
             let (fill, further) = rows.split_at(rows.len().min(band - self.rest.len()));
             self.rest.extend_from_slice(fill);
@@ -47,20 +60,49 @@ impl<P: Copy + Sync> Bands<P> {
             if self.rest.len() < band && !last {
                 return Ok(());
             }
-            let full = std::mem::take(&mut self.rest);
-            sink(encode(self.done, &full))?;
-            self.done += full.len() / self.width;
+            filled = std::mem::take(&mut self.rest);
         }
-        let whole = if last { rows.len() } else { rows.len() / band * band };
-        for group in rows[..whole].chunks(BANDS_AT_ONCE * band) {
-            let first = self.done;
-            let encoded: Vec<R> =
-                group.par_chunks(band).enumerate().map(|(i, pixels)| encode(first + i * BAND_ROWS, pixels)).collect();
-            encoded.into_iter().try_for_each(&mut sink)?;
-            self.done += group.len() / self.width;
+        let (whole, rest) = rows.split_at(if last { rows.len() } else { rows.len() / band * band });
+        let mut bands: Vec<(usize, &[P])> = Vec::with_capacity(whole.len() / band.max(1) + 2);
+        for pixels in filled.chunks(band).chain(whole.chunks(band)) {
+            bands.push((self.done, pixels));
+            self.done += pixels.len() / self.width;
         }
-        self.rest.extend_from_slice(&rows[whole..]);
+        self.encode_all(&bands, encode, sink)?;
+        filled.clear();
+        self.rest = filled;
+        self.rest.extend_from_slice(rest);
         Ok(())
+    }
+
+    fn encode_all<R: Send>(
+        &mut self,
+        bands: &[(usize, &[P])],
+        encode: impl Fn(usize, &[P], &mut S, &mut Vec<u8>) -> R + Sync,
+        sink: impl FnMut(&[u8], R) -> Result<()> + Send,
+    ) -> Result<()> {
+        let line = Line {
+            taken: AtomicUsize::new(0),
+            queue: Mutex::new(Queue { next: 0, ready: BTreeMap::new(), spare: std::mem::take(&mut self.spare) }),
+            sink: Mutex::new((sink, Ok(()))),
+        };
+        let scratch = &self.scratch;
+        let worker = |_| {
+            let mut own = locked(scratch).pop().unwrap_or_default();
+            loop {
+                let number = line.taken.fetch_add(1, Ordering::Relaxed);
+                let Some(&(first, pixels)) = bands.get(number) else { break };
+                let mut out = line.buffer();
+                let said = encode(first, pixels, &mut own, &mut out);
+                line.hand_on(number, out, said);
+            }
+            locked(scratch).push(own);
+        };
+        let workers = rayon::current_num_threads().min(bands.len());
+        (0..workers).into_par_iter().with_max_len(1).for_each(worker);
+        let (outcome, spare) = line.end();
+        self.spare = spare;
+        outcome
     }
 
     /// That every row has come.
@@ -76,41 +118,146 @@ impl<P: Copy + Sync> Bands<P> {
     }
 }
 
+/// Encoded bands on their way to the disk.
+struct Line<R, F> {
+    /// Bands that somebody has begun.
+    taken: AtomicUsize,
+    queue: Mutex<Queue<R>>,
+    /// Held by who writes; with the outcome so far.
+    sink: Mutex<(F, Result<()>)>,
+}
+
+/// Bands by their number, of which `next` is the next to be written.
+struct Queue<R> {
+    next: usize,
+    ready: BTreeMap<usize, (Vec<u8>, R)>,
+    spare: Vec<Vec<u8>>,
+}
+
+impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
+    /// An empty buffer, used before if there is one.
+    fn buffer(&self) -> Vec<u8> {
+        let mut buffer = locked(&self.queue).spare.pop().unwrap_or_default();
+        buffer.clear();
+        buffer
+    }
+
+    /// Queues an encoded band; writes what is ready unless somebody is writing, whom it waits for only where many bands do.
+    fn hand_on(&self, number: usize, bytes: Vec<u8>, said: R) {
+        let waiting = {
+            let mut queue = locked(&self.queue);
+            queue.ready.insert(number, (bytes, said));
+            queue.ready.len()
+        };
+        if waiting >= MOST_WAITING {
+            self.write(&mut locked(&self.sink));
+        } else if let Ok(mut sink) = self.sink.try_lock() {
+            self.write(&mut sink);
+        }
+    }
+
+    fn write(&self, (sink, outcome): &mut (F, Result<()>)) {
+        loop {
+            let (bytes, said) = {
+                let mut queue = locked(&self.queue);
+                let next = queue.next;
+                let Some(band) = queue.ready.remove(&next) else { return };
+                queue.next += 1;
+                band
+            };
+            if outcome.is_ok() {
+                *outcome = sink(&bytes, said);
+                if outcome.is_err() {
+                    // Nobody need begin another.
+                    self.taken.store(usize::MAX / 2, Ordering::Relaxed);
+                }
+            }
+            locked(&self.queue).spare.push(bytes);
+        }
+    }
+
+    /// Writes what nobody took up, and gives the outcome and the buffers.
+    fn end(self) -> (Result<()>, Vec<Vec<u8>>) {
+        self.write(&mut locked(&self.sink));
+        let queue = self.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let (_, outcome) = self.sink.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (outcome, queue.spare)
+    }
+}
+
+/// A panic elsewhere leaves nothing half-done that is used afterwards.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Error;
 
     /// Every portioning must give the same bands: (first row, rows, first value) tells one from another.
     #[test]
     fn bands_do_not_depend_on_the_portions() {
         let (width, height) = (3, 64 * 18 + 5);
         let pixels: Vec<u32> = (0..(width * height) as u32).collect();
-        let cut = |portion: usize| {
-            let mut bands = Bands::new((width, height));
+        let cut = |portion: usize, threads| {
+            let mut bands = Bands::<_, u32>::new((width, height));
             let mut seen = Vec::new();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             for rows in pixels.chunks(portion * width) {
-                let encode = |first: usize, p: &[u32]| (first, p.len() / width, p[0]);
-                bands
-                    .push(rows, encode, |band| {
-                        seen.push(band);
-                        Ok(())
-                    })
-                    .unwrap();
+                let encode = |first: usize, p: &[u32], uses: &mut u32, out: &mut Vec<u8>| {
+                    *uses += 1;
+                    assert!(out.is_empty());
+                    out.extend_from_slice(&(first as u32).to_le_bytes());
+                    (first, p.len() / width, p[0])
+                };
+                let mut sink = |bytes: &[u8], band: (usize, usize, u32)| {
+                    assert_eq!(bytes, (band.0 as u32).to_le_bytes());
+                    seen.push(band);
+                    Ok(())
+                };
+                pool.install(|| bands.push(rows, encode, &mut sink)).unwrap();
             }
             bands.complete().unwrap();
+            assert!(locked(&bands.scratch).len() <= threads && bands.spare.len() <= 19);
+            assert_eq!(locked(&bands.scratch).iter().sum::<u32>(), 19, "scratch is kept from push to push");
             seen
         };
         let expected: Vec<_> =
             (0..19).map(|b| (64 * b, if b == 18 { 5 } else { 64 }, (64 * b * width) as u32)).collect();
-        for portion in [1, 7, 63, 64, 65, 130, height] {
-            assert_eq!(cut(portion), expected, "{portion} rows at a time");
+        for threads in [1, 2, 7] {
+            for portion in [1, 7, 63, 64, 65, 130, 300, height] {
+                assert_eq!(cut(portion, threads), expected, "{portion} rows at a time on {threads} threads");
+            }
+        }
+    }
+
+    /// The error is that of the first band in order whose writing fails, and nothing is written behind it.
+    #[test]
+    fn the_first_error_ends_it() {
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut bands = Bands::<u8>::new((1, 64 * 30));
+            let mut written = 0;
+            let outcome = pool.install(|| {
+                let encode = |first: usize, _: &[u8], (): &mut (), _: &mut Vec<u8>| first / 64;
+                bands.push(&[0; 64 * 30], encode, |_, number| {
+                    if number >= 5 {
+                        return Err(Error::Write { path: number.to_string().into(), source: io::Error::other("full") });
+                    }
+                    written += 1;
+                    Ok(())
+                })
+            });
+            assert!(matches!(outcome, Err(Error::Write { path, .. }) if path.to_str() == Some("5")));
+            assert_eq!(written, 5);
         }
     }
 
     #[test]
     fn missing_rows_are_an_error() {
-        let mut bands = Bands::new((2, 100));
-        bands.push(&[0u8; 140], |_, _| (), |()| Ok(())).unwrap();
+        let mut bands = Bands::<u8>::new((2, 100));
+        bands.push(&[0u8; 140], |_, _, (), _| (), |_, ()| Ok(())).unwrap();
         assert_eq!(bands.complete().unwrap_err().to_string(), "only 70 of 100 rows were given");
     }
 }

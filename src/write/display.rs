@@ -20,7 +20,7 @@ const LEVEL: u32 = 2;
 #[derive(Debug)]
 pub struct Writer {
     file: Pending,
-    bands: Bands<[u8; 3]>,
+    bands: Bands<[u8; 3], Vec<u8>>,
     adler: Adler,
 }
 
@@ -42,31 +42,24 @@ impl RowWriter<[u8; 3]> for Writer {
         let (width, height) = (bands.width, bands.height);
         bands.push(
             rows,
-            |first, pixels| encode_band(pixels, width, first + pixels.len() / width == height),
-            |band| {
-                let (mut data, of_band) = band.map_err(|e| file.error(e))?;
-                let first = adler.length == 0;
-                *adler = adler.followed_by(of_band);
-                if first {
-                    // zlib: deflate, window of 32 KB, fastest.
-                    data.splice(0..0, [0x78, 0x01]);
-                }
-                if adler.length == (3 * width as u64 + 1) * height as u64 {
-                    data.extend_from_slice(&adler.sum().to_be_bytes());
-                }
-                let mut chunk = Vec::with_capacity(data.len() + 12);
-                put_chunk(b"IDAT", &data, &mut chunk);
-                file.put(&chunk)
+            |first, pixels, raw, out| {
+                encode_band(pixels, width, first, first + pixels.len() / width == height, raw, out)
+            },
+            |chunk, of_band| {
+                *adler = adler.followed_by(of_band.map_err(|e| file.error(e))?);
+                file.put(chunk)
             },
         )
     }
 
     fn finish(mut self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
+        // The stream of the bands ends with the checksum of all of them.
         let mut end = Vec::new();
+        put_chunk(b"IDAT", &self.adler.sum().to_be_bytes(), &mut end);
         put_chunk(b"IEND", &[], &mut end);
         self.file.put(&end)?;
-        Ok(Written { file: self.file, warnings: Vec::new() })
+        Written::ended(self.file, Vec::new())
     }
 }
 
@@ -93,42 +86,65 @@ fn header((width, height): (usize, usize), metadata: &Metadata) -> io::Result<Ve
 }
 
 fn put_chunk(name: &[u8; 4], data: &[u8], out: &mut Vec<u8>) {
-    let mut crc = Crc::new();
-    crc.update(name);
-    crc.update(data);
-    // A band of 64 rows is far below the 2 GB that a chunk may have.
-    out.extend_from_slice(&(data.len() as u32).to_be_bytes());
+    let start = out.len();
+    out.extend_from_slice(&[0; 4]);
     out.extend_from_slice(name);
     out.extend_from_slice(data);
+    end_chunk(start, out);
+}
+
+/// Ends the chunk that begins at `start` with room for its length: this, and the checksum.
+fn end_chunk(start: usize, out: &mut Vec<u8>) {
+    let mut crc = Crc::new();
+    crc.update(&out[start + 4..]);
+    // A band of 64 rows is far below the 2 GB that a chunk may have.
+    let length = (out.len() - start - 8) as u32;
+    out[start..start + 4].copy_from_slice(&length.to_be_bytes());
     out.extend_from_slice(&crc.sum().to_be_bytes());
 }
 
-/// The filtered rows as deflate blocks that end at a byte, and their checksum; `last` ends the stream.
-fn encode_band(pixels: &[[u8; 3]], width: usize, last: bool) -> io::Result<(Vec<u8>, Adler)> {
-    let mut raw = Vec::with_capacity(pixels.len() * 3 + pixels.len() / width);
+/// Appends a chunk of the filtered rows, as deflate blocks that end at a byte, and gives their checksum; `first` is the number of the
+/// first row, `last` ends the stream.
+fn encode_band(
+    pixels: &[[u8; 3]],
+    width: usize,
+    first: usize,
+    last: bool,
+    raw: &mut Vec<u8>,
+    out: &mut Vec<u8>,
+) -> io::Result<Adler> {
+    raw.clear();
+    raw.reserve(pixels.len() * 3 + pixels.len() / width);
     let mut above: Option<&[[u8; 3]]> = None;
     for row in pixels.chunks_exact(width) {
-        put_filtered(row, above, &mut raw);
+        put_filtered(row, above, raw);
         above = Some(row);
     }
-    let adler = Adler::of(&raw);
-    Ok((deflate(&raw, last)?, adler))
+    let start = out.len();
+    out.extend_from_slice(b"\0\0\0\0IDAT");
+    if first == 0 {
+        // zlib: deflate, window of 32 KB, fastest.
+        out.extend_from_slice(&[0x78, 0x01]);
+    }
+    deflate(raw, last, out)?;
+    end_chunk(start, out);
+    Ok(Adler::of(raw))
 }
 
-fn deflate(raw: &[u8], last: bool) -> io::Result<Vec<u8>> {
+fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) -> io::Result<()> {
     if last {
-        let mut encoder = DeflateEncoder::new(Vec::with_capacity(raw.len() / 2), Compression::new(LEVEL));
+        let mut encoder = DeflateEncoder::new(out, Compression::new(LEVEL));
         encoder.write_all(raw)?;
-        return encoder.finish();
+        return encoder.finish().map(|_| ());
     }
     // One call with room for the worst, blocks stored as they are: called again, the encoder may end before the flush is complete.
     let mut encoder = Compress::new(Compression::new(LEVEL), false);
-    let mut out = Vec::with_capacity(raw.len() + raw.len() / 8 + 1024);
-    encoder.compress_vec(raw, &mut out, FlushCompress::Sync)?;
+    out.reserve(raw.len() + raw.len() / 8 + 1024);
+    encoder.compress_vec(raw, out, FlushCompress::Sync)?;
     if encoder.total_in() as usize != raw.len() || out.len() == out.capacity() {
         return Err(io::Error::other("the deflate encoder stopped short"));
     }
-    Ok(out)
+    Ok(())
 }
 
 /// Appends the filter's number and the filtered row: Paeth, or Sub where the row above belongs to another band.
@@ -267,7 +283,8 @@ mod tests {
         let noise: Vec<u8> = (0..300_000).map(|_| noise()).collect();
         for (share, length) in [(50, 106_527), (75, 146_299), (100, 158_743), (0, 300_000), (60, 1), (100, 300_000)] {
             let raw: Vec<u8> = (0..length).map(|i| if i % 100 < share { noise[i] } else { 7 }).collect();
-            let stream = deflate(&raw, false).unwrap();
+            let mut stream = Vec::new();
+            deflate(&raw, false, &mut stream).unwrap();
             assert!(stream.ends_with(&[0, 0, 0xff, 0xff]), "{share} % noise");
             let mut back = Vec::with_capacity(length + 1);
             let mut decoder = flate2::Decompress::new(false);

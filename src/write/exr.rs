@@ -8,15 +8,17 @@
 //! The `exr` crate's own block writer wants all blocks from inside one closure, which a writer fed from outside cannot give; so the
 //! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes header and blocks.
 
-use super::half::{HALF_MAX, half_bits};
+use super::half::{HALF_MAX, planes_of_floats, planes_of_halves};
+use super::piz::Packer;
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
 use crate::bracket::colour::{Primaries, Space};
 use crate::error::Result;
-use crate::plane::{BAND_ROWS, Plane, fold_bands};
-use ::exr::block::chunk::Chunk;
-use ::exr::block::{BlockIndex, UncompressedBlock};
+use crate::plane::BAND_ROWS;
+use crate::simd::{Loops, vectorised};
 use ::exr::math::Vec2;
-use ::exr::meta::attribute::{self, AttributeValue, ChannelDescription, Chromaticities, LineOrder, SampleType, Text};
+use ::exr::meta::attribute::{
+    self, AttributeValue, ChannelDescription, Chromaticities, IntegerBounds, LineOrder, SampleType, Text,
+};
 use ::exr::meta::header::Header;
 use ::exr::meta::{BlockDescription, MetaData, magic_number, sequence_end};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -38,20 +40,59 @@ pub enum Sample {
 const HALF_FINE: f32 = 6e-6;
 
 impl Sample {
-    /// What `pixels` are kept as: of [`Auto`](Self::Auto) floats where a value is above 65504, or where more than one in a thousand is
-    /// below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
-    pub fn settled(self, pixels: &Plane<[f32; 3]>) -> Sample {
-        if self != Sample::Auto {
-            return self;
+    /// What a picture that halves fit as `fit` says is kept as: of [`Auto`](Self::Auto) floats where a value is above 65504, or where more
+    /// than one in a thousand is below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
+    pub fn settled(self, fit: Fit) -> Sample {
+        match self {
+            Sample::Auto if fit.over > 0 || fit.fine > fit.values / 1000 => Sample::Float,
+            Sample::Auto => Sample::Half,
+            given => given,
         }
-        let count = |rows| {
-            let values = pixels.rows(rows).as_flattened();
-            let of = |what: fn(f32) -> bool| values.iter().filter(|&&v| what(v)).count();
-            (of(|v| v > HALF_MAX), of(|v| v < HALF_FINE))
-        };
-        let add = |(a, b): (usize, usize), (c, d): (usize, usize)| (a + c, b + d);
-        let (over, fine) = fold_bands(pixels.height(), count, (0, 0), add);
-        if over > 0 || fine > pixels.as_slice().len() * 3 / 1000 { Sample::Float } else { Sample::Half }
+    }
+}
+
+/// How halves fit a picture: what [`Sample::Auto`] asks, counted by rows as they come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Fit {
+    /// Values above the largest half, 65504.
+    pub over: u64,
+    /// Values below 6e-6, for which the steps of a half are coarse.
+    pub fine: u64,
+    /// All values.
+    pub values: u64,
+}
+
+impl Fit {
+    /// That of some rows.
+    pub fn of(rows: &[[f32; 3]]) -> Fit {
+        vectorised(Count(rows.as_flattened()))
+    }
+
+    /// That of these rows and others.
+    pub fn and(self, other: Fit) -> Fit {
+        Fit { over: self.over + other.over, fine: self.fine + other.fine, values: self.values + other.values }
+    }
+}
+
+struct Count<'a>(&'a [f32]);
+
+impl Loops for Count<'_> {
+    type Output = Fit;
+
+    #[inline(always)]
+    fn run(self) -> Fit {
+        let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
+        // Counters as wide as the values fill whole vectors; of so few values they do not overflow.
+        for part in self.0.chunks(1 << 20) {
+            let (mut over, mut fine) = (0u32, 0u32);
+            for &v in part {
+                over += u32::from(v > HALF_MAX);
+                fine += u32::from(v < HALF_FINE);
+            }
+            fit.over += u64::from(over);
+            fit.fine += u64::from(fine);
+        }
+        fit
     }
 }
 
@@ -80,7 +121,7 @@ pub struct Options {
 #[derive(Debug)]
 pub struct Writer {
     file: Pending,
-    bands: Bands<[f32; 3]>,
+    bands: Bands<[f32; 3], Scratch>,
     header: Header,
     sample: Sample,
     /// Where the offset table is, and what belongs into it: the place of every block so far.
@@ -119,18 +160,15 @@ impl RowWriter<[f32; 3]> for Writer {
     fn push(&mut self, rows: &[[f32; 3]]) -> Result<()> {
         let Writer { file, bands, header, offsets, at, over, .. } = self;
         let (width, sample) = (bands.width, self.sample);
-        let mut bytes = Vec::new();
         bands.push(
             rows,
-            |first, pixels| encode_band(first, pixels, width, sample, header),
-            |(chunks, beyond)| {
+            |first, pixels, scratch, out| encode_band(first, pixels, width, sample, header, scratch, out),
+            |bytes, (blocks, beyond)| {
                 *over += beyond;
-                for chunk in chunks.map_err(|e| file.error(io_error(e)))? {
-                    bytes.clear();
-                    chunk.write(&mut bytes, 1).map_err(|e| file.error(io_error(e)))?;
-                    file.put(&bytes)?;
+                file.put(bytes)?;
+                for length in blocks.map_err(|e| file.error(io_error(e)))? {
                     offsets.push(*at);
-                    *at += bytes.len() as u64;
+                    *at += length as u64;
                 }
                 Ok(())
             },
@@ -147,7 +185,7 @@ impl RowWriter<[f32; 3]> for Writer {
         end().map_err(|e| self.file.error(e))?;
         let what = "are above 65504 and were written as that; write floats, or scale the picture down";
         let warnings = clamped(&self.file, self.over, what);
-        Ok(Written { file: self.file, warnings })
+        Written::ended(self.file, warnings)
     }
 }
 
@@ -223,43 +261,79 @@ fn io_error(error: ::exr::error::Error) -> io::Error {
     }
 }
 
-type Encoded = (std::result::Result<Vec<Chunk>, ::exr::error::Error>, u64);
+/// The length of every block, and how many values were beyond what is held.
+type Encoded = (std::result::Result<Vec<usize>, ::exr::error::Error>, u64);
 
-/// The blocks of one band: 64 rows are two of PIZ, four of ZIP.
-fn encode_band(first: usize, pixels: &[[f32; 3]], width: usize, sample: Sample, header: &Header) -> Encoded {
+/// What is kept from band to band: PIZ's tables, and the planes of others.
+#[derive(Debug, Default)]
+struct Scratch {
+    packer: Packer,
+    planes: Vec<u16>,
+}
+
+/// Appends the blocks of one band: 64 rows are two of PIZ, four of ZIP.
+fn encode_band(
+    first: usize,
+    pixels: &[[f32; 3]],
+    width: usize,
+    sample: Sample,
+    header: &Header,
+    scratch: &mut Scratch,
+    out: &mut Vec<u8>,
+) -> Encoded {
     let rows = header.compression.scan_lines_per_block();
     debug_assert!(BAND_ROWS.is_multiple_of(rows), "a block lies within a band");
     let mut over = 0;
-    let chunks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
-        let (data, beyond) = match sample {
-            Sample::Half => halves(block, width),
-            Sample::Float | Sample::Auto => (planar(block, width, f32::to_ne_bytes), 0),
+    let blocks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
+        let (start, y, size) = (out.len(), first + i * rows, (width, block.len() / width));
+        // The header's validation has refused sides of 2^31.
+        out.extend_from_slice(&(y as i32).to_le_bytes());
+        out.extend_from_slice(&[0; 4]);
+        let words = if sample == Sample::Half { 1 } else { 2 };
+        let planes = if header.compression == ::exr::compression::Compression::PIZ {
+            scratch.packer.planes(width, size.1, words)
+        } else {
+            scratch.planes.resize(3 * words * block.len(), 0);
+            &mut scratch.planes
         };
-        over += beyond;
-        let index = BlockIndex {
-            layer: 0,
-            pixel_position: Vec2(0, first + i * rows),
-            pixel_size: Vec2(width, block.len() / width),
-            level: Vec2(0, 0),
-        };
-        UncompressedBlock { index, data }.compress_to_chunk(std::slice::from_ref(header))
+        match sample {
+            Sample::Half => over += planes_of_halves(block, planes),
+            Sample::Float | Sample::Auto => planes_of_floats(block, planes),
+        }
+        if header.compression == ::exr::compression::Compression::PIZ {
+            scratch.packer.pack(out);
+        } else {
+            let data = plain(planes, width, words);
+            let place = IntegerBounds::new(Vec2(0, y as i32), Vec2(size.0, size.1));
+            out.extend(header.compression.compress_image_section_to_le(header, data, place)?);
+        }
+        let length = out.len() - start;
+        // Of 32 rows there are never 2 GB.
+        out[start + 4..start + 8].copy_from_slice(&((length - 8) as u32).to_le_bytes());
+        Ok(length)
     });
-    let chunks = chunks.collect();
-    (chunks, over)
+    let blocks = blocks.collect();
+    (blocks, over)
 }
 
-fn halves(block: &[[f32; 3]], width: usize) -> (Vec<u8>, u64) {
-    let over = block.as_flattened().iter().filter(|&&v| v.is_nan() || v.abs() > HALF_MAX).count() as u64;
-    (planar(block, width, |v| half_bits(v).to_ne_bytes()), over)
-}
-
-/// Row by row all of B, then G, then R, as the blocks want it.
-fn planar<const N: usize>(block: &[[f32; 3]], width: usize, bytes: impl Fn(f32) -> [u8; N]) -> Vec<u8> {
-    let mut out = vec![0; block.len() * 3 * N];
-    for (row, to) in block.chunks_exact(width).zip(out.chunks_exact_mut(width * 3 * N)) {
-        for (channel, to) in [2, 1, 0].into_iter().zip(to.chunks_exact_mut(width * N)) {
-            for (p, to) in row.iter().zip(to.chunks_exact_mut(N)) {
-                to.copy_from_slice(&bytes(p[channel]));
+/// Row by row all of B, then G, then R, in the byte order of the machine, as the crate wants it.
+fn plain(planes: &[u16], width: usize, words: usize) -> Vec<u8> {
+    let size = planes.len() / (3 * words);
+    let mut out = vec![0; 2 * planes.len()];
+    let rows = out.chunks_exact_mut(3 * words * 2 * width);
+    for (y, row) in rows.enumerate() {
+        for (channel, to) in planes.chunks_exact(words * size).zip(row.chunks_exact_mut(words * 2 * width)) {
+            let (low, high) = channel.split_at(size);
+            let low = &low[y * width..][..width];
+            if words == 1 {
+                for (to, v) in to.as_chunks_mut::<2>().0.iter_mut().zip(low) {
+                    *to = v.to_ne_bytes();
+                }
+            } else {
+                let high = &high[y * width..][..width];
+                for ((to, &low), &high) in to.as_chunks_mut::<4>().0.iter_mut().zip(low).zip(high) {
+                    *to = (u32::from(high) << 16 | u32::from(low)).to_ne_bytes();
+                }
             }
         }
     }
@@ -271,6 +345,7 @@ mod tests {
     use super::*;
     use crate::error::Warning;
     use crate::merge::RadianceMap;
+    use crate::plane::Plane;
     use crate::read::exr::read;
     use crate::write::commit;
     use ::exr::prelude::f16;
@@ -304,6 +379,11 @@ mod tests {
         (std::fs::read(&path).unwrap(), whole.warnings, map, back)
     }
 
+    /// Small values become the smallest half rather than 0.
+    fn half(v: f32) -> f32 {
+        f16::from_f32(v).to_f32().max(f16::from_bits(1).to_f32())
+    }
+
     #[test]
     fn every_encoding_comes_back() {
         for (width, height) in [(1, 1), (33, 63), (130, 200)] {
@@ -315,7 +395,7 @@ mod tests {
                     assert_eq!(warnings, []);
                     for (p, q) in picture.as_slice().iter().zip(map.pixels.as_slice()) {
                         let want = match sample {
-                            Sample::Half => p.map(|v| f16::from_bits(half_bits(v)).to_f32()),
+                            Sample::Half => p.map(half),
                             Sample::Float | Sample::Auto => *p,
                         };
                         assert_eq!(want, *q);
@@ -387,13 +467,14 @@ mod tests {
 
     #[test]
     fn halves_are_taken_where_they_do() {
-        let settled = |value| Sample::Auto.settled(&value);
+        let fit = |picture: &Plane<[f32; 3]>| picture.as_slice().chunks(7).map(Fit::of).fold(Fit::default(), Fit::and);
+        let settled = |picture: Plane<[f32; 3]>| Sample::Auto.settled(fit(&picture));
         assert_eq!(settled(Plane::filled(30, 70, [65504.0, 1.0, 1e-5])), Sample::Half);
         assert_eq!(settled(Plane::filled(30, 70, [1.0, 1.0, 5e-6])), Sample::Float);
         let mut sun = Plane::filled(30, 70, [1.0; 3]);
         sun.row_mut(69)[29][1] = 65520.0;
         assert_eq!(settled(sun.clone()), Sample::Float);
-        assert_eq!(Sample::Half.settled(&sun), Sample::Half);
+        assert_eq!(Sample::Half.settled(fit(&sun)), Sample::Half);
         // Few dark ones do not matter.
         sun.row_mut(69)[29] = [1e-9; 3];
         assert_eq!(settled(sun), Sample::Half);

@@ -28,7 +28,7 @@ pub enum Encoding {
 #[derive(Debug)]
 pub struct Writer {
     file: Pending,
-    bands: Bands<[f32; 3]>,
+    bands: Bands<[f32; 3], Vec<Rgbe>>,
     to_stored: ToStored,
     over: u64,
 }
@@ -80,10 +80,10 @@ impl RowWriter<[f32; 3]> for Writer {
         let width = bands.width;
         bands.push(
             rows,
-            |_, pixels| encode_band(pixels, width, to_stored),
-            |(bytes, beyond)| {
+            |_, pixels, row, out| encode_band(pixels, width, to_stored, row, out),
+            |bytes, beyond| {
                 *over += beyond;
-                file.put(&bytes)
+                file.put(bytes)
             },
         )
     }
@@ -91,14 +91,14 @@ impl RowWriter<[f32; 3]> for Writer {
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
         let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were written as that");
-        Ok(Written { file: self.file, warnings })
+        Written::ended(self.file, warnings)
     }
 }
 
-fn encode_band(pixels: &[[f32; 3]], width: usize, to_stored: &ToStored) -> (Vec<u8>, u64) {
-    let mut out = Vec::with_capacity(pixels.len() * 4);
+/// Appends the rows; gives how many values were beyond what is held.
+fn encode_band(pixels: &[[f32; 3]], width: usize, to_stored: &ToStored, row: &mut Vec<Rgbe>, out: &mut Vec<u8>) -> u64 {
+    out.reserve(pixels.len() * 4);
     let mut over = 0;
-    let mut row: Vec<Rgbe> = Vec::with_capacity(width);
     for rgb in pixels.chunks_exact(width) {
         row.clear();
         row.extend(rgb.iter().map(|&p| {
@@ -106,9 +106,9 @@ fn encode_band(pixels: &[[f32; 3]], width: usize, to_stored: &ToStored) -> (Vec<
             over += beyond;
             rgbe
         }));
-        rgbe::put_row(&row, &mut out);
+        rgbe::put_row(row, out);
     }
-    (out, over)
+    over
 }
 
 /// The header, the blank line and the resolution.

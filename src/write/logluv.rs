@@ -19,7 +19,11 @@ use crate::merge::statistics::Statistics;
 /// What the values of `map` are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of
 /// pixels stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a factor, the description tells it.
 pub(super) fn scale(depth: Depth, map: &RadianceMap) -> f32 {
-    let bright = Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9;
+    scale_under(depth, Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9)
+}
+
+/// As [`scale`], of a picture 0.1 % of which is brighter than the luminance `bright`.
+pub(super) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
         scale *= 0.5;
@@ -31,7 +35,7 @@ pub(super) fn scale(depth: Depth, map: &RadianceMap) -> f32 {
 #[derive(Debug)]
 pub struct Writer {
     strips: Strips,
-    bands: Bands<[f32; 3]>,
+    bands: Bands<[f32; 3], Vec<u32>>,
     xyz: NeutralXyz,
     depth: Depth,
     scale: f32,
@@ -75,10 +79,10 @@ impl RowWriter<[f32; 3]> for Writer {
         let width = bands.width;
         bands.push(
             rows,
-            |_, pixels| encode_band(pixels, width, xyz, *depth, *scale),
-            |(strip, count)| {
+            |_, pixels, row, out| encode_band(pixels, width, xyz, *depth, *scale, row, out),
+            |strip, count| {
                 *beyond += count;
-                strips.put(&strip)
+                strips.put(strip)
             },
         )
     }
@@ -92,14 +96,24 @@ impl RowWriter<[f32; 3]> for Writer {
             high / self.scale
         );
         let warnings = clamped(&self.strips.file, self.beyond, &what);
-        Ok(Written { file: self.strips.end()?, warnings })
+        Written::ended(self.strips.end()?, warnings)
     }
 }
 
-fn encode_band(pixels: &[[f32; 3]], width: usize, xyz: &NeutralXyz, depth: Depth, scale: f32) -> (Vec<u8>, u64) {
-    let (mut out, mut beyond) = (Vec::with_capacity(4 * pixels.len()), 0);
+/// Appends the rows; gives how many pixels were beyond what is held.
+fn encode_band(
+    pixels: &[[f32; 3]],
+    width: usize,
+    xyz: &NeutralXyz,
+    depth: Depth,
+    scale: f32,
+    row: &mut Vec<u32>,
+    out: &mut Vec<u8>,
+) -> u64 {
+    out.reserve(4 * pixels.len());
+    let mut beyond = 0;
     let (low, high) = depth.range();
-    let mut row = vec![0; width];
+    row.resize(width, 0);
     for rgb in pixels.chunks_exact(width) {
         for (code, &p) in row.iter_mut().zip(rgb) {
             let c = xyz.of_rgb(p).map(|v| v * scale);
@@ -114,10 +128,10 @@ fn encode_band(pixels: &[[f32; 3]], width: usize, xyz: &NeutralXyz, depth: Depth
                 let [_, a, b, c] = code.to_be_bytes();
                 [a, b, c]
             })),
-            Depth::Bits32 => luv::put_row(&row, &mut out),
+            Depth::Bits32 => luv::put_row(row, out),
         }
     }
-    (out, beyond)
+    beyond
 }
 
 #[cfg(test)]

@@ -33,7 +33,7 @@ pub fn write(path: &Path, mask: &Plane<u8>) -> Result<Written> {
     let mut file = Pending::create(path)?;
     let bytes = encode(mask).map_err(|e| file.error(e))?;
     file.write_all(&bytes).map_err(|e| file.error(e))?;
-    Ok(Written { file, warnings: Vec::new() })
+    Written::ended(file, Vec::new())
 }
 
 fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {

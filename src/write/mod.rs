@@ -8,12 +8,14 @@ pub mod aligned;
 mod bands;
 pub mod display;
 pub mod exr;
+pub mod files;
 mod half;
 pub mod hdr;
 mod ifd;
 pub mod logluv;
 pub mod luv;
 pub mod mask;
+mod piz;
 pub(crate) mod rgbe;
 mod target;
 pub mod tiff;
@@ -21,12 +23,11 @@ pub mod tiff;
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
 use crate::error::{Error, Result, Warning};
-use crate::merge::RadianceMap;
 use crate::plane::Plane;
-use crate::tonemap::DisplayImage;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use bands::Bands;
+pub use files::{Files, Settled, write};
 pub use target::{Pending, Whole, check_targets, commit, place};
 
 /// The formats written, told by the extension.
@@ -191,6 +192,14 @@ pub struct Written {
     pub warnings: Vec<Warning>,
 }
 
+impl Written {
+    /// A file after its last byte: from here on it goes to the disk, while other work goes on.
+    fn ended(mut file: Pending, warnings: Vec<Warning>) -> Result<Self> {
+        file.sync_ahead()?;
+        Ok(Written { file, warnings })
+    }
+}
+
 /// How results are written.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
@@ -234,42 +243,6 @@ pub fn radiance_writer(
     })
 }
 
-/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for [`commit`].
-///
-/// # Errors
-/// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
-pub fn write(
-    paths: &[PathBuf],
-    radiance: &RadianceMap,
-    display: &DisplayImage,
-    metadata: &Metadata,
-    options: &Options,
-) -> Result<Vec<Written>> {
-    let mut files = Vec::new();
-    for path in paths {
-        files.push(if Format::of(path)?.holds_radiance() {
-            let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
-            let size = (radiance.pixels.width(), radiance.pixels.height());
-            // What only a look at all of the picture can tell.
-            let exr = exr::Options { sample: options.exr.sample.settled(&radiance.pixels), ..options.exr.clone() };
-            let writer = match (Format::of(path)?, options.tiff.depth()) {
-                (Format::Tiff, Some(depth)) => {
-                    let scale = logluv::scale(depth, radiance);
-                    Box::new(logluv::Writer::new(Pending::create(path)?, size, &metadata, depth, scale)?)
-                }
-                _ => radiance_writer(path, size, &metadata, &Options { exr, ..options.clone() })?,
-            };
-            push_all(writer, &radiance.pixels)?
-        } else {
-            let metadata = Metadata { profile: None, ..metadata.clone() };
-            let size = (display.pixels.width(), display.pixels.height());
-            let writer = display::Writer::new(Pending::create(path)?, size, &metadata)?;
-            push_all(Box::new(writer), &display.pixels)?
-        });
-    }
-    Ok(files)
-}
-
 /// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
 ///
 /// # Errors
@@ -285,7 +258,7 @@ pub fn text(path: &Path, text: &str) -> Result<Written> {
 pub fn bytes(path: &Path, bytes: &[u8]) -> Result<Written> {
     let mut file = Pending::create(path)?;
     file.put(bytes)?;
-    Ok(Written { file, warnings: Vec::new() })
+    Written::ended(file, Vec::new())
 }
 
 /// A file of `bytes`, on the disk but not yet named.
@@ -345,30 +318,5 @@ mod tests {
         assert_eq!(camera("FUJI\nEXPOSURE=9", "X\u{e9}").unwrap(), "FUJI EXPOSURE=9 X?");
         assert_eq!(camera("Leica", "").unwrap(), "Leica");
         assert_eq!(camera("", " "), None);
-    }
-
-    #[test]
-    fn all_formats_are_written_or_none() {
-        let dir = tempfile::tempdir().unwrap();
-        let paths: Vec<PathBuf> = ["a.exr", "a.hdr", "a.tif", "a.png"].iter().map(|n| dir.path().join(n)).collect();
-        let radiance = RadianceMap { pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]), primaries: Primaries::SRGB };
-        let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
-        let (metadata, options) = (Metadata::default(), Options::default());
-        let there = || std::fs::read_dir(dir.path()).unwrap().count();
-        // The last one fails when four are written: nothing may stay, not even under a temporary name.
-        let mut and_a_wrong_one = paths.clone();
-        and_a_wrong_one.push("nowhere/a.exr".into());
-        assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
-        assert_eq!(there(), 0);
-        let pending = |written: Vec<Written>| written.into_iter().map(|w| w.file).collect::<Vec<_>>();
-        let written = write(&paths, &radiance, &picture, &metadata, &options).unwrap();
-        assert!(written.iter().all(|w| w.warnings.is_empty()));
-        commit(pending(written), false).unwrap();
-        assert_eq!(there(), 4);
-        assert_eq!(crate::read::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
-        assert_eq!(image::open(&paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
-        let again = commit(pending(write(&paths, &radiance, &picture, &metadata, &options).unwrap()), false);
-        assert!(matches!(again, Err(Error::OutputExists { .. })));
-        assert_eq!(there(), 4);
     }
 }

@@ -1,12 +1,13 @@
 //! Targets: from the name of an output to a whole file of that name, or none at all.
 //!
 //! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
-//! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file.
+//! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file, begun when the file has its last byte.
 
 use crate::error::{Error, Result};
 use std::fs;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 use tempfile::{NamedTempFile, TempPath};
 
 /// Whether all `outputs` can be written, before any work is done: folders that exist, no name twice, none of the
@@ -81,6 +82,8 @@ fn write_error(path: &Path, source: io::Error) -> Error {
 pub struct Pending {
     target: PathBuf,
     file: BufWriter<NamedTempFile>,
+    /// A thread that brings to the disk what was written until it began.
+    syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Pending {
@@ -95,7 +98,7 @@ impl Pending {
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let file = builder.tempfile_in(folder_of(target)).map_err(|source| write_error(target, source))?;
-        Ok(Pending { target: target.to_owned(), file: BufWriter::with_capacity(1 << 18, file) })
+        Ok(Pending { target: target.to_owned(), file: BufWriter::with_capacity(1 << 18, file), syncing: None })
     }
 
     /// The name it will have.
@@ -110,12 +113,26 @@ impl Pending {
 
     /// Writes all of `bytes`.
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<()> {
-        self.file.write_all(bytes).map_err(|source| write_error(&self.target, source))
+        self.write_all(bytes).map_err(|source| write_error(&self.target, source))
+    }
+
+    /// Begins to bring to the disk what is written so far, and returns at once: [`complete`](Self::complete) waits for it.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub(super) fn sync_ahead(&mut self) -> Result<()> {
+        let begun = self.file.flush().and_then(|()| self.file.get_ref().as_file().try_clone()).and_then(|file| {
+            // The thread sleeps in the system, and so takes no core from those that encode.
+            std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all())
+        });
+        self.syncing = Some(begun.map_err(|source| write_error(&self.target, source))?);
+        Ok(())
     }
 }
 
 impl Write for Pending {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.syncing = None;
         self.file.write(bytes)
     }
 
@@ -150,9 +167,16 @@ impl Pending {
     /// # Errors
     /// [`Error::Write`].
     pub fn complete(self) -> Result<Whole> {
-        let Pending { target, file } = self;
-        let synced =
-            file.into_inner().map_err(|e| e.into_error()).and_then(|file| file.as_file().sync_all().map(|()| file));
+        let Pending { target, file, syncing } = self;
+        let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|file| {
+            match syncing {
+                Some(thread) => {
+                    thread.join().map_err(|_| io::Error::other("the thread that waits for the disk died"))??
+                }
+                None => file.as_file().sync_all()?,
+            }
+            Ok(file)
+        });
         let file = synced.map_err(|source| write_error(&target, source))?.into_temp_path();
         Ok(Whole { target, file })
     }
@@ -246,6 +270,21 @@ mod tests {
         assert!(matches!(commit(files, true).unwrap_err(), Error::Write { path, .. } if path == c));
         assert_eq!(names(dir.path()), ["a.exr", "c.exr"]);
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
+    }
+
+    /// What is written after the disk was sent the rest is in the file as well.
+    #[test]
+    fn syncing_ahead_may_be_early() {
+        let dir = tempfile::tempdir().unwrap();
+        let a = dir.path().join("a.exr");
+        let mut file = pending(&a, "one");
+        file.sync_ahead().unwrap();
+        assert!(file.syncing.is_some());
+        file.put(b" two").unwrap();
+        assert!(file.syncing.is_none(), "the end is not on the disk");
+        file.sync_ahead().unwrap();
+        commit(vec![file], false).unwrap();
+        assert_eq!(fs::read_to_string(&a).unwrap(), "one two");
     }
 
     #[cfg(unix)]

@@ -164,7 +164,7 @@ impl Strips {
 #[derive(Debug)]
 pub struct Writer<T> {
     strips: Strips,
-    bands: Bands<[T; 3]>,
+    bands: Bands<[T; 3], Vec<u8>>,
 }
 
 impl<T: Sample> Writer<T> {
@@ -200,28 +200,29 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
         let width = bands.width;
         bands.push(
             rows,
-            |_, pixels| deflate(pixels, width),
-            |strip| {
-                let strip = strip.map_err(|e| strips.file.error(e))?;
-                strips.put(&strip)
+            |_, pixels, raw, out| deflate(pixels, width, raw, out),
+            |strip, outcome| {
+                outcome.map_err(|e| strips.file.error(e))?;
+                strips.put(strip)
             },
         )
     }
 
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
-        Ok(Written { file: self.strips.end()?, warnings: Vec::new() })
+        Written::ended(self.strips.end()?, Vec::new())
     }
 }
 
-fn deflate<T: Sample>(pixels: &[[T; 3]], width: usize) -> io::Result<Vec<u8>> {
-    let mut raw = Vec::with_capacity(size_of_val(pixels));
+fn deflate<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) -> io::Result<()> {
+    raw.clear();
+    raw.reserve(size_of_val(pixels));
     for row in pixels.chunks_exact(width) {
-        T::put_predicted(row, &mut raw);
+        T::put_predicted(row, raw);
     }
-    let mut encoder = ZlibEncoder::new(Vec::with_capacity(raw.len() / 2), Compression::new(LEVEL));
-    encoder.write_all(&raw)?;
-    encoder.finish()
+    let mut encoder = ZlibEncoder::new(out, Compression::new(LEVEL));
+    encoder.write_all(raw)?;
+    encoder.finish().map(|_| ())
 }
 
 #[cfg(test)]

@@ -1,0 +1,321 @@
+//! The files of a run, fed side by side.
+//!
+//! In: radiance and pictures by rows, in portions of any size. Out: every file that the user named, whole and on its way to the disk, without
+//! its name yet. Cost: that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file
+//! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
+
+use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, logluv, radiance_writer};
+use crate::error::{Error, Result};
+use crate::merge::RadianceMap;
+use crate::plane::fold_bands;
+use crate::tonemap::DisplayImage;
+use rayon::prelude::*;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Of the [`Options`] those that only a look at all of the radiance can settle, and that a file needs before its first row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settled {
+    /// What OpenEXR keeps a number as.
+    pub sample: exr::Sample,
+    /// What values are multiplied by to be held by LogLuv.
+    pub logluv_scale: f32,
+}
+
+impl Settled {
+    /// For `radiance` written to `paths`; looks at it only where the answer shows.
+    pub fn of(paths: &[PathBuf], radiance: &RadianceMap, options: &Options) -> Settled {
+        let is_among = |format| paths.iter().any(|path| Format::of(path).is_ok_and(|f| f == format));
+        let pixels = &radiance.pixels;
+        let sample = if is_among(Format::Exr) && options.exr.sample == exr::Sample::Auto {
+            let fit = |rows| exr::Fit::of(pixels.rows(rows));
+            options.exr.sample.settled(fold_bands(pixels.height(), fit, exr::Fit::default(), exr::Fit::and))
+        } else {
+            options.exr.sample
+        };
+        let logluv_scale = match options.tiff.depth() {
+            Some(depth) if is_among(Format::Tiff) => logluv::scale(depth, radiance),
+            _ => 1.0,
+        };
+        Settled { sample, logluv_scale }
+    }
+
+    /// For radiance that was counted in passing: how halves fit it, and the luminance that 0.1 % of its pixels are above.
+    pub fn by(options: &Options, fit: exr::Fit, bright: f32) -> Settled {
+        let logluv_scale = options.tiff.depth().map_or(1.0, |depth| logluv::scale_under(depth, bright));
+        Settled { sample: options.exr.sample.settled(fit), logluv_scale }
+    }
+}
+
+/// How far a file is.
+enum State<P> {
+    /// Begun, and the pixels that are missing.
+    Begun(Box<dyn RowWriter<P>>, usize),
+    Ended(Written),
+    Failed,
+}
+
+/// A file, and its place among those named.
+struct Slot<P> {
+    place: usize,
+    path: PathBuf,
+    state: State<P>,
+}
+
+impl<P: Sync> Slot<P> {
+    /// Takes rows; after the last one the file is ended.
+    fn push(&mut self, rows: &[P]) -> Result<()> {
+        self.state = match std::mem::replace(&mut self.state, State::Failed) {
+            State::Begun(mut writer, missing) => {
+                writer.push(rows)?;
+                let missing = missing - rows.len();
+                if missing == 0 { State::Ended(writer.finish()?) } else { State::Begun(writer, missing) }
+            }
+            State::Ended(_) => panic!("not more rows come than there are"),
+            State::Failed => return Err(failed(&self.path)),
+        };
+        Ok(())
+    }
+
+    /// The whole file; its writer refuses to end one that lacks rows.
+    fn ended(self) -> Result<(usize, Written)> {
+        let written = match self.state {
+            State::Begun(writer, _) => writer.finish()?,
+            State::Ended(written) => written,
+            State::Failed => return Err(failed(&self.path)),
+        };
+        Ok((self.place, written))
+    }
+}
+
+fn failed(path: &Path) -> Error {
+    Error::Write { path: path.to_owned(), source: io::Error::other("it could not be written before") }
+}
+
+/// Gives `rows` to all of `slots` side by side; the error is that of the first in order.
+fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let outcomes: Vec<Result<()>> = slots.par_iter_mut().with_max_len(1).map(|slot| slot.push(rows)).collect();
+    outcomes.into_iter().collect()
+}
+
+/// All files of a run that show its result: radiance maps and pictures by their extensions.
+///
+/// Push four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows or more at a time, so that every thread has one; the portions do not
+/// show in the files. Dropped unfinished, it leaves nothing behind.
+pub struct Files {
+    radiance: Vec<Slot<[f32; 3]>>,
+    display: Vec<Slot<[u8; 3]>>,
+}
+
+impl Files {
+    /// Begins a file for each of `paths`, all of `size` pixels. The radiance is of the [`primaries`](Metadata::primaries), pictures are sRGB.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
+    pub fn begin(
+        paths: &[PathBuf],
+        size: (usize, usize),
+        metadata: &Metadata,
+        options: &Options,
+        settled: Settled,
+    ) -> Result<Files> {
+        let mut files = Files { radiance: Vec::new(), display: Vec::new() };
+        let pixels = size.0 * size.1;
+        for (place, path) in paths.iter().enumerate() {
+            if Format::of(path)?.holds_radiance() {
+                let state = State::Begun(begin_radiance(path, size, metadata, options, settled)?, pixels);
+                files.radiance.push(Slot { place, path: path.clone(), state });
+            } else {
+                let metadata = Metadata { profile: None, ..metadata.clone() };
+                let writer = Box::new(display::Writer::new(Pending::create(path)?, size, &metadata)?);
+                files.display.push(Slot { place, path: path.clone(), state: State::Begun(writer, pixels) });
+            }
+        }
+        Ok(files)
+    }
+
+    /// Whether there is a radiance map among them.
+    pub fn hold_radiance(&self) -> bool {
+        !self.radiance.is_empty()
+    }
+
+    /// Whether there is a picture among them.
+    pub fn hold_display(&self) -> bool {
+        !self.display.is_empty()
+    }
+
+    /// The next rows of radiance, for all radiance maps.
+    ///
+    /// # Errors
+    /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
+    ///
+    /// # Panics
+    /// As [`RowWriter::push`].
+    pub fn push_radiance(&mut self, rows: &[[f32; 3]]) -> Result<()> {
+        push_all(&mut self.radiance, rows)
+    }
+
+    /// The next rows of the picture, for all pictures.
+    ///
+    /// # Errors
+    /// As [`push_radiance`](Self::push_radiance).
+    ///
+    /// # Panics
+    /// As [`RowWriter::push`].
+    pub fn push_display(&mut self, rows: &[[u8; 3]]) -> Result<()> {
+        push_all(&mut self.display, rows)
+    }
+
+    /// The next rows of both, side by side; either may be empty.
+    ///
+    /// # Errors
+    /// As [`push_radiance`](Self::push_radiance).
+    ///
+    /// # Panics
+    /// As [`RowWriter::push`].
+    pub fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
+        let Files { radiance: maps, display: pictures } = self;
+        let (a, b) = rayon::join(|| push_all(maps, radiance), || push_all(pictures, display));
+        a.and(b)
+    }
+
+    /// Ends all files, and gives them in the order in which they were named.
+    ///
+    /// # Errors
+    /// [`Error::Write`] when rows are missing.
+    pub fn finish(self) -> Result<Vec<Written>> {
+        let maps = self.radiance.into_iter().map(Slot::ended);
+        let pictures = self.display.into_iter().map(Slot::ended);
+        let mut files = maps.chain(pictures).collect::<Result<Vec<_>>>()?;
+        files.sort_by_key(|(place, _)| *place);
+        Ok(files.into_iter().map(|(_, written)| written).collect())
+    }
+}
+
+fn begin_radiance(
+    path: &Path,
+    size: (usize, usize),
+    metadata: &Metadata,
+    options: &Options,
+    settled: Settled,
+) -> Result<Box<dyn RowWriter<[f32; 3]>>> {
+    if let (Format::Tiff, Some(depth)) = (Format::of(path)?, options.tiff.depth()) {
+        let pending = Pending::create(path)?;
+        return Ok(Box::new(logluv::Writer::new(pending, size, metadata, depth, settled.logluv_scale)?));
+    }
+    let exr = exr::Options { sample: settled.sample, ..options.exr.clone() };
+    radiance_writer(path, size, metadata, &Options { exr, ..options.clone() })
+}
+
+/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
+/// [`commit`](super::commit).
+///
+/// # Errors
+/// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
+pub fn write(
+    paths: &[PathBuf],
+    radiance: &RadianceMap,
+    display: &DisplayImage,
+    metadata: &Metadata,
+    options: &Options,
+) -> Result<Vec<Written>> {
+    let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
+    let size = (radiance.pixels.width(), radiance.pixels.height());
+    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, options))?;
+    files.push(radiance.pixels.as_slice(), display.pixels.as_slice())?;
+    files.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+    use crate::plane::Plane;
+    use crate::write::commit;
+
+    #[test]
+    fn all_formats_are_written_or_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let paths: Vec<PathBuf> = ["a.exr", "a.hdr", "a.tif", "a.png"].iter().map(|n| dir.path().join(n)).collect();
+        let radiance = RadianceMap { pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]), primaries: Primaries::SRGB };
+        let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
+        let (metadata, options) = (Metadata::default(), Options::default());
+        let there = || std::fs::read_dir(dir.path()).unwrap().count();
+        // The last one fails when four are written: nothing may stay, not even under a temporary name.
+        let mut and_a_wrong_one = paths.clone();
+        and_a_wrong_one.push("nowhere/a.exr".into());
+        assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
+        assert_eq!(there(), 0);
+        let pending = |written: Vec<Written>| written.into_iter().map(|w| w.file).collect::<Vec<_>>();
+        let written = write(&paths, &radiance, &picture, &metadata, &options).unwrap();
+        assert!(written.iter().all(|w| w.warnings.is_empty()));
+        commit(pending(written), false).unwrap();
+        assert_eq!(there(), 4);
+        assert_eq!(crate::read::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
+        assert_eq!(image::open(&paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
+        let again = commit(pending(write(&paths, &radiance, &picture, &metadata, &options).unwrap()), false);
+        assert!(matches!(again, Err(Error::OutputExists { .. })));
+        assert_eq!(there(), 4);
+    }
+    /// Portions of any size, both kinds side by side or not, make the same files as all at once; a run that stops leaves nothing.
+    #[test]
+    fn files_do_not_depend_on_how_they_are_fed() {
+        let dir = tempfile::tempdir().unwrap();
+        let (width, height) = (37, 64 * 5 + 3);
+        let value = |x: usize, y: usize, c: usize| ((x * 31 + y * 17 + c * 7) % 101) as f32;
+        let pixels = Plane::from_rows(width, height, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                *p = [0, 1, 2].map(|c| value(x, y, c));
+            }
+        });
+        let radiance = RadianceMap { pixels, primaries: Primaries::SRGB };
+        let picture = DisplayImage {
+            pixels: Plane::from_rows(width, height, |y, row| {
+                for (x, p) in row.iter_mut().enumerate() {
+                    *p = [0, 1, 2].map(|c| value(x, y, c) as u8);
+                }
+            }),
+        };
+        let names = ["a.png", "a.exr", "a.hdr", "a.tif", "b.png"];
+        let (metadata, options) = (Metadata::default(), Options::default());
+        let contents = |folder: &str, make: &dyn Fn(&[PathBuf]) -> Vec<Written>| {
+            let folder = dir.path().join(folder);
+            std::fs::create_dir(&folder).unwrap();
+            let paths: Vec<PathBuf> = names.iter().map(|n| folder.join(n)).collect();
+            let written = make(&paths);
+            let targets: Vec<&Path> = written.iter().map(|w| w.file.target()).collect();
+            assert_eq!(targets, paths, "in the order of the names");
+            commit(written.into_iter().map(|w| w.file).collect(), false).unwrap();
+            paths.iter().map(|path| std::fs::read(path).unwrap()).collect::<Vec<_>>()
+        };
+        let whole = contents("whole", &|paths| write(paths, &radiance, &picture, &metadata, &options).unwrap());
+        for (folder, portion, together) in [("some", 128, true), ("few", 50, false)] {
+            let fed = contents(folder, &|paths| {
+                let settled = Settled::by(&options, exr::Fit::of(radiance.pixels.as_slice()), 100.0);
+                let mut files = Files::begin(paths, (width, height), &metadata, &options, settled).unwrap();
+                assert!(files.hold_radiance() && files.hold_display());
+                let maps = radiance.pixels.as_slice().chunks(portion * width);
+                for (map, picture) in maps.zip(picture.pixels.as_slice().chunks(portion * width)) {
+                    if together {
+                        files.push(map, picture).unwrap();
+                    } else {
+                        files.push_radiance(map).unwrap();
+                        files.push_display(picture).unwrap();
+                    }
+                }
+                files.finish().unwrap()
+            });
+            assert!(fed == whole, "{portion} rows at a time");
+        }
+        let path = [dir.path().join("short.exr"), dir.path().join("short.png")];
+        let settled = Settled::of(&path, &radiance, &options);
+        let mut files = Files::begin(&path, (width, height), &metadata, &options, settled).unwrap();
+        files.push_radiance(radiance.pixels.as_slice()).unwrap();
+        files.push_display(&picture.pixels.as_slice()[..width]).unwrap();
+        assert!(files.finish().unwrap_err().to_string().contains("only 1 of 323 rows"));
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3, "nothing but the folders");
+    }
+}
