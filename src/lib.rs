@@ -7,7 +7,7 @@
 //! # fn main() -> hdralign::error::Result<()> {
 //! let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
 //! let images: Vec<PathBuf> = (1..=5).map(|i| PathBuf::from(format!("{folder}/window_{i}.jpg"))).collect();
-//! let result = pipeline::run(&images, &Options::default(), &|_progress| ())?;
+//! let result = pipeline::develop(&images, &Options::default(), &|_progress| ())?;
 //!
 //! println!("{} x {} pixels", result.radiance.pixels.width(), result.radiance.pixels.height());
 //! for frame in &result.report.frames {

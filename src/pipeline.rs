@@ -4,29 +4,30 @@
 //! report has each one's time.
 
 pub mod camera;
+mod line;
 mod names;
+mod slabs;
 mod tonemapping;
 
 use crate::align::given::SavedAlignment;
-use crate::align::{self, AlignOptions, Alignment, Rect};
+use crate::align::{AlignOptions, Alignment, Rect};
 use crate::bracket::colour::Space;
-use crate::bracket::{self, Bracket, LoadOptions, ReferenceChoice};
-use crate::error::{Error, Result, Warning};
+use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
+use crate::error::{Error, Result};
 use crate::inspect::{self, files, tables::Tables};
-use crate::merge::calibration::{self, Calibration, CalibrationReport, Unit};
-use crate::merge::deghost::{self, Deghost, Ghosts};
-use crate::merge::flare::{self, FlareReport};
-use crate::merge::statistics::Statistics;
-use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::Weight};
-use crate::report::{Report, Times, WarningReport};
-use crate::response::file::{self, SavedResponse};
-use crate::response::ratios::{self, Exposures};
-use crate::response::samples::Places;
-use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
-use crate::tonemap::{self, DisplayImage, Operator};
-use crate::write::{self, Metadata, Written, aligned};
+use crate::merge::calibration::Calibration;
+use crate::merge::deghost::{Deghost, Ghosts};
+use crate::merge::{RadianceMap, weight::Weight};
+use crate::plane::Plane;
+use crate::report::Report;
+use crate::response::ResponseModel;
+use crate::response::file;
+use crate::response::ratios::Exposures;
+use crate::tonemap::{DisplayImage, Operator};
+use crate::write::{self, aligned};
+use line::{Line, Merged};
+use slabs::Slabs;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 pub use names::{default_folder, default_outputs, default_picture};
 pub use tonemapping::{TonemapOptions, tonemap_file};
@@ -134,14 +135,41 @@ pub enum Progress {
     Decoded(usize),
 }
 
-/// Aligns, calibrates, merges, tone-maps and writes the bracket `images`; gives the results back as well.
+/// Aligns, calibrates, merges, tone-maps and writes the bracket `images`; gives the report.
 ///
 /// Nothing is named before all is whole: on an error no output exists that did not before. The result does not depend on the order
-/// of `images` (but for exposures and a reference given by it), on the number of threads, or on the machine.
+/// of `images` (but for exposures and a reference given by it), on the number of threads, on the memory allowed, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
-pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
+pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
+    Ok(merged(images, options, watch, false)?.0)
+}
+
+/// As [`run`], and gives the results in memory too, whatever memory is allowed.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn develop(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
+    let (report, results) = merged(images, options, watch, true)?;
+    let Results { radiance, display } = results;
+    Ok(Outcome { radiance: radiance.whole()?, display: DisplayImage { pixels: display }, report })
+}
+
+/// What is left when all is written.
+struct Results {
+    radiance: Slabs,
+    /// Empty unless it was to be kept.
+    display: Plane<[u8; 3]>,
+}
+
+/// The line; the picture is kept where it is wanted.
+fn merged(
+    images: &[PathBuf],
+    options: &Options,
+    watch: &(dyn Fn(Progress) + Sync),
+    keep: bool,
+) -> Result<(Report, Results)> {
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
@@ -153,23 +181,25 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let (bracket, curve, recovered) = line.response(bracket, &alignment, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
-        let (radiance, merged, ghosts, flare) = line.merge(&bracket, &alignment, &curve, region, options)?;
-        let (radiance, merged) = line.units(radiance, merged, options.colour, &calibration);
-        let display = line.tonemap(&radiance, options);
+        let merged = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let merged = line.units(merged, options.colour, &calibration)?;
+        let tones = line.tonemap(&merged.radiance, options)?;
+        let (mut files, display) = line.results(bracket.reference(), &merged, &tones, keep, options)?;
+        files.extend(line.others(&bracket, &alignment, region, Some(&curve), options)?);
+        let Merged { radiance, merged, ghosts, flare } = merged;
         let mut report = Report::new(&bracket, &alignment, region);
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
         report.calibration = calibration;
-        report.colour = Some((&radiance).into());
+        report.colour = Some(radiance.primaries().into());
         report.flare = flare;
         report.ghosts = ghosts.as_ref().map(Ghosts::report);
-        let mut files = line.write(&bracket, &alignment, region, Some((&curve, &radiance, &display)), options)?;
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);
         }
         line.report(&mut report, files, options)?;
-        Ok(Outcome { radiance, display, report })
+        Ok((report, Results { radiance, display }))
     })
 }
 
@@ -188,7 +218,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-        let files = line.write(&bracket, &alignment, region, None, options)?;
+        let files = line.others(&bracket, &alignment, region, None, options)?;
         line.report(&mut report, files, options)?;
         Ok(report)
     })
@@ -296,181 +326,6 @@ fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
     }
     let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();
     Err(Error::NothingAligned { reference: bracket.reference().path().to_owned(), reason })
-}
-
-/// The stages with a clock, and what they have warned of so far.
-struct Line<'a> {
-    watch: &'a (dyn Fn(Progress) + Sync),
-    began: Instant,
-    times: Times,
-    warnings: Vec<Warning>,
-}
-
-impl<'a> Line<'a> {
-    fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
-        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new() }
-    }
-
-    /// `work`, announced, and its time.
-    fn timed<R>(&self, stage: Stage, work: impl FnOnce() -> R) -> (R, Option<f64>) {
-        (self.watch)(Progress::Begins(stage));
-        let began = Instant::now();
-        let result = work();
-        (result, Some(began.elapsed().as_secs_f64()))
-    }
-
-    fn load(&mut self, images: &[PathBuf], options: &Options) -> Result<Bracket> {
-        let watch = self.watch;
-        let decoded = |done| watch(Progress::Decoded(done));
-        let (loaded, time) = self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
-        let (bracket, warnings) = loaded?;
-        self.times.load = time;
-        self.warnings.extend(warnings);
-        Ok(bracket)
-    }
-
-    fn align(&mut self, bracket: &Bracket, options: &Options) -> Result<Alignment> {
-        let (aligned, time) = self.timed(Stage::Align, || align::align(bracket, &options.align));
-        let (alignment, warnings) = aligned?;
-        self.times.align = time;
-        self.warnings.extend(warnings);
-        Ok(alignment)
-    }
-
-    /// The bracket with the exposures that are divided out, and the curve.
-    fn response(
-        &mut self,
-        bracket: Bracket,
-        alignment: &Alignment,
-        options: &Options,
-    ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
-        let (done, time) = self.timed(Stage::Response, || -> Result<_> {
-            let is_tuned = options.exposures == Exposures::FineTuned;
-            let is_sought = options.response_file.is_none() && options.response.is_sought();
-            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment)? } else { Places::default() };
-            let (bracket, mut warnings) =
-                if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            let (curve, report) = match &options.response_file {
-                Some(path) => {
-                    let report = ResponseReport { model: "file", ..ResponseReport::default() };
-                    (SavedResponse::read(path)?.curve, report)
-                }
-                None => {
-                    let (curve, report, more) = response::recover_from(&[&places], &options.response)?;
-                    warnings.extend(more);
-                    (curve, report)
-                }
-            };
-            Ok((bracket, curve, report, warnings))
-        });
-        let (bracket, curve, report, warnings) = done?;
-        self.times.response = time;
-        self.warnings.extend(warnings);
-        Ok((bracket, curve, report))
-    }
-
-    fn merge(
-        &mut self,
-        bracket: &Bracket,
-        alignment: &Alignment,
-        curve: &ResponseCurve,
-        region: Rect,
-        options: &Options,
-    ) -> Result<(RadianceMap, MergeReport, Option<Ghosts>, Option<FlareReport>)> {
-        let merging = MergeOptions { weight: options.weight, region };
-        let (merged, time) = self.timed(Stage::Merge, || {
-            let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
-            let (mut map, mut report) = merge::merge(bracket, alignment, curve, &merging, ghosts.as_ref())?;
-            let flare = options.flare.then(|| flare::remove(&mut map));
-            if flare.is_some() {
-                report.radiance = Statistics::of(&map.pixels);
-            }
-            Ok((map, report, ghosts, flare))
-        });
-        self.times.merge = time;
-        merged
-    }
-
-    /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
-    fn units(
-        &mut self,
-        map: RadianceMap,
-        merged: MergeReport,
-        colour: Option<Space>,
-        calibration: &Option<CalibrationReport>,
-    ) -> (RadianceMap, MergeReport) {
-        let (mut map, outside) = match colour {
-            Some(space) => gamut::converted(map, space),
-            None => (map, 0),
-        };
-        self.warnings.extend(gamut::warning(outside));
-        let unit = calibration.map_or(Unit::Relative, |_| Unit::CdM2);
-        if let Some(calibration) = calibration {
-            calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
-        }
-        let radiance = Statistics::measured(&map.pixels, gamut::weights(&map.primaries), unit);
-        (map, MergeReport { radiance, ..merged })
-    }
-
-    fn tonemap(&mut self, radiance: &RadianceMap, options: &Options) -> DisplayImage {
-        let (display, time) = self.timed(Stage::Tonemap, || tonemap::tonemap(radiance, &options.operator));
-        self.times.tonemap = time;
-        display
-    }
-
-    /// All files but the report, whole but not yet named.
-    fn write(
-        &mut self,
-        bracket: &Bracket,
-        alignment: &Alignment,
-        region: Rect,
-        merged: Option<(&ResponseCurve, &RadianceMap, &DisplayImage)>,
-        options: &Options,
-    ) -> Result<Vec<Written>> {
-        let reference = bracket.reference();
-        let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
-        let metadata = Metadata { cd_m2_per_unit, ..Metadata::of(reference) };
-        let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
-            let mut files = Vec::new();
-            if let Some((curve, radiance, display)) = merged {
-                files.extend(write::write(&options.outputs, radiance, display, &metadata, &options.write)?);
-                if let Some(path) = &options.save_response {
-                    let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
-                    let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path)?;
-                    let mut written = write::text(path, &encoded.text)?;
-                    written.warnings.extend(encoded.lossy(path));
-                    files.push(written);
-                }
-            }
-            if let Some(path) = &options.transforms {
-                files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
-            }
-            if let Some(prefix) = &options.save_aligned {
-                files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);
-            }
-            Ok(files)
-        });
-        self.times.write = time;
-        written
-    }
-
-    /// Completes the report, adds its file to `files`, and gives all of them their names.
-    fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<()> {
-        let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
-        let mut pending = Vec::new();
-        for written in files {
-            self.warnings.extend(written.warnings);
-            pending.push(written.file);
-        }
-        report.add_outputs(&names);
-        report.warnings = self.warnings.iter().map(WarningReport::from).collect();
-        self.times.total = self.began.elapsed().as_secs_f64();
-        report.time_s = self.times;
-        if let Some(path) = &options.report {
-            pending.push(write::text(path, &report.to_json())?.file);
-        }
-        write::commit(pending, options.write.overwrite)
-    }
 }
 
 #[cfg(test)]

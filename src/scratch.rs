@@ -20,6 +20,13 @@ pub struct MemoryLimit {
     pub folder: PathBuf,
 }
 
+impl MemoryLimit {
+    /// What is left for pixels: the program, its threads and their tables take some.
+    pub fn for_pixels(&self) -> u64 {
+        self.bytes.saturating_sub(64 << 20)
+    }
+}
+
 /// A scratch file.
 #[derive(Debug)]
 pub struct Scratch {
@@ -82,6 +89,21 @@ impl<T: Pod> Kept<T> {
         self.count == 0
     }
 
+    /// Puts `values` in their place.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`].
+    ///
+    /// # Panics
+    /// When they are not as many: a fault of the caller.
+    pub fn replace(&self, values: &[T]) -> Result<()> {
+        assert_eq!(values.len(), self.count);
+        self.scratch.with_file(|file| {
+            file.seek(SeekFrom::Start(self.at))?;
+            file.write_all(bytemuck::cast_slice(values))
+        })
+    }
+
     /// Those of `range`.
     ///
     /// # Errors
@@ -115,6 +137,9 @@ mod tests {
         let c = scratch.put(&codes[..7]).unwrap();
         assert_eq!(a.get(17..4999).unwrap(), codes[17..4999]);
         assert_eq!(b.get(0..700).unwrap(), radiance);
+        let other: Vec<u16> = codes.iter().map(|c| !c).collect();
+        a.replace(&other).unwrap();
+        assert_eq!((a.get(0..5000).unwrap(), b.get(699..700).unwrap()), (other, radiance[699..].to_vec()));
         assert_eq!((c.get(0..7).unwrap(), c.len(), a.get(9..9).unwrap().len()), (codes[..7].to_vec(), 7, 0));
         #[cfg(unix)]
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);

@@ -110,9 +110,6 @@ pub fn load_with_progress(
     Ok((bracket, warnings))
 }
 
-/// What a run needs beside pixels, in bytes.
-const BASE: u64 = 64 << 20;
-
 /// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with the scratch file that they are on.
 fn read_within(
     limit: &MemoryLimit,
@@ -124,13 +121,13 @@ fn read_within(
     let (pixels, count) = ((first.width * first.height) as u64, paths.len() as u64);
     let frame = first.store.bytes();
     // Beside the frames, alignment holds a pyramid of each, and merging the radiance.
-    let is_held = count * frame + (count * pixels * 3 / 2).max(12 * pixels) + BASE <= limit.bytes;
+    let is_held = count * frame + (count * pixels * 3 / 2).max(12 * pixels) <= limit.for_pixels();
     let scratch = if is_held { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
     }
     // While it is decoded, a frame and its file are in memory.
-    let at_once = (limit.bytes.saturating_sub(BASE) / (2 * frame)).max(1);
+    let at_once = (limit.for_pixels() / (2 * frame)).max(1);
     let mut pictures = vec![Ok(first)];
     for some in paths[1..].chunks(if is_held { paths.len() } else { at_once.min(count) as usize }) {
         pictures.par_extend(some.par_iter().map(|path| read(path, scratch.as_ref())));

@@ -129,6 +129,11 @@ impl Frame {
         self.store.max()
     }
 
+    /// What a row takes in memory, in bytes.
+    pub fn row_bytes(&self) -> u64 {
+        self.store.bytes() / self.height as u64
+    }
+
     /// The code values of some of its rows.
     ///
     /// # Errors

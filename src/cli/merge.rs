@@ -5,6 +5,7 @@ use super::progress::Bar;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
 use clap::ValueEnum;
+use hdralign::bracket::LoadOptions;
 use hdralign::error::Error;
 use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
@@ -126,7 +127,9 @@ impl Args {
             self.output.clone()
         };
         let common = self.common.options();
+        let memory = self.common.aligned.memory(outputs.first().map(PathBuf::as_path));
         Ok(Options {
+            load: LoadOptions { memory, ..common.load.clone() },
             outputs,
             exposures: self.recovery.exposures(),
             response: self.recovery.model()?,
@@ -174,7 +177,7 @@ impl Args {
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
-    let outcome = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
+    let report = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
     bar.clear();
-    super::finish(&outcome?.report, &args.common)
+    super::finish(&report?, &args.common)
 }

@@ -46,11 +46,56 @@ pub(super) fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
     weights[0] * r + weights[1] * g + weights[2] * b
 }
 
-/// What a band contributes.
-struct Part {
+/// What was seen of a picture's luminance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tally {
     min: f32,
     max: f32,
     bins: Vec<u64>,
+}
+
+impl Default for Tally {
+    fn default() -> Self {
+        Tally { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] }
+    }
+}
+
+impl Tally {
+    /// Sees `pixels`, all values of which are positive and finite, where red, green and blue contribute `weights` to luminance.
+    pub fn see(&mut self, pixels: &Plane<[f32; 3]>, weights: [f32; 3]) {
+        let count = |rows| {
+            let mut part = Tally::default();
+            for &pixel in pixels.rows(rows) {
+                let y = luminance(pixel, weights);
+                part.min = part.min.min(y);
+                part.max = part.max.max(y);
+                part.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
+            }
+            part
+        };
+        fold_bands(pixels.height(), count, (), |(), part| {
+            self.min = self.min.min(part.min);
+            self.max = self.max.max(part.max);
+            self.bins.iter_mut().zip(part.bins).for_each(|(a, b)| *a += b);
+        });
+    }
+
+    /// What that amounts to, in `unit`; the same in whatever parts it was seen.
+    pub fn statistics(&self, unit: Unit) -> Statistics {
+        let at = |share: f64| percentile(&self.bins, share).clamp(self.min, self.max);
+        Statistics {
+            unit,
+            min: self.min,
+            max: self.max,
+            p0_1: at(0.001),
+            p1: at(0.01),
+            p50: at(0.5),
+            p99: at(0.99),
+            p99_9: at(0.999),
+            dynamic_range_stops: libm::log2(f64::from(at(0.999)) / f64::from(at(0.001))),
+            contrast: f64::from(self.max) / f64::from(self.min),
+        }
+    }
 }
 
 impl Statistics {
@@ -62,36 +107,9 @@ impl Statistics {
     /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
     /// luminance.
     pub fn measured(pixels: &Plane<[f32; 3]>, weights: [f32; 3], unit: Unit) -> Self {
-        let empty = || Part { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] };
-        let count = |rows| {
-            let mut part = empty();
-            for &pixel in pixels.rows(rows) {
-                let y = luminance(pixel, weights);
-                part.min = part.min.min(y);
-                part.max = part.max.max(y);
-                part.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
-            }
-            part
-        };
-        let all = fold_bands(pixels.height(), count, empty(), |mut all, part| {
-            all.min = all.min.min(part.min);
-            all.max = all.max.max(part.max);
-            all.bins.iter_mut().zip(part.bins).for_each(|(a, b)| *a += b);
-            all
-        });
-        let at = |share: f64| percentile(&all.bins, share).clamp(all.min, all.max);
-        Statistics {
-            unit,
-            min: all.min,
-            max: all.max,
-            p0_1: at(0.001),
-            p1: at(0.01),
-            p50: at(0.5),
-            p99: at(0.99),
-            p99_9: at(0.999),
-            dynamic_range_stops: libm::log2(f64::from(at(0.999)) / f64::from(at(0.001))),
-            contrast: f64::from(all.max) / f64::from(all.min),
-        }
+        let mut tally = Tally::default();
+        tally.see(pixels, weights);
+        tally.statistics(unit)
     }
 }
 

@@ -5,8 +5,9 @@
 //! Source: the pooling is that of `response::recover_from`: what a camera does is the same in all its brackets, and together they show
 //! more of its codes.
 
+use super::line::Line;
 use super::names::natural;
-use super::{Line, Progress, check_placed, in_pool};
+use super::{Progress, check_placed, in_pool};
 use crate::align::given::Given;
 use crate::bracket::{Capture, ReferenceChoice};
 use crate::error::{Error, Result, Warning};

@@ -9,10 +9,10 @@ use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Warning;
+use crate::merge::MergeReport;
 use crate::merge::calibration::CalibrationReport;
 use crate::merge::deghost::GhostReport;
 use crate::merge::flare::FlareReport;
-use crate::merge::{MergeReport, RadianceMap};
 use crate::response::ResponseReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -87,9 +87,9 @@ pub struct ColourReport {
     pub primaries: Primaries,
 }
 
-impl From<&RadianceMap> for ColourReport {
-    fn from(map: &RadianceMap) -> Self {
-        ColourReport { space: Space::of(&map.primaries), primaries: map.primaries }
+impl From<Primaries> for ColourReport {
+    fn from(primaries: Primaries) -> Self {
+        ColourReport { space: Space::of(&primaries), primaries }
     }
 }
 

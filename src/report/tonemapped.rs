@@ -58,7 +58,7 @@ impl TonemapReport {
             input: super::text(input),
             width_px: map.pixels.width(),
             height_px: map.pixels.height(),
-            colour: map.into(),
+            colour: map.primaries.into(),
             cd_m2_per_unit: metadata.cd_m2_per_unit,
             radiance: Statistics::measured(&map.pixels, weights(&map.primaries), unit),
             not_number_pixels: 0,

@@ -7,6 +7,7 @@
 
 use super::DisplayImage;
 use super::display::{Encoder, ToSrgb, into_gamut, luminance};
+use crate::bracket::colour::Primaries;
 use crate::merge::RadianceMap;
 use crate::plane::{Plane, map_bands};
 
@@ -41,27 +42,51 @@ struct Statistics {
 /// Samples that are enough: percentiles within a tenth of a percent.
 const SAMPLES: usize = 1 << 18;
 
-/// Of all pixels, or of every n-th of every n-th row where there are more than enough. `None` for a picture without light.
-fn statistics(radiance: &RadianceMap, to_srgb: &ToSrgb) -> Option<Statistics> {
-    let pixels = &radiance.pixels;
-    let mut step = 1;
-    while (pixels.width() / step) * (pixels.height() / step) > SAMPLES {
-        step += 1;
+/// A scene as it is seen from top to bottom: the luminances of all pixels, or of every n-th of every n-th row where there are more than
+/// enough.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    to_srgb: ToSrgb,
+    step: usize,
+    /// log2.
+    luminances: Vec<f32>,
+}
+
+impl Scene {
+    /// One of `width` x `height` pixels of which nothing was seen yet.
+    pub fn new((width, height): (usize, usize), primaries: &Primaries) -> Self {
+        let mut step = 1;
+        while (width / step) * (height / step) > SAMPLES {
+            step += 1;
+        }
+        Scene { to_srgb: ToSrgb::from(primaries), step, luminances: Vec::new() }
     }
-    let logs = |rows: std::ops::Range<usize>| -> Vec<f32> {
-        rows.filter(|y| y % step == 0)
-            .flat_map(|y| pixels.row(y).iter().step_by(step))
-            .map(|&p| luminance(to_srgb.apply(p)))
-            .filter(|l| *l > 0.0 && l.is_finite())
-            .map(libm::log2f)
-            .collect()
-    };
-    let mut logs = map_bands(pixels.height(), logs).concat();
-    logs.sort_unstable_by(f32::total_cmp);
-    let last = logs.len().checked_sub(1)?;
-    let (dark, bright) = (logs[last / 100], logs[last - last / 100]);
-    let sum: f64 = logs.iter().map(|&l| f64::from(l.clamp(dark, bright))).sum();
-    Some(Statistics { average: sum / logs.len() as f64, dark: dark.into(), bright: bright.into() })
+
+    /// Sees the rows `pixels`, which begin with row `first`.
+    pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
+        let (step, to_srgb) = (self.step, self.to_srgb);
+        let logs = |rows: std::ops::Range<usize>| -> Vec<f32> {
+            rows.filter(|y| (first + y).is_multiple_of(step))
+                .flat_map(|y| pixels.row(y).iter().step_by(step))
+                .map(|&p| luminance(to_srgb.apply(p)))
+                .filter(|l| *l > 0.0 && l.is_finite())
+                .map(libm::log2f)
+                .collect()
+        };
+        for band in map_bands(pixels.height(), logs) {
+            self.luminances.extend(band);
+        }
+    }
+
+    /// `None` for a picture without light.
+    fn statistics(mut self) -> Option<Statistics> {
+        let logs = &mut self.luminances;
+        logs.sort_unstable_by(f32::total_cmp);
+        let last = logs.len().checked_sub(1)?;
+        let (dark, bright) = (logs[last / 100], logs[last - last / 100]);
+        let sum: f64 = logs.iter().map(|&l| f64::from(l.clamp(dark, bright))).sum();
+        Some(Statistics { average: sum / logs.len() as f64, dark: dark.into(), bright: bright.into() })
+    }
 }
 
 /// The curve, with its parameters settled: rows can be mapped as they come.
@@ -79,9 +104,16 @@ pub struct Curve {
 impl Curve {
     /// Settles the parameters for `radiance`.
     pub fn estimate(radiance: &RadianceMap, options: &Options) -> Self {
-        let to_srgb = ToSrgb::from(&radiance.primaries);
+        let mut scene = Scene::new((radiance.pixels.width(), radiance.pixels.height()), &radiance.primaries);
+        scene.see(0, &radiance.pixels);
+        Self::settled(scene, options)
+    }
+
+    /// Settles the parameters for `scene`, all of which was seen.
+    pub fn settled(scene: Scene, options: &Options) -> Self {
+        let to_srgb = scene.to_srgb;
         let none = Statistics { average: 0.0, dark: 0.0, bright: 0.0 };
-        let scene = statistics(radiance, &to_srgb).unwrap_or(none);
+        let scene = scene.statistics().unwrap_or(none);
         let key = options.key.unwrap_or_else(|| key(&scene).clamp(KEYS.0, KEYS.1));
         let white = options.white.unwrap_or_else(|| white(&scene, key));
         let inverse_white2 = 1.0 / (white * white);
@@ -211,7 +243,9 @@ mod tests {
         let rgb = map.pixels.at(x, y).map(f64::from);
         let weights = [0.2126, 0.7152, 0.0722];
         let lw: f64 = (0..3).map(|c| weights[c] * rgb[c]).sum();
-        let average = statistics(map, &ToSrgb::from(&map.primaries)).unwrap().average;
+        let mut scene = Scene::new((map.pixels.width(), map.pixels.height()), &map.primaries);
+        scene.see(0, &map.pixels);
+        let average = scene.statistics().unwrap().average;
         let l = key / libm::exp2(average) * lw;
         let inverse_white2 = f64::from(curve.inverse_white2);
         let ld = l * (1.0 + l * inverse_white2) / (1.0 + l);

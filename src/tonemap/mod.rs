@@ -8,6 +8,7 @@ pub mod global;
 
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
+use global::{Curve, Scene};
 
 /// A display-encoded picture: 8-bit, sRGB transfer and primaries.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +27,15 @@ pub enum Operator {
 impl Default for Operator {
     fn default() -> Self {
         Operator::Reinhard02(global::Options::default())
+    }
+}
+
+impl Operator {
+    /// What maps rows of `scene`, all of which was seen.
+    pub fn settled(&self, scene: Scene) -> Curve {
+        match self {
+            Operator::Reinhard02(options) => Curve::settled(scene, options),
+        }
     }
 }
 

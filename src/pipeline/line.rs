@@ -1,0 +1,328 @@
+//! The stages of the line, with a clock, and what they have warned of so far.
+//!
+//! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
+
+use super::slabs::{Room, Slabs};
+use super::{Options, Progress, Stage};
+use crate::align::given::SavedAlignment;
+use crate::align::{self, Alignment, Rect};
+use crate::bracket::colour::Space;
+use crate::bracket::{self, Bracket, Frame};
+use crate::error::{Result, Warning};
+use crate::merge::calibration::{self, CalibrationReport, Unit};
+use crate::merge::deghost::{self, Ghosts};
+use crate::merge::flare::{self, FlareReport, Veil};
+use crate::merge::statistics::{Statistics, Tally};
+use crate::merge::{MergeOptions, MergeReport, Merging, gamut};
+use crate::plane::{BAND_ROWS, Plane, fold_bands};
+use crate::report::{Report, Times, WarningReport};
+use crate::response::file::SavedResponse;
+use crate::response::ratios::{self, Exposures};
+use crate::response::samples::Places;
+use crate::response::{self, ResponseCurve, ResponseReport};
+use crate::tonemap::global::{Curve, Scene};
+use crate::write::{self, Files, Metadata, Settled, Written, aligned, exr};
+use rayon::prelude::*;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// The radiance, and what was found on the way to it.
+pub(super) struct Merged {
+    pub radiance: Slabs,
+    pub merged: MergeReport,
+    pub ghosts: Option<Ghosts>,
+    pub flare: Option<FlareReport>,
+}
+
+/// Rows that are given to the writers at once: bands enough for all threads, and buffers that stay in the cache.
+const AT_ONCE: usize = 8 * BAND_ROWS;
+
+/// How much of the radiance is in memory at a time.
+fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
+    let (Some(scratch), Some(limit)) = (bracket.scratch(), &options.load.memory) else { return Room::Enough };
+    let (width, height) = merging.size();
+    // Of every row what the frames have of it, moved ones a little more; the radiance, and what is made of it.
+    let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
+    let rows = (limit.for_pixels() / row) as usize;
+    // Whole bands, and whole cells of the veil.
+    let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
+    Room::Rows((rows / unit * unit).max(unit), scratch.clone())
+}
+
+/// What files must know before their first row.
+fn settled(merged: &Merged, options: &Options) -> Result<Settled> {
+    let mut fit = exr::Fit::default();
+    if options.write.exr.sample == exr::Sample::Auto {
+        merged.radiance.each(|_, map| {
+            let pixels = &map.pixels;
+            fit = fit.and(fold_bands(
+                pixels.height(),
+                |rows| exr::Fit::of(pixels.rows(rows)),
+                exr::Fit::default(),
+                exr::Fit::and,
+            ));
+            Ok(())
+        })?;
+    }
+    Ok(Settled::by(&options.write, fit, merged.merged.radiance.p99_9))
+}
+
+/// What headers say of a result.
+fn metadata(reference: &Frame, options: &Options) -> Metadata {
+    let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
+    Metadata { cd_m2_per_unit, ..Metadata::of(reference) }
+}
+
+/// The stages with a clock, and what they have warned of so far.
+pub(super) struct Line<'a> {
+    watch: &'a (dyn Fn(Progress) + Sync),
+    pub began: Instant,
+    times: Times,
+    pub warnings: Vec<Warning>,
+}
+
+impl<'a> Line<'a> {
+    pub fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
+        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new() }
+    }
+
+    /// `work`, announced, and its time.
+    pub fn timed<R>(&self, stage: Stage, work: impl FnOnce() -> R) -> (R, Option<f64>) {
+        (self.watch)(Progress::Begins(stage));
+        let began = Instant::now();
+        let result = work();
+        (result, Some(began.elapsed().as_secs_f64()))
+    }
+
+    pub fn load(&mut self, images: &[PathBuf], options: &Options) -> Result<Bracket> {
+        let watch = self.watch;
+        let decoded = |done| watch(Progress::Decoded(done));
+        let (loaded, time) = self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
+        let (bracket, warnings) = loaded?;
+        self.times.load = time;
+        self.warnings.extend(warnings);
+        Ok(bracket)
+    }
+
+    pub fn align(&mut self, bracket: &Bracket, options: &Options) -> Result<Alignment> {
+        let (aligned, time) = self.timed(Stage::Align, || align::align(bracket, &options.align));
+        let (alignment, warnings) = aligned?;
+        self.times.align = time;
+        self.warnings.extend(warnings);
+        Ok(alignment)
+    }
+
+    /// The bracket with the exposures that are divided out, and the curve.
+    pub fn response(
+        &mut self,
+        bracket: Bracket,
+        alignment: &Alignment,
+        options: &Options,
+    ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
+        let (done, time) = self.timed(Stage::Response, || -> Result<_> {
+            let is_tuned = options.exposures == Exposures::FineTuned;
+            let is_sought = options.response_file.is_none() && options.response.is_sought();
+            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment)? } else { Places::default() };
+            let (bracket, mut warnings) =
+                if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
+            let (curve, report) = match &options.response_file {
+                Some(path) => {
+                    let report = ResponseReport { model: "file", ..ResponseReport::default() };
+                    (SavedResponse::read(path)?.curve, report)
+                }
+                None => {
+                    let (curve, report, more) = response::recover_from(&[&places], &options.response)?;
+                    warnings.extend(more);
+                    (curve, report)
+                }
+            };
+            Ok((bracket, curve, report, warnings))
+        });
+        let (bracket, curve, report, warnings) = done?;
+        self.times.response = time;
+        self.warnings.extend(warnings);
+        Ok((bracket, curve, report))
+    }
+
+    pub fn merge(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        curve: &ResponseCurve,
+        region: Rect,
+        options: &Options,
+    ) -> Result<Merged> {
+        let merging = MergeOptions { weight: options.weight, region };
+        let (merged, time) = self.timed(Stage::Merge, || {
+            let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
+            let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let (mut radiance, counted) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
+            let merged = MergeReport {
+                frames: merging.frames(),
+                all_clipped: counted.all_clipped,
+                all_black: counted.all_black,
+                reference_exposure: bracket.reference().exposure.relative(),
+                radiance: Statistics::default(),
+            };
+            let mut flare = None;
+            if options.flare {
+                let mut cells = flare::Cells::new(radiance.size().0, radiance.size().1);
+                radiance.each(|_, map| {
+                    cells.see(&map.pixels);
+                    Ok(())
+                })?;
+                let veil = cells.veil();
+                flare = Some(veil.as_ref().map_or_else(FlareReport::default, Veil::report));
+                if let Some(veil) = veil {
+                    radiance = radiance.changed(|first, mut map| {
+                        veil.take_off(first, &mut map.pixels);
+                        map
+                    })?;
+                }
+            }
+            Ok(Merged { radiance, merged, ghosts, flare })
+        });
+        self.times.merge = time;
+        merged
+    }
+
+    /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
+    pub fn units(
+        &mut self,
+        merged: Merged,
+        colour: Option<Space>,
+        calibration: &Option<CalibrationReport>,
+    ) -> Result<Merged> {
+        let began = Instant::now();
+        let Merged { mut radiance, merged, ghosts, flare } = merged;
+        let mut outside = 0;
+        if colour.is_some() || calibration.is_some() {
+            radiance = radiance.changed(|_, map| {
+                let (mut map, drawn) = match colour {
+                    Some(space) => gamut::converted(map, space),
+                    None => (map, 0),
+                };
+                outside += drawn;
+                if let Some(calibration) = calibration {
+                    calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
+                }
+                map
+            })?;
+        }
+        self.warnings.extend(gamut::warning(outside));
+        let mut tally = Tally::default();
+        radiance.each(|_, map| {
+            tally.see(&map.pixels, gamut::weights(&map.primaries));
+            Ok(())
+        })?;
+        let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
+        self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
+        Ok(Merged { radiance, merged: MergeReport { radiance: statistics, ..merged }, ghosts, flare })
+    }
+
+    /// What maps rows of the radiance to the picture.
+    pub fn tonemap(&mut self, radiance: &Slabs, options: &Options) -> Result<Curve> {
+        let (curve, time) = self.timed(Stage::Tonemap, || {
+            let mut scene = Scene::new(radiance.size(), &radiance.primaries());
+            radiance.each(|first, map| {
+                scene.see(first, &map.pixels);
+                Ok(())
+            })?;
+            Ok(options.operator.settled(scene))
+        });
+        self.times.tonemap = time;
+        curve
+    }
+
+    /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.
+    pub fn results(
+        &mut self,
+        reference: &Frame,
+        merged: &Merged,
+        tones: &Curve,
+        keep: bool,
+        options: &Options,
+    ) -> Result<(Vec<Written>, Plane<[u8; 3]>)> {
+        let radiance = &merged.radiance;
+        let (width, height) = radiance.size();
+        let metadata = Metadata { primaries: radiance.primaries(), ..metadata(reference, options) };
+        let mut mapping = Duration::ZERO;
+        let (written, time) = self.timed(Stage::Write, || {
+            let settled = settled(merged, options)?;
+            let mut files = Files::begin(&options.outputs, radiance.size(), &metadata, &options.write, settled)?;
+            let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
+            let mut picture = Vec::new();
+            radiance.each(|_, map| {
+                for rows in map.pixels.as_slice().chunks(AT_ONCE * width) {
+                    if keep || files.hold_display() {
+                        let began = Instant::now();
+                        picture.resize(rows.len(), [0; 3]);
+                        let bands = picture.par_chunks_mut(BAND_ROWS * width).zip(rows.par_chunks(BAND_ROWS * width));
+                        bands.for_each(|(codes, rows)| tones.map(rows, codes));
+                        mapping += began.elapsed();
+                    }
+                    let shown = if files.hold_display() { &picture[..] } else { &[] };
+                    files.push(if files.hold_radiance() { rows } else { &[] }, shown)?;
+                    if keep {
+                        kept.extend_from_slice(&picture);
+                    }
+                }
+                Ok(())
+            })?;
+            Ok((files.finish()?, Plane::from_vec(width, if keep { height } else { 0 }, kept)))
+        });
+        let mapping = mapping.as_secs_f64();
+        self.times.tonemap = self.times.tonemap.map(|time| time + mapping);
+        self.times.write = time.map(|time| time - mapping);
+        written
+    }
+
+    /// All files but those of the results and the report, whole but not yet named.
+    pub fn others(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        region: Rect,
+        curve: Option<&ResponseCurve>,
+        options: &Options,
+    ) -> Result<Vec<Written>> {
+        let reference = bracket.reference();
+        let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
+            let mut files = Vec::new();
+            if let (Some(path), Some(curve)) = (&options.save_response, curve) {
+                let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
+                let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path)?;
+                let mut written = write::text(path, &encoded.text)?;
+                written.warnings.extend(encoded.lossy(path));
+                files.push(written);
+            }
+            if let Some(path) = &options.transforms {
+                files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
+            }
+            if let Some(prefix) = &options.save_aligned {
+                files.extend(aligned::write(bracket, alignment, region, prefix, &metadata(reference, options))?);
+            }
+            Ok(files)
+        });
+        self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0));
+        written
+    }
+
+    /// Completes the report, adds its file to `files`, and gives all of them their names.
+    pub fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<()> {
+        let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
+        let mut pending = Vec::new();
+        for written in files {
+            self.warnings.extend(written.warnings);
+            pending.push(written.file);
+        }
+        report.add_outputs(&names);
+        report.warnings = self.warnings.iter().map(WarningReport::from).collect();
+        self.times.total = self.began.elapsed().as_secs_f64();
+        report.time_s = self.times;
+        if let Some(path) = &options.report {
+            pending.push(write::text(path, &report.to_json())?.file);
+        }
+        write::commit(pending, options.write.overwrite)
+    }
+}
