@@ -198,8 +198,9 @@ pub struct Fit {
     pub residual_stops: f64,
     /// The least and the greatest code that a sample has.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the least singular value of the system of equations; 0 for Robertson, who solves none at once.
-    pub condition: f64,
+    /// Ratio of the largest to the least singular value of the system of equations; none for Robertson, who solves none at once, and for
+    /// a borrowed curve.
+    pub condition: Option<f64>,
     /// The degree of the polynomial, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,

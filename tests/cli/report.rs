@@ -126,11 +126,14 @@ fn each_way_to_the_response_says_what_it_found() {
     };
     let (robertson, by_robertson) = found("robertson");
     assert_eq!((text(&robertson, "model"), robertson["exposure_ratios"].is_null()), ("robertson", true));
+    // It solves no system of equations at once, which could have one.
+    assert!(robertson["channels"][1]["condition"].is_null(), "{robertson}");
     let (cubic, by_cubic) = found("mitsunaga-nayar --response-degree 3");
     assert_eq!(text(&cubic, "model"), "mitsunaga-nayar");
     for channel in 0..3 {
         assert_eq!(number(&cubic["channels"][channel], "degree"), 3.0);
         assert_eq!(cubic["channels"][channel]["borrowed"], false);
+        assert!(number(&cubic["channels"][channel], "condition") > 1.0);
     }
     let ratios = cubic["exposure_ratios"].as_array().expect("ratios");
     assert_eq!(ratios.len(), 4, "{ratios:?}");
