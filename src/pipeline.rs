@@ -145,12 +145,14 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
+        let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
+        options.calibration.check(bracket.reference())?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
-        let (bracket, curve, recovered) = line.response(bracket, &alignment, options)?;
+        let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let (radiance, merged, ghosts, flare) = line.merge(&bracket, &alignment, &curve, region, options)?;
@@ -342,18 +344,20 @@ impl<'a> Line<'a> {
         &mut self,
         bracket: Bracket,
         alignment: &Alignment,
+        saved: Option<SavedResponse>,
         options: &Options,
     ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
         let (done, time) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
-            let is_sought = options.response_file.is_none() && options.response.is_sought();
+            let is_sought = saved.is_none() && options.response.is_sought();
             let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment) } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            let (curve, report) = match &options.response_file {
-                Some(path) => {
-                    let report = ResponseReport { model: "file", ..ResponseReport::default() };
-                    (SavedResponse::read(path)?.curve, report)
+            let (curve, report) = match saved {
+                Some(saved) => {
+                    let path = options.response_file.as_deref().unwrap_or(Path::new(""));
+                    warnings.extend(camera::differing_response(path, &saved, &bracket.reference().capture));
+                    (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
                 }
                 None => {
                     let (curve, report, more) = response::recover_from(&[&places], &options.response)?;

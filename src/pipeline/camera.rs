@@ -269,6 +269,14 @@ fn camera(make: Option<&str>, model: Option<&str>) -> Option<String> {
     (!name.is_empty()).then_some(name)
 }
 
+/// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
+/// them does not say its own, nothing.
+pub(super) fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
+    let found = camera(saved.make.as_deref(), saved.model.as_deref())?;
+    let kept = camera(capture.make.as_deref(), capture.model.as_deref())?;
+    (found != kept).then(|| Warning::ResponseOfAnother { path: path.to_owned(), found, kept })
+}
+
 fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
     let name = |bracket: &Seen| camera(bracket.capture.make.as_deref(), bracket.capture.model.as_deref());
     let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
