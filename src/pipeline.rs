@@ -3,6 +3,7 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
+mod asked;
 pub mod camera;
 mod names;
 mod tonemapping;
@@ -159,6 +160,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
         let (radiance, merged) = line.units(radiance, merged, options.colour, &calibration);
         let display = line.tonemap(&radiance, options);
         let mut report = Report::new(&bracket, &alignment, region);
+        report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
@@ -189,6 +191,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let alignment = line.align(&bracket, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
+        report.options = Some(asked::report(options, false));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         let files = line.write(&bracket, &alignment, region, None, options)?;
         line.report(&mut report, files, options)?;

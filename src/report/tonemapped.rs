@@ -9,6 +9,7 @@ use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::Plane;
+use crate::tonemap::Operator;
 use crate::write::Metadata;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -30,6 +31,8 @@ pub struct TonemapReport {
     pub width_px: usize,
     /// Its height.
     pub height_px: usize,
+    /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
+    pub operator: Operator,
     /// What its red, green and blue are.
     pub colour: ColourReport,
     /// The luminance of 1 in cd/m2, where the file says (OpenEXR's whiteLuminance, TIFF's StoNits); null elsewhere. `.hdr` is in W/sr/m2.
@@ -60,6 +63,7 @@ impl TonemapReport {
             input: super::text(input),
             width_px: map.pixels.width(),
             height_px: map.pixels.height(),
+            operator: Operator::default(),
             colour: map.into(),
             cd_m2_per_unit: metadata.cd_m2_per_unit,
             radiance: measured(map, unit),

@@ -150,6 +150,17 @@ pub enum ResponseModel {
 }
 
 impl ResponseModel {
+    /// As it is typed, and as reports have it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            ResponseModel::Debevec(_) => "debevec",
+            ResponseModel::Robertson(_) => "robertson",
+            ResponseModel::MitsunagaNayar(_) => "mitsunaga-nayar",
+            ResponseModel::Linear => "linear",
+            ResponseModel::Srgb => "srgb",
+        }
+    }
+
     /// Whether it is sought in the bracket.
     pub fn is_sought(&self) -> bool {
         !matches!(self, ResponseModel::Linear | ResponseModel::Srgb)
@@ -230,16 +241,17 @@ pub fn recover_from(
     places: &[&Places],
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
-    let stated = |curve, model| {
-        let report = ResponseReport { model, ..ResponseReport::default() };
+    let name = model.name();
+    let stated = |curve| {
+        let report = ResponseReport { model: name, ..ResponseReport::default() };
         (curve, report, Vec::new())
     };
-    let (name, count) = match model {
-        ResponseModel::Linear => return Ok(stated(ResponseCurve::linear(), "linear")),
-        ResponseModel::Srgb => return Ok(stated(ResponseCurve::srgb(), "srgb")),
-        ResponseModel::Debevec(options) => options.validate().map(|()| ("debevec", options.samples))?,
-        ResponseModel::Robertson(options) => options.validate().map(|()| ("robertson", options.samples))?,
-        ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| ("mitsunaga-nayar", options.samples))?,
+    let count = match model {
+        ResponseModel::Linear => return Ok(stated(ResponseCurve::linear())),
+        ResponseModel::Srgb => return Ok(stated(ResponseCurve::srgb())),
+        ResponseModel::Debevec(options) => options.validate().map(|()| options.samples)?,
+        ResponseModel::Robertson(options) => options.validate().map(|()| options.samples)?,
+        ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| options.samples)?,
     };
     let drawn = samples::draw(places, count);
     let channels: Vec<Told<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();
