@@ -21,10 +21,11 @@ use hdralign::merge::deghost::{self, Deghost};
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
+use hdralign::read::read;
 use hdralign::response::samples::Places;
 use hdralign::response::{ResponseCurve, ResponseModel, ratios, recover_from};
 use hdralign::tonemap::{Operator, tonemap};
-use hdralign::write::{self, Metadata};
+use hdralign::write::{self, Metadata, exr, hdr, tiff};
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -217,19 +218,58 @@ fn radiance(c: &mut Criterion) {
     }
 }
 
+/// Decoding alone, and radiance maps in each encoding, written and read again.
+fn files(c: &mut Criterion) {
+    let images = paths();
+    let mut group = c.benchmark_group("files");
+    group.throughput(Throughput::Elements(5 * pixels(&small())));
+    group.bench_function("load", |b| b.iter(|| load(black_box(&images), &LoadOptions::default())));
+    let bracket = large();
+    let placed = Alignment::unmoved(&bracket);
+    let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
+    let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options).expect("a whole region");
+    let picture = tonemap(&map, &Operator::default());
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let metadata = Metadata::of(bracket.reference());
+    let exr = |sample, compression| write::Options { exr: exr::Options { sample, compression }, ..Default::default() };
+    let hdr = |hdr| write::Options { hdr, ..Default::default() };
+    let tiff = |tiff| write::Options { tiff, ..Default::default() };
+    group.throughput(Throughput::Elements(pixels(&bracket)));
+    for (what, name, options) in [
+        ("exr half piz", "half.exr", exr(exr::Sample::Half, exr::Compression::Piz)),
+        ("exr half zip", "zip.exr", exr(exr::Sample::Half, exr::Compression::Zip16)),
+        ("exr float piz", "float.exr", exr(exr::Sample::Float, exr::Compression::Piz)),
+        ("hdr rgbe", "rgbe.hdr", hdr(hdr::Encoding::Rgbe)),
+        ("hdr xyze", "xyze.hdr", hdr(hdr::Encoding::Xyze)),
+        ("tiff float", "float.tif", tiff(tiff::Encoding::Float)),
+        ("tiff logluv24", "luv24.tif", tiff(tiff::Encoding::LogLuv24)),
+        ("tiff logluv32", "luv32.tif", tiff(tiff::Encoding::LogLuv32)),
+    ] {
+        let path = [folder.path().join(name)];
+        let written = || write::write(&path, black_box(&map), &picture, &metadata, &options).expect("a file");
+        group.bench_function(format!("write {what}"), |b| b.iter(written));
+        write::commit(written().into_iter().map(|w| w.file).collect(), true).expect("a name");
+        group.bench_function(format!("read {what}"), |b| b.iter(|| read(black_box(&path[0]))));
+    }
+}
+
+/// From photographs to files, on one thread and on two: `benches/codecs.rs` holds larger ones beside their codecs alone.
 fn line(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let images = paths();
-    let options = pipeline::Options {
+    let options = |threads| pipeline::Options {
         outputs: vec![folder.path().join("w.exr"), folder.path().join("w.png")],
         write: write::Options { overwrite: true, ..write::Options::default() },
+        threads: Some(threads),
         ..pipeline::Options::default()
     };
     let mut group = c.benchmark_group("line");
     group.throughput(Throughput::Elements(5 * pixels(&small())));
-    group.bench_function("window", |b| {
-        b.iter(|| pipeline::run(black_box(&images), &options, &|_| ()).expect("the window merges"));
-    });
+    for (name, options) in [("window, 1 thread", options(1)), ("window, 2 threads", options(2))] {
+        group.bench_function(name, |b| {
+            b.iter(|| pipeline::run(black_box(&images), &options, &|_| ()).expect("the window merges"));
+        });
+    }
 }
 
 criterion_group! {
@@ -238,6 +278,6 @@ criterion_group! {
         .sample_size(10)
         .warm_up_time(Duration::from_millis(300))
         .measurement_time(Duration::from_secs(2));
-    targets = bitmaps, alignment, features, radiance, line
+    targets = bitmaps, alignment, features, radiance, files, line
 }
 criterion_main!(stages);

@@ -255,6 +255,16 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
+    /// The response file is of another camera than the photographs.
+    #[error("{}: is the response of {found}, and the photographs were taken by {kept}; recover theirs by `hdralign response`", path.display())]
+    ResponseOfAnother {
+        /// The response file.
+        path: PathBuf,
+        /// Its camera.
+        found: String,
+        /// The camera of the photographs.
+        kept: String,
+    },
     /// Brackets of two cameras were given as one's.
     #[error("{}: was taken by {found}, others by {kept}; one curve is made of both", path.display())]
     CamerasDiffer {
@@ -313,6 +323,7 @@ impl Warning {
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
                 | Warning::ResponseBorrowed { .. }
+                | Warning::ResponseOfAnother { .. }
                 | Warning::CamerasDiffer { .. }
         )
     }

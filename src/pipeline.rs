@@ -3,6 +3,7 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has each one's time.
 
+mod asked;
 pub mod camera;
 mod line;
 mod names;
@@ -21,7 +22,7 @@ use crate::merge::{RadianceMap, weight::Weight};
 use crate::plane::Plane;
 use crate::report::Report;
 use crate::response::ResponseModel;
-use crate::response::file;
+use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Operator};
 use crate::write::{self, aligned};
@@ -173,12 +174,14 @@ fn merged(
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
+        let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
+        options.calibration.check(bracket.reference())?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
-        let (bracket, curve, recovered) = line.response(bracket, &alignment, options)?;
+        let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let merged = line.merge(&bracket, &alignment, &curve, region, options)?;
@@ -188,6 +191,7 @@ fn merged(
         files.extend(line.others(&bracket, &alignment, region, Some(&curve), options)?);
         let Merged { radiance, merged, ghosts, flare } = merged;
         let mut report = Report::new(&bracket, &alignment, region);
+        report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
         report.radiance = Some(merged);
@@ -217,6 +221,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let alignment = line.align(&bracket, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
+        report.options = Some(asked::report(options, false));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         let files = line.others(&bracket, &alignment, region, None, options)?;
         line.report(&mut report, files, options)?;

@@ -1,9 +1,17 @@
-//! The same bytes for the same photographs, on any number of threads and in any order.
+//! The same bytes for the same photographs, on any number of threads, in any order and by any instructions.
 
 mod support;
 
+use hdralign::bracket::colour::Space;
+use hdralign::merge::calibration::Calibration;
+use hdralign::merge::deghost::Deghost;
+use hdralign::merge::weight::Weight;
+use hdralign::pipeline::{self, Options};
+use hdralign::simd::{self, Arm};
+use hdralign::write::{self, exr, hdr, tiff};
 use serde_json::Value;
 use std::fs;
+use std::path::PathBuf;
 use support::{FRAMES, Folder, jpeg, shrink, window};
 
 /// Every format that is written, and the response.
@@ -76,4 +84,47 @@ fn neither_threads_nor_the_order_change_what_options_ask_for() {
     assert!(one.1["ghosts"]["frames"].as_array().is_some_and(|frames| frames.len() == FRAMES - 1));
     let other = results(&folder, [5, 4, 1, 3, 2], &format!("{options} --threads 7"));
     assert_same("7 threads in another order", &one, &other);
+}
+
+/// The files and the report that `options` give on `arm`. The choice is the process's: of the tests in this file only one runs the library
+/// in it, the others start the program.
+fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
+    simd::choose(arm);
+    let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
+    let outcome = pipeline::run(&images, options, &|_| ()).expect("the window merges");
+    simd::choose(Arm::Native);
+    let mut report: Value = serde_json::from_str(&outcome.report.to_json()).expect("JSON");
+    report["time_s"].take();
+    (options.outputs.iter().map(|path| fs::read(path).expect("an output")).collect(), report)
+}
+
+#[test]
+fn vector_instructions_do_not_change_a_byte() {
+    let folder = folder();
+    let outputs = ["a.exr", "a.hdr", "a.tif", "a.png"].map(|name| folder.at(name)).to_vec();
+    let by_default =
+        Options { outputs, write: write::Options { overwrite: true, ..Default::default() }, ..Options::default() };
+    let asked_for = Options {
+        weight: Weight::Noise,
+        deghost: Some(Deghost::default()),
+        flare: true,
+        colour: Some(Space::Acescg),
+        calibration: Calibration { camera: true, factor: None },
+        write: write::Options {
+            overwrite: true,
+            exr: exr::Options { sample: exr::Sample::Float, ..Default::default() },
+            hdr: hdr::Encoding::Xyze,
+            tiff: tiff::Encoding::LogLuv32,
+        },
+        ..by_default.clone()
+    };
+    for options in [by_default, asked_for] {
+        let (native, told) = on(Arm::Native, &folder, &options);
+        let (scalar, other) = on(Arm::Scalar, &folder, &options);
+        for (path, (a, b)) in options.outputs.iter().zip(native.iter().zip(&scalar)) {
+            let first = a.iter().zip(b).position(|(a, b)| a != b);
+            assert!(a == b, "{}: {} and {} bytes, first at {first:?}", path.display(), a.len(), b.len());
+        }
+        assert_eq!(told, other, "the report");
+    }
 }

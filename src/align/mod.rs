@@ -68,7 +68,8 @@ pub enum AlignMode {
 }
 
 /// How the matches that agree on a motion are told from the wrong ones.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum RobustMethod {
     /// [`ransac`]: the motion with which most agree, to within a threshold; four fifths may be wrong.
     #[default]

@@ -76,6 +76,15 @@ impl Calibration {
         }
     }
 
+    /// Whether the camera tells what is asked of it: `reference` is the frame that [`settle`](Self::settle) will be given.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn check(&self, reference: &Frame) -> Result<()> {
+        self.validate()?;
+        if self.camera { top_code_luminance(reference).map(|_| ()) } else { Ok(()) }
+    }
+
     /// Whether radiance is to be in cd/m2.
     pub fn is_asked(&self) -> bool {
         self.camera || self.factor.is_some()
@@ -158,6 +167,9 @@ mod tests {
         assert_eq!(corrected.cd_m2_per_unit, 1.25 * report.cd_m2_per_unit);
         let error = of(&camera, &frame(Some(0.1), None, None)).unwrap_err();
         assert!(error.is_usage() && error.to_string().contains("does not say its f-number and ISO"), "{error}");
+        assert!(camera.check(&frame(Some(0.1), None, None)).is_err_and(|e| e.to_string() == error.to_string()));
+        assert!(camera.check(&frame(Some(0.125), Some(8.0), Some(100.0))).is_ok());
+        assert!(Calibration::default().check(&frame(None, None, None)).is_ok());
     }
 
     #[test]

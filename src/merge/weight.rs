@@ -16,7 +16,8 @@ const FADES: (f64, f64) = (8.0, 40.0);
 const REACH: usize = 4;
 
 /// How far a code on the scale 0..=255 is trusted: 0 at both ends, where it may be clipped, but for [`Weight::Uniform`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Weight {
     /// Rises linearly from both ends to the middle.
     #[default]

@@ -6,6 +6,7 @@
 //! more of its codes.
 
 use super::line::Line;
+use super::names::camera;
 use super::names::natural;
 use super::{Progress, check_placed, in_pool};
 use crate::align::given::Given;
@@ -256,18 +257,6 @@ fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
     let name = name.map_or("response".to_owned(), |name| name.chars().map(letter).collect());
     let first = photographs.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
     first.with_file_name(name + ".json")
-}
-
-/// Make and model in one, the make not said twice; none where neither is known.
-fn camera(make: Option<&str>, model: Option<&str>) -> Option<String> {
-    let (make, model) = (make.unwrap_or("").trim(), model.unwrap_or("").trim());
-    let first_word = make.split(' ').next().unwrap_or("");
-    let name = if model.to_lowercase().starts_with(&first_word.to_lowercase()) {
-        model.to_owned()
-    } else {
-        format!("{make} {model}").trim().to_owned()
-    };
-    (!name.is_empty()).then_some(name)
 }
 
 fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {

@@ -2,12 +2,13 @@
 //!
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
+use super::names::camera;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
 use crate::align::{self, Alignment, Rect};
 use crate::bracket::colour::Space;
-use crate::bracket::{self, Bracket, Frame};
+use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::error::{Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Unit};
 use crate::merge::deghost::{self, Ghosts};
@@ -23,7 +24,7 @@ use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::global::{Curve, Scene};
 use crate::write::{self, Files, Metadata, Settled, Written, aligned, exr};
 use rayon::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// The radiance, and what was found on the way to it.
@@ -65,6 +66,14 @@ fn settled(merged: &Merged, options: &Options) -> Result<Settled> {
         })?;
     }
     Ok(Settled::by(&options.write, fit, merged.merged.radiance.p99_9))
+}
+
+/// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
+/// them does not say its own, nothing.
+fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
+    let found = camera(saved.make.as_deref(), saved.model.as_deref())?;
+    let kept = camera(capture.make.as_deref(), capture.model.as_deref())?;
+    (found != kept).then(|| Warning::ResponseOfAnother { path: path.to_owned(), found, kept })
 }
 
 /// What headers say of a result.
@@ -117,18 +126,20 @@ impl<'a> Line<'a> {
         &mut self,
         bracket: Bracket,
         alignment: &Alignment,
+        saved: Option<SavedResponse>,
         options: &Options,
     ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
         let (done, time) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
-            let is_sought = options.response_file.is_none() && options.response.is_sought();
+            let is_sought = saved.is_none() && options.response.is_sought();
             let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            let (curve, report) = match &options.response_file {
-                Some(path) => {
-                    let report = ResponseReport { model: "file", ..ResponseReport::default() };
-                    (SavedResponse::read(path)?.curve, report)
+            let (curve, report) = match saved {
+                Some(saved) => {
+                    let path = options.response_file.as_deref().unwrap_or(Path::new(""));
+                    warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
+                    (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
                 }
                 None => {
                     let (curve, report, more) = response::recover_from(&[&places], &options.response)?;

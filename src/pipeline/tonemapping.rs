@@ -62,6 +62,7 @@ pub fn tonemap_file(
         };
         warnings.extend(gamut::warning(outside));
         let mut report = TonemapReport::new(input, &map, &metadata);
+        report.operator = options.operator.clone();
         report.time_s.load = timed(Stage::Tonemap, began);
         let since = Instant::now();
         let display = tonemap::tonemap(&map, &options.operator);

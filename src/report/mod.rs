@@ -2,6 +2,7 @@
 //!
 //! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
 
+pub mod options;
 pub mod tonemapped;
 
 use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
@@ -14,6 +15,7 @@ use crate::merge::calibration::CalibrationReport;
 use crate::merge::deghost::GhostReport;
 use crate::merge::flare::FlareReport;
 use crate::response::ResponseReport;
+use options::OptionsReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -31,6 +33,8 @@ pub struct Report {
     pub width_px: usize,
     /// Height of every frame, orientation applied.
     pub height_px: usize,
+    /// What was asked for; none until the caller says.
+    pub options: Option<OptionsReport>,
     /// The frame that the others are aligned to.
     pub reference: String,
     /// The frames by rising exposure.
@@ -187,6 +191,7 @@ impl Report {
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             width_px: size.0,
             height_px: size.1,
+            options: None,
             reference: text(bracket.reference().path()),
             frames,
             transforms_from: None,

@@ -4,11 +4,14 @@
 //! Cost: that of the statistics, one pass.
 
 use super::{ColourReport, Times, WarningReport};
-use crate::merge::RadianceMap;
 use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
+use crate::merge::{FLOOR, RadianceMap};
+use crate::plane::Plane;
+use crate::tonemap::Operator;
 use crate::write::Metadata;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
 
@@ -28,11 +31,13 @@ pub struct TonemapReport {
     pub width_px: usize,
     /// Its height.
     pub height_px: usize,
+    /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
+    pub operator: Operator,
     /// What its red, green and blue are.
     pub colour: ColourReport,
     /// The luminance of 1 in cd/m2, where the file says (OpenEXR's whiteLuminance, TIFF's StoNits); null elsewhere. `.hdr` is in W/sr/m2.
     pub cd_m2_per_unit: Option<f64>,
-    /// Of the luminance, as stored.
+    /// Of the luminance, as stored, of the pixels that have any.
     pub radiance: Statistics,
     /// Pixels with a value that is no number; they are shown black.
     pub not_number_pixels: usize,
@@ -58,9 +63,10 @@ impl TonemapReport {
             input: super::text(input),
             width_px: map.pixels.width(),
             height_px: map.pixels.height(),
+            operator: Operator::default(),
             colour: map.primaries.into(),
             cd_m2_per_unit: metadata.cd_m2_per_unit,
-            radiance: Statistics::measured(&map.pixels, weights(&map.primaries), unit),
+            radiance: measured(map, unit),
             not_number_pixels: 0,
             infinite_pixels: 0,
             negative_pixels: 0,
@@ -77,11 +83,24 @@ impl TonemapReport {
     }
 }
 
+/// The statistics of `map` without its black pixels, which other programs' files have: [`FLOOR`] has taken the place of their zeros, and says
+/// nothing of the scene. With them where there are no others.
+fn measured(map: &RadianceMap, unit: Unit) -> Statistics {
+    let weights = weights(&map.primaries);
+    let is_lit = |pixel: &&[f32; 3]| pixel.iter().any(|&v| v > FLOOR);
+    let pixels = map.pixels.as_slice();
+    let black = pixels.len() - pixels.par_iter().filter(is_lit).count();
+    if black == 0 || black == pixels.len() {
+        return Statistics::measured(&map.pixels, weights, unit);
+    }
+    let lit: Vec<[f32; 3]> = pixels.iter().filter(is_lit).copied().collect();
+    Statistics::measured(&Plane::from_vec(1, lit.len(), lit), weights, unit)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
-    use crate::plane::Plane;
 
     #[test]
     fn the_unit_is_told() {
@@ -97,5 +116,16 @@ mod tests {
             (&"relative".into(), &2.0.into())
         );
         assert_eq!((&json(None)["colour"]["space"], &json(None)["width_px"]), (&"rec2020".into(), &4.into()));
+    }
+
+    #[test]
+    fn what_is_black_has_no_part_in_the_statistics() {
+        let report = |pixels: Vec<[f32; 3]>| {
+            let map = RadianceMap { pixels: Plane::from_vec(pixels.len(), 1, pixels), primaries: Primaries::SRGB };
+            TonemapReport::new(Path::new("a.tif"), &map, &Metadata::default()).radiance
+        };
+        let (lit, black) = ([[0.5; 3], [2.0, 2.0, FLOOR]], [FLOOR; 3]);
+        assert_eq!(report(vec![lit[0], black, lit[1], black]), report(lit.to_vec()));
+        assert!(report(lit.to_vec()).contrast < 4.0 && report(vec![black; 4]).contrast == 1.0);
     }
 }

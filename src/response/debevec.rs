@@ -71,7 +71,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<Found> {
         trust = fit::biweight(samples, &g);
     }
     let (g, condition) = Normal::new(samples, &trust, options.smoothness).by_svd(&basis, about)?;
-    Ok(Found { g, trust, condition, degree: None })
+    Ok(Found { g, trust, condition: Some(condition), degree: None })
 }
 
 /// The normal equations of equation 3 in g alone: the samples', and those of smoothness.

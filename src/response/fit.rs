@@ -35,8 +35,8 @@ pub struct Found {
     pub g: [f64; CODES],
     /// How far each sample was trusted, 0..=1.
     pub trust: Vec<f64>,
-    /// Ratio of the largest to the least singular value of the equations; 0 where none are solved at once.
-    pub condition: f64,
+    /// Ratio of the largest to the least singular value of the equations; none where none are solved at once.
+    pub condition: Option<f64>,
     /// The degree of the polynomial, where it is one.
     pub degree: Option<usize>,
 }
@@ -223,7 +223,7 @@ mod tests {
     use super::*;
 
     fn found(g: impl Fn(usize) -> f64, count: usize) -> Found {
-        Found { g: std::array::from_fn(g), trust: vec![1.0; count], condition: 1.0, degree: None }
+        Found { g: std::array::from_fn(g), trust: vec![1.0; count], condition: Some(1.0), degree: None }
     }
 
     #[test]

@@ -110,7 +110,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<(Found, Vec
         found = refined;
     }
     let Polynomial { g, trust, ratios, condition, degree, .. } = found;
-    Ok((Found { g, trust, condition, degree: Some(degree) }, ratios))
+    Ok((Found { g, trust, condition: Some(condition), degree: Some(degree) }, ratios))
 }
 
 /// f of one degree.

@@ -150,6 +150,17 @@ pub enum ResponseModel {
 }
 
 impl ResponseModel {
+    /// As it is typed, and as reports have it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            ResponseModel::Debevec(_) => "debevec",
+            ResponseModel::Robertson(_) => "robertson",
+            ResponseModel::MitsunagaNayar(_) => "mitsunaga-nayar",
+            ResponseModel::Linear => "linear",
+            ResponseModel::Srgb => "srgb",
+        }
+    }
+
     /// Whether it is sought in the bracket.
     pub fn is_sought(&self) -> bool {
         !matches!(self, ResponseModel::Linear | ResponseModel::Srgb)
@@ -198,8 +209,9 @@ pub struct Fit {
     pub residual_stops: f64,
     /// The least and the greatest code that a sample has.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the least singular value of the system of equations; 0 for Robertson, who solves none at once.
-    pub condition: f64,
+    /// Ratio of the largest to the least singular value of the system of equations; none for Robertson, who solves none at once, and for
+    /// a borrowed curve.
+    pub condition: Option<f64>,
     /// The degree of the polynomial, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
@@ -229,16 +241,17 @@ pub fn recover_from(
     places: &[&Places],
     model: &ResponseModel,
 ) -> Result<(ResponseCurve, ResponseReport, Vec<Warning>)> {
-    let stated = |curve, model| {
-        let report = ResponseReport { model, ..ResponseReport::default() };
+    let name = model.name();
+    let stated = |curve| {
+        let report = ResponseReport { model: name, ..ResponseReport::default() };
         (curve, report, Vec::new())
     };
-    let (name, count) = match model {
-        ResponseModel::Linear => return Ok(stated(ResponseCurve::linear(), "linear")),
-        ResponseModel::Srgb => return Ok(stated(ResponseCurve::srgb(), "srgb")),
-        ResponseModel::Debevec(options) => options.validate().map(|()| ("debevec", options.samples))?,
-        ResponseModel::Robertson(options) => options.validate().map(|()| ("robertson", options.samples))?,
-        ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| ("mitsunaga-nayar", options.samples))?,
+    let count = match model {
+        ResponseModel::Linear => return Ok(stated(ResponseCurve::linear())),
+        ResponseModel::Srgb => return Ok(stated(ResponseCurve::srgb())),
+        ResponseModel::Debevec(options) => options.validate().map(|()| options.samples)?,
+        ResponseModel::Robertson(options) => options.validate().map(|()| options.samples)?,
+        ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| options.samples)?,
     };
     let drawn = samples::draw(places, count);
     let channels: Vec<Told<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();

@@ -27,7 +27,8 @@ use rayon::prelude::*;
 use std::f64::consts::LN_2;
 
 /// What becomes of the exposures before they are divided out of the response.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Exposures {
     /// Fine-tuned from the pixels, but for those that the user gave.
     #[default]

@@ -87,7 +87,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<Found> {
             trust = fit::biweight(samples, &g);
         }
     }
-    Ok(Found { g, trust, condition: 0.0, degree: None })
+    Ok(Found { g, trust, condition: None, degree: None })
 }
 
 /// A view as it enters every sweep.

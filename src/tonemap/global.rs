@@ -12,7 +12,7 @@ use crate::merge::RadianceMap;
 use crate::plane::{Plane, map_bands};
 
 /// What may be set; by default the picture decides.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
     /// The key a: the display luminance (0..1, before the shoulder) of the log-average; about 0.18. `None`: estimated.
     pub key: Option<f64>,

@@ -18,7 +18,8 @@ pub struct DisplayImage {
 }
 
 /// How luminance is brought into the range of a display.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(tag = "name", rename_all = "kebab-case")]
 pub enum Operator {
     /// Reinhard et al. 2002, the global curve.
     Reinhard02(global::Options),

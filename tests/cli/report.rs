@@ -116,6 +116,44 @@ fn a_merge_reports_every_key_of_the_contract() {
 }
 
 #[test]
+fn what_was_asked_for_is_in_the_report() {
+    let folder = Folder::with_bracket();
+    let merge = "merge w2.jpg w3.jpg w4.jpg -o a.png";
+    let asked = written(&folder, merge)["options"].clone();
+    let expected = serde_json::json!({
+        "align": "auto", "robust": "ransac", "max_rotation_deg": 5.0, "crop": "common", "exposures": "fine-tuned",
+        "response_model": "debevec", "response_file": null, "weight": "hat", "deghost_strength": null, "flare": false,
+        "colour": null, "operator": { "name": "reinhard02", "key": null, "white": null, "saturation": 1.0 }
+    });
+    assert_eq!(asked, expected);
+    let more = "--align mtb --robust lmeds --max-rotation 2 --crop none --exposures as-given --response-model srgb \
+                --weight mann-picard --deghost=0.25 --flare --colour rec2020";
+    let asked = written(&folder, &format!("{merge} {more}"))["options"].clone();
+    for (key, value) in [
+        ("align", Value::from("mtb")),
+        ("robust", "lmeds".into()),
+        ("max_rotation_deg", 2.0.into()),
+        ("crop", "none".into()),
+        ("exposures", "as-given".into()),
+        ("response_model", "srgb".into()),
+        ("weight", "mann-picard".into()),
+        ("deghost_strength", 0.25.into()),
+        ("flare", true.into()),
+        ("colour", "rec2020".into()),
+    ] {
+        assert_eq!(asked[key], value, "{key}");
+    }
+    folder.line(&format!("{merge} --force --save-response c.json")).done();
+    let asked = written(&folder, &format!("{merge} --response c.json"))["options"].clone();
+    assert_eq!((&asked["response_file"], &asked["response_model"]), (&"c.json".into(), &Value::Null));
+    let aligned = written(&folder, "align w2.jpg w3.jpg")["options"].clone();
+    assert_eq!(
+        (&aligned["align"], &aligned["weight"], &aligned["operator"]),
+        (&"auto".into(), &Value::Null, &Value::Null)
+    );
+}
+
+#[test]
 fn each_way_to_the_response_says_what_it_found() {
     let folder = Folder::with_bracket();
     let found = |model: &str| {
@@ -126,11 +164,14 @@ fn each_way_to_the_response_says_what_it_found() {
     };
     let (robertson, by_robertson) = found("robertson");
     assert_eq!((text(&robertson, "model"), robertson["exposure_ratios"].is_null()), ("robertson", true));
+    // It solves no system of equations at once, which could have one.
+    assert!(robertson["channels"][1]["condition"].is_null(), "{robertson}");
     let (cubic, by_cubic) = found("mitsunaga-nayar --response-degree 3");
     assert_eq!(text(&cubic, "model"), "mitsunaga-nayar");
     for channel in 0..3 {
         assert_eq!(number(&cubic["channels"][channel], "degree"), 3.0);
         assert_eq!(cubic["channels"][channel]["borrowed"], false);
+        assert!(number(&cubic["channels"][channel], "condition") > 1.0);
     }
     let ratios = cubic["exposure_ratios"].as_array().expect("ratios");
     assert_eq!(ratios.len(), 4, "{ratios:?}");

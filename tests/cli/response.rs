@@ -124,6 +124,38 @@ fn a_file_that_is_no_response_is_named_with_the_remedy() {
 }
 
 #[test]
+fn a_curve_that_cannot_be_had_is_told_before_any_work() {
+    let folder = Folder::with_bracket();
+    folder.put("bad.json", b"{}");
+    // The photographs, of which one is missing, have not been looked at.
+    for file in ["bad.json", "none.json"] {
+        let run = folder.line(&format!("merge w2.jpg gone.jpg --response {file} -o a.hdr"));
+        assert!(run.code == 1 && run.stderr.contains(file) && !run.stderr.contains("gone.jpg"), "{run:?}");
+    }
+}
+
+#[test]
+fn the_curve_of_another_camera_is_used_and_doubted() {
+    let folder = Folder::with_bracket();
+    let merge = "merge w2.jpg w3.jpg w4.jpg --align none --force -o a.hdr";
+    folder.line(&format!("{merge} --save-response own.json")).done();
+    let saved = json(&String::from_utf8(folder.bytes("own.json")).expect("text"));
+    assert!(saved["camera_model"].is_string(), "{}", saved["camera_model"]);
+    let own = folder.line(&format!("{merge} --response own.json --strict")).done();
+    assert!(!own.stderr.contains("warning"), "{}", own.stderr);
+    let mut other = saved.clone();
+    (other["camera_make"], other["camera_model"]) = ("Acme".into(), "One".into());
+    folder.put("other.json", other.to_string().as_bytes());
+    let run = folder.line(&format!("{merge} --response other.json --strict"));
+    let said = ["warning: other.json", "Acme One", saved["camera_model"].as_str().unwrap_or("?")];
+    assert!(run.code == 3 && said.iter().all(|words| run.stderr.contains(words)), "{run:?}");
+    // Who does not say whose it is, is believed.
+    (other["camera_make"], other["camera_model"]) = (Value::Null, Value::Null);
+    folder.put("nobody.json", other.to_string().as_bytes());
+    folder.line(&format!("{merge} --response nobody.json --strict")).done();
+}
+
+#[test]
 fn exposures_given_in_the_wrong_order_are_used_and_doubted() {
     let folder = Folder::with_bracket();
     let turned = folder.line("merge -e=2,0,-2 w2.jpg w3.jpg w4.jpg --align none -o a.hdr --json").done();

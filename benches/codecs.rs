@@ -1,0 +1,116 @@
+//! The whole line over its codecs alone: `cargo bench --bench codecs`.
+//!
+//! In turn, on one thread and on two, of three frames of 15 MP: the line from the photographs to `.exr` and `.png`; and what no such program
+//! can do without: decoding the same photographs and encoding the same two results, by the library's own readers and writers. Printed
+//! are medians of the wall time and their ratio.
+//!
+//! The frames are those of `testdata/window`, each four times side by side and four times one below the other, mirrored: what lies beyond
+//! the first moves otherwise than hands do, so that alignment has more to do than with photographs. Better are photographs of your own,
+//! by their names in HDRALIGN_BENCH_IMAGES, separated by spaces.
+
+use hdralign::bracket::{LoadOptions, load};
+use hdralign::pipeline::{self, Options, Outcome};
+use hdralign::write::{self, Metadata};
+use image::codecs::jpeg::JpegEncoder;
+use image::{RgbImage, imageops};
+use img_parts::jpeg::Jpeg;
+use img_parts::{Bytes, ImageEXIF};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Rounds of which medians are taken, after one that warms up.
+const ROUNDS: usize = 7;
+/// Threads.
+const THREADS: [usize; 2] = [1, 2];
+
+/// Frame `i` of the window with its mirror images, 4 x 4 tiles, as a JPEG with its EXIF.
+fn tiled(i: usize) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("testdata/window/window_{i}.jpg"));
+    let tile = image::open(&path).expect("a frame of testdata/window").to_rgb8();
+    let (width, height) = tile.dimensions();
+    let across = imageops::flip_horizontal(&tile);
+    let tiles = [&tile, &across].map(|t| [t.clone(), imageops::flip_vertical(t)]);
+    let mut whole = RgbImage::new(4 * width, 4 * height);
+    for (x, y) in (0..4).flat_map(|x| (0..4).map(move |y| (x, y))) {
+        let tile = &tiles[x as usize % 2][y as usize % 2];
+        imageops::replace(&mut whole, tile, i64::from(x * width), i64::from(y * height));
+    }
+    let mut plain = Vec::new();
+    JpegEncoder::new_with_quality(&mut plain, 92).encode_image(&whole).expect("a JPEG");
+    let exif = Jpeg::from_bytes(std::fs::read(&path).expect("the frame").into()).expect("a JPEG").exif();
+    let mut file = Jpeg::from_bytes(Bytes::from(plain)).expect("a JPEG");
+    file.set_exif(exif);
+    file.encoder().bytes().to_vec()
+}
+
+/// The photographs asked for, or those made of the window in `folder`.
+fn photographs(folder: &Path) -> Vec<PathBuf> {
+    if let Ok(names) = std::env::var("HDRALIGN_BENCH_IMAGES") {
+        return names.split_whitespace().map(PathBuf::from).collect();
+    }
+    let make = |i: usize| {
+        let path = folder.join(format!("w{i}.jpg"));
+        std::fs::write(&path, tiled(i)).expect("space in the temporary folder");
+        path
+    };
+    (2..=4).map(make).collect()
+}
+
+/// Decodes `images` and encodes what came of them, to the same names.
+fn codecs(images: &[PathBuf], options: &Options, outcome: &Outcome) {
+    let (bracket, _) = load(images, &LoadOptions::default()).expect("photographs that were merged");
+    let metadata = Metadata::of(bracket.reference());
+    let written = write::write(&options.outputs, &outcome.radiance, &outcome.display, &metadata, &options.write);
+    let files = written.expect("space in the temporary folder").into_iter().map(|w| w.file).collect();
+    write::commit(files, true).expect("names that can be replaced");
+}
+
+/// Seconds that `work` takes.
+fn seconds<R>(work: impl FnOnce() -> R) -> f64 {
+    let began = Instant::now();
+    work();
+    began.elapsed().as_secs_f64()
+}
+
+fn median(mut times: Vec<f64>) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+fn main() {
+    // As criterion does: a name on the command line chooses benches, and `cargo test --benches` only sees that they run.
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if arguments.iter().any(|a| !a.starts_with('-') && !"codecs".contains(a.as_str())) {
+        return;
+    }
+    let rounds = if arguments.iter().any(|a| a == "--test") { 0 } else { ROUNDS };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let images = photographs(folder.path());
+    let options = |threads| Options {
+        outputs: vec![folder.path().join("a.exr"), folder.path().join("a.png")],
+        write: write::Options { overwrite: true, ..write::Options::default() },
+        threads: Some(threads),
+        ..Options::default()
+    };
+    let run = |threads| pipeline::run(&images, &options(threads), &|_| ()).expect("a bracket that merges");
+    for threads in THREADS {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let outcome = pipeline::develop(&images, &options(threads), &|_| ()).expect("a bracket that merges");
+        let (mut whole, mut alone) = (Vec::new(), Vec::new());
+        for round in 0..=rounds {
+            let times =
+                (seconds(|| run(threads)), seconds(|| pool.install(|| codecs(&images, &options(threads), &outcome))));
+            if round > 0 || rounds == 0 {
+                whole.push(times.0);
+                alone.push(times.1);
+            }
+        }
+        let (whole, alone) = (median(whole), median(alone));
+        let (width, height) = (outcome.report.width_px, outcome.report.height_px);
+        println!(
+            "codecs/{} frames of {width} x {height}, {threads} thread(s): line {whole:.3} s, codecs alone {alone:.3} s, ratio {:.2}",
+            images.len(),
+            whole / alone
+        );
+    }
+}

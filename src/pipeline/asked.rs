@@ -1,0 +1,52 @@
+//! What was asked for, as the report tells it.
+//!
+//! In: [`Options`]. Out: an [`OptionsReport`]. Cost: none.
+
+use super::{Crop, Options};
+use crate::report::options::OptionsReport;
+
+/// Of a run that merges all that the report has; of one that only aligns, what counts there.
+pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
+    let file = options.response_file.as_ref().filter(|_| merges);
+    OptionsReport {
+        align: options.align.mode,
+        robust: options.align.robust,
+        max_rotation_deg: options.align.mtb.max_rotation_deg,
+        crop: match options.crop {
+            Crop::Common => "common",
+            Crop::None => "none",
+        },
+        exposures: merges.then_some(options.exposures),
+        response_model: (merges && file.is_none()).then(|| options.response.name()),
+        response_file: file.map(|path| path.to_string_lossy().into_owned()),
+        weight: merges.then_some(options.weight),
+        deghost_strength: options.deghost.filter(|_| merges).map(|deghost| deghost.strength),
+        flare: merges.then_some(options.flare),
+        colour: options.colour.filter(|_| merges),
+        operator: merges.then(|| options.operator.clone()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::merge::deghost::Deghost;
+
+    #[test]
+    fn a_run_that_only_aligns_was_asked_for_no_radiance() {
+        let options = Options {
+            response_file: Some("c.json".into()),
+            deghost: Some(Deghost { strength: 0.25 }),
+            crop: Crop::None,
+            ..Options::default()
+        };
+        let json = |merges| serde_json::to_value(report(&options, merges)).unwrap();
+        let (merged, aligned) = (json(true), json(false));
+        assert_eq!((&merged["crop"], &aligned["crop"]), (&"none".into(), &"none".into()));
+        assert_eq!((&merged["response_file"], &merged["response_model"]), (&"c.json".into(), &().into()));
+        assert_eq!(merged["deghost_strength"], 0.25);
+        let radiance =
+            ["exposures", "response_model", "response_file", "weight", "deghost_strength", "flare", "operator"];
+        assert!(radiance.iter().all(|key| aligned[*key].is_null()), "{aligned}");
+    }
+}
