@@ -86,14 +86,26 @@ fn neither_threads_nor_the_order_change_what_options_ask_for() {
     assert_same("7 threads in another order", &one, &other);
 }
 
+/// In so little that all frames are on disk, and the radiance in slabs of the least height.
+#[test]
+fn little_memory_does_not_change_a_byte() {
+    let folder = folder();
+    for options in ["", "--deghost --flare --weight noise --colour acescg --absolute --tiff-encoding logluv24", "-C none"] {
+        let ample = results(&folder, [1, 2, 3, 4, 5], options);
+        let little = results(&folder, [1, 2, 3, 4, 5], &format!("{options} --max-memory 1MB"));
+        assert_same(options, &ample, &little);
+    }
+    assert!(folder.listing().iter().all(|(name, _)| name.ends_with(".jpg")), "nothing is left behind");
+}
+
 /// The files and the report that `options` give on `arm`. The choice is the process's: of the tests in this file only one runs the library
 /// in it, the others start the program.
 fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
     simd::choose(arm);
     let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
-    let outcome = pipeline::run(&images, options, &|_| ()).expect("the window merges");
+    let report = pipeline::run(&images, options, &|_| ()).expect("the window merges");
     simd::choose(Arm::Native);
-    let mut report: Value = serde_json::from_str(&outcome.report.to_json()).expect("JSON");
+    let mut report: Value = serde_json::from_str(&report.to_json()).expect("JSON");
     report["time_s"].take();
     (options.outputs.iter().map(|path| fs::read(path).expect("an output")).collect(), report)
 }
