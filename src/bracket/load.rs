@@ -161,6 +161,7 @@ struct Picture {
     width: usize,
     height: usize,
     samples: Samples,
+    brightness: Brightness,
     tags: ExposureTags,
     profile: Option<Profile>,
     capture: Capture,
@@ -180,7 +181,9 @@ impl Picture {
         let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
-        Ok(Picture { path: path.into(), width, height, samples, tags, profile, capture, warnings })
+        // Here, where another frame is being decoded beside it.
+        let brightness = Brightness::of(&samples, width);
+        Ok(Picture { path: path.into(), width, height, samples, brightness, tags, profile, capture, warnings })
     }
 }
 
@@ -246,7 +249,7 @@ fn widen_mixed_depths(pictures: &mut [Picture]) {
 
 /// What the pixels say against the exposures that the user gives; these are taken all the same.
 fn doubtful(pictures: &[Picture], given: &[Exposure]) -> Option<Warning> {
-    let seen: Vec<Brightness> = pictures.par_iter().map(|p| Brightness::of(&p.samples, p.width)).collect();
+    let seen: Vec<Brightness> = pictures.iter().map(|p| p.brightness.clone()).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
     Some(Warning::ExposureDoubtful { detail: brightness::contradiction(&given, &seen)? })
 }
@@ -260,8 +263,7 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
     // By path, so that ties and chains are the same in any order of the command line.
     let mut order: Vec<usize> = (0..pictures.len()).collect();
     order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
-    let seen: Vec<Brightness> =
-        order.par_iter().map(|&i| Brightness::of(&pictures[i].samples, pictures[i].width)).collect();
+    let seen: Vec<Brightness> = order.iter().map(|&i| pictures[i].brightness.clone()).collect();
 
     let warning: fn(String) -> Warning;
     let what;

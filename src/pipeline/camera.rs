@@ -250,27 +250,20 @@ fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
 
 /// Beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` where it does not say.
 fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
-    let name = camera(saved.make.as_deref(), saved.model.as_deref());
+    let name = camera(saved);
     let letter = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '.' | '+') { c } else { '_' };
     let name = name.map_or("response".to_owned(), |name| name.chars().map(letter).collect());
     let first = photographs.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
     first.with_file_name(name + ".json")
 }
 
-/// Make and model in one, the make not said twice; none where neither is known.
-fn camera(make: Option<&str>, model: Option<&str>) -> Option<String> {
-    let (make, model) = (make.unwrap_or("").trim(), model.unwrap_or("").trim());
-    let first_word = make.split(' ').next().unwrap_or("");
-    let name = if model.to_lowercase().starts_with(&first_word.to_lowercase()) {
-        model.to_owned()
-    } else {
-        format!("{make} {model}").trim().to_owned()
-    };
-    (!name.is_empty()).then_some(name)
+/// The name of the camera that a response was saved with.
+fn camera(saved: &SavedResponse) -> Option<String> {
+    Capture { make: saved.make.clone(), model: saved.model.clone(), ..Capture::default() }.camera()
 }
 
 fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
-    let name = |bracket: &Seen| camera(bracket.capture.make.as_deref(), bracket.capture.model.as_deref());
+    let name = |bracket: &Seen| bracket.capture.camera();
     let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
     let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
     let others = others.filter(|(_, found)| *found != kept);
@@ -283,7 +276,7 @@ fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
 fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
     let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
     let drawn = samples::draw(&places, DRAWN);
-    let title = camera(saved.make.as_deref(), saved.model.as_deref()).unwrap_or_else(|| "Camera response".to_owned());
+    let title = camera(saved).unwrap_or_else(|| "Camera response".to_owned());
     let frames: usize = seen.iter().map(|bracket| bracket.report.frames.len()).sum();
     let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(seen.len(), "bracket"));
     if let Some(fits) = &recovered.channels {
@@ -321,11 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_named_once() {
-        assert_eq!(camera(Some("Canon"), Some("Canon EOS 5D")).as_deref(), Some("Canon EOS 5D"));
-        assert_eq!(camera(Some("NIKON CORPORATION"), Some("NIKON D90")).as_deref(), Some("NIKON D90"));
-        assert_eq!(camera(Some("samsung"), Some("SM-A528B")).as_deref(), Some("samsung SM-A528B"));
-        assert_eq!(camera(None, None), None);
+    fn the_response_is_named_after_the_camera() {
         let saved = |model: Option<&str>| SavedResponse {
             make: None,
             model: model.map(str::to_owned),
