@@ -227,7 +227,7 @@ fn files(c: &mut Criterion) {
     let bracket = large();
     let placed = Alignment::unmoved(&bracket);
     let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
-    let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options).expect("a whole region");
+    let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options, None).expect("a whole region");
     let picture = tonemap(&map, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());

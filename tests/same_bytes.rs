@@ -90,7 +90,9 @@ fn neither_threads_nor_the_order_change_what_options_ask_for() {
 #[test]
 fn little_memory_does_not_change_a_byte() {
     let folder = folder();
-    for options in ["", "--deghost --flare --weight noise --colour acescg --absolute --tiff-encoding logluv24", "-C none"] {
+    for options in
+        ["", "--deghost --flare --weight noise --colour acescg --absolute --tiff-encoding logluv24", "-C none"]
+    {
         let ample = results(&folder, [1, 2, 3, 4, 5], options);
         let little = results(&folder, [1, 2, 3, 4, 5], &format!("{options} --max-memory 1MB"));
         assert_same(options, &ample, &little);

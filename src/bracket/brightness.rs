@@ -76,11 +76,26 @@ impl Brightness {
 }
 
 fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, counts: &mut [u64; 256]) {
+    // By turns into two: neighbours that are alike would wait for each other.
+    let mut others = [0u64; 256];
     for row in v.chunks_exact(3 * width).step_by(stride) {
-        for pixel in row.chunks_exact(3).step_by(stride) {
-            counts[code(&pixel[1])] += 1;
+        if stride == 2 {
+            let (fours, rest) = row.as_chunks::<12>();
+            for four in fours {
+                counts[code(&four[1])] += 1;
+                others[code(&four[7])] += 1;
+            }
+            rest.chunks_exact(3).step_by(2).for_each(|pixel| counts[code(&pixel[1])] += 1);
+        } else {
+            let (pairs, last) = row.as_chunks::<6>();
+            for pair in pairs {
+                counts[code(&pair[1])] += 1;
+                others[code(&pair[4])] += 1;
+            }
+            last.chunks_exact(3).for_each(|pixel| counts[code(&pixel[1])] += 1);
         }
     }
+    counts.iter_mut().zip(others).for_each(|(count, other)| *count += other);
 }
 
 /// The step from `dark` to `bright` in EV, were the camera's curve that of sRGB; `None` where nothing is well exposed in both.

@@ -215,6 +215,7 @@ impl Picture {
         let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
+        // Here, where another frame is being decoded beside it.
         let (brightness, well_exposed) = (Brightness::of(&samples, width), reference::well_exposed(&samples, width));
         let mut store = Store::Held(samples);
         if let Some(scratch) = scratch {

@@ -71,6 +71,8 @@ enum ExrCompressionArg {
     Zip,
     /// Deflate, row by row
     Zips,
+    /// Not at all: twice the size
+    None,
 }
 
 /// See [`hdr::Encoding`].
@@ -123,6 +125,7 @@ impl Radiance {
                     ExrCompressionArg::Piz => exr::Compression::Piz,
                     ExrCompressionArg::Zip => exr::Compression::Zip16,
                     ExrCompressionArg::Zips => exr::Compression::Zip1,
+                    ExrCompressionArg::None => exr::Compression::None,
                 },
             },
             hdr: match self.hdr_encoding {

@@ -6,7 +6,6 @@
 //! more of its codes.
 
 use super::line::Line;
-use super::names::camera;
 use super::names::natural;
 use super::{Progress, check_placed, in_pool};
 use crate::align::given::Given;
@@ -252,7 +251,7 @@ fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
 
 /// Beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` where it does not say.
 fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
-    let name = camera(saved.make.as_deref(), saved.model.as_deref());
+    let name = saved.camera();
     let letter = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '.' | '+') { c } else { '_' };
     let name = name.map_or("response".to_owned(), |name| name.chars().map(letter).collect());
     let first = photographs.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
@@ -260,7 +259,7 @@ fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
 }
 
 fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
-    let name = |bracket: &Seen| camera(bracket.capture.make.as_deref(), bracket.capture.model.as_deref());
+    let name = |bracket: &Seen| bracket.capture.camera();
     let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
     let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
     let others = others.filter(|(_, found)| *found != kept);
@@ -273,7 +272,7 @@ fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
 fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
     let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
     let drawn = samples::draw(&places, DRAWN);
-    let title = camera(saved.make.as_deref(), saved.model.as_deref()).unwrap_or_else(|| "Camera response".to_owned());
+    let title = saved.camera().unwrap_or_else(|| "Camera response".to_owned());
     let frames: usize = seen.iter().map(|bracket| bracket.report.frames.len()).sum();
     let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(seen.len(), "bracket"));
     if let Some(fits) = &recovered.channels {
@@ -311,11 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_named_once() {
-        assert_eq!(camera(Some("Canon"), Some("Canon EOS 5D")).as_deref(), Some("Canon EOS 5D"));
-        assert_eq!(camera(Some("NIKON CORPORATION"), Some("NIKON D90")).as_deref(), Some("NIKON D90"));
-        assert_eq!(camera(Some("samsung"), Some("SM-A528B")).as_deref(), Some("samsung SM-A528B"));
-        assert_eq!(camera(None, None), None);
+    fn the_response_is_named_after_the_camera() {
         let saved = |model: Option<&str>| SavedResponse {
             make: None,
             model: model.map(str::to_owned),

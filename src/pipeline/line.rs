@@ -2,7 +2,6 @@
 //!
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
-use super::names::camera;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
@@ -71,8 +70,8 @@ fn settled(merged: &Merged, options: &Options) -> Result<Settled> {
 /// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
 /// them does not say its own, nothing.
 fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
-    let found = camera(saved.make.as_deref(), saved.model.as_deref())?;
-    let kept = camera(capture.make.as_deref(), capture.model.as_deref())?;
+    let found = saved.camera()?;
+    let kept = capture.camera()?;
     (found != kept).then(|| Warning::ResponseOfAnother { path: path.to_owned(), found, kept })
 }
 

@@ -68,18 +68,6 @@ pub fn default_picture(input: &Path) -> PathBuf {
     input.with_extension("png")
 }
 
-/// Make and model in one, the make not said twice; none where neither is known.
-pub(super) fn camera(make: Option<&str>, model: Option<&str>) -> Option<String> {
-    let (make, model) = (make.unwrap_or("").trim(), model.unwrap_or("").trim());
-    let first_word = make.split(' ').next().unwrap_or("");
-    let name = if model.to_lowercase().starts_with(&first_word.to_lowercase()) {
-        model.to_owned()
-    } else {
-        format!("{make} {model}").trim().to_owned()
-    };
-    (!name.is_empty()).then_some(name)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

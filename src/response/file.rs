@@ -11,6 +11,7 @@
 //! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
 
 use super::{CODES, ResponseCurve, csv, rsp};
+use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -81,6 +82,13 @@ pub struct SavedResponse {
     pub model: Option<String>,
     /// The curve.
     pub curve: ResponseCurve,
+}
+
+impl SavedResponse {
+    /// The camera's name; none where it is not known.
+    pub fn camera(&self) -> Option<String> {
+        Capture { make: self.make.clone(), model: self.model.clone(), ..Capture::default() }.camera()
+    }
 }
 
 /// The file, as it is written.

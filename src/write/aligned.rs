@@ -9,7 +9,7 @@ use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Window};
 use crate::error::{Error, Result};
-use crate::plane::{BAND_ROWS, band_count, band_rows};
+use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -81,22 +81,20 @@ fn push<T: Copy + Send + Sync>(
     region: Rect,
     round: impl Fn(f32) -> T + Sync,
 ) -> Result<Written> {
-    let bands: Vec<usize> = (0..band_count(region.height())).collect();
-    for some in bands.chunks(BANDS_AT_ONCE) {
-        let rows: Vec<Vec<[T; 3]>> = some
-            .par_iter()
-            .map(|&band| {
-                let rows = band_rows(band, region.height());
-                let mut codes = vec![[0.0f32; 3]; rows.len() * region.width()];
-                let rows = region.y0 + rows.start..region.y0 + rows.end;
-                resample_rows(window, warp, region.x0..region.x1, rows, &mut codes);
-                codes.iter().map(|p| if p[0] == OUTSIDE { [round(0.0); 3] } else { p.map(&round) }).collect()
-            })
-            .collect();
-        for band in rows {
-            debug_assert!(band.len() <= BAND_ROWS * region.width());
-            writer.push(&band)?;
-        }
+    let (width, height) = (region.width(), region.height());
+    let black = round(0.0);
+    let mut rows = vec![[black; 3]; width * height.min(BANDS_AT_ONCE * BAND_ROWS)];
+    for first in (0..height).step_by(BANDS_AT_ONCE * BAND_ROWS) {
+        let rows = &mut rows[..width * (height - first).min(BANDS_AT_ONCE * BAND_ROWS)];
+        rows.par_chunks_mut(BAND_ROWS * width).enumerate().for_each_init(Vec::new, |codes, (band, to)| {
+            let y = region.y0 + first + band * BAND_ROWS;
+            codes.resize(to.len(), [0.0f32; 3]);
+            resample_rows(window, warp, region.x0..region.x1, y..y + to.len() / width, codes);
+            for (to, p) in to.iter_mut().zip(codes.iter()) {
+                *to = if p[0] == OUTSIDE { [black; 3] } else { p.map(&round) };
+            }
+        });
+        writer.push(rows)?;
     }
     writer.finish()
 }

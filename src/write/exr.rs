@@ -1,12 +1,12 @@
 //! OpenEXR: half or float RGB, scan lines, lossless.
 //!
 //! In: linear RGB by rows. Out: a file whose blocks lie in increasing order, so the bytes are the same on any number of threads.
-//! [`read`](crate::read) is the way back. Cost: PIZ 100 ns a pixel and core for noisy halves, 300 for floats;
-//! ZIP takes two to three times that and a tenth more room. Source: "OpenEXR File Layout" and "Standard
-//! Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
+//! [`read`](crate::read) is the way back. Cost: PIZ 25 ns a pixel and core for halves, 60 for floats. On six radiance maps it is the smallest
+//! of all that lose nothing, 35 to 60 % of the halves as they are (ZIP 36 to 65, ZIPS 40 to 71, RLE 72 to 95), which is why it is the default. Source: "OpenEXR File
+//! Layout" and "Standard Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
 //! The `exr` crate's own block writer wants all blocks from inside one closure, which a writer fed from outside cannot give; so the
-//! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes header and blocks.
+//! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes the header, and blocks that are not PIZ.
 
 use super::half::{HALF_MAX, planes_of_floats, planes_of_halves};
 use super::piz::Packer;
@@ -106,6 +106,8 @@ pub enum Compression {
     Zip16,
     /// Deflate over single rows.
     Zip1,
+    /// Not at all.
+    None,
 }
 
 /// How OpenEXR is encoded.
@@ -135,7 +137,7 @@ impl Writer {
     /// Writes the header of a picture of `size` pixels; rows of linear RGB follow.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`](crate::error::Error::Write).
     pub fn new(mut file: Pending, size: (usize, usize), metadata: &Metadata, options: &Options) -> Result<Self> {
         let header = header(size, metadata, options);
         let mut start = Vec::new();
@@ -198,6 +200,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, options: &Option
         Compression::Piz => ::exr::compression::Compression::PIZ,
         Compression::Zip16 => ::exr::compression::Compression::ZIP16,
         Compression::Zip1 => ::exr::compression::Compression::ZIP1,
+        Compression::None => ::exr::compression::Compression::Uncompressed,
     };
     // Channels are kept by name.
     let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, sample));
@@ -381,14 +384,15 @@ mod tests {
 
     /// Small values become the smallest half rather than 0.
     fn half(v: f32) -> f32 {
-        f16::from_f32(v).to_f32().max(f16::from_bits(1).to_f32())
+        let nearest = f16::from_f32(v).to_f32();
+        if v > 0.0 { nearest.max(f16::from_bits(1).to_f32()) } else { nearest }
     }
 
     #[test]
     fn every_encoding_comes_back() {
         for (width, height) in [(1, 1), (33, 63), (130, 200)] {
             let picture = picture(width, height);
-            for compression in [Compression::Piz, Compression::Zip16, Compression::Zip1] {
+            for compression in [Compression::Piz, Compression::Zip16, Compression::Zip1, Compression::None] {
                 for sample in [Sample::Half, Sample::Float] {
                     let options = Options { sample, compression };
                     let (_, warnings, map, _) = written(&picture, &Metadata::default(), &options, height);

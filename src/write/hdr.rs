@@ -6,7 +6,7 @@
 //! a pixel and core and 3 to 4 bytes. Source: "Radiance File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`,
 //! `src/px/ra_xyze.c`.
 
-use super::rgbe::{self, Rgbe};
+use super::rgbe::Scanline;
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::error::Result;
@@ -28,7 +28,7 @@ pub enum Encoding {
 #[derive(Debug)]
 pub struct Writer {
     file: Pending,
-    bands: Bands<[f32; 3], Vec<Rgbe>>,
+    bands: Bands<[f32; 3], Scratch>,
     to_stored: ToStored,
     over: u64,
 }
@@ -56,6 +56,11 @@ impl ToStored {
         ToStored { xyz, factor: factor as f32 }
     }
 
+    /// Whether pixels are stored as they are given.
+    fn keeps(&self) -> bool {
+        self.xyz.is_none() && self.factor == 1.0
+    }
+
     #[inline]
     fn pixel(&self, rgb: [f32; 3]) -> [f32; 3] {
         let stored = self.xyz.map_or(rgb, |xyz| xyz.of_rgb(rgb));
@@ -67,7 +72,7 @@ impl Writer {
     /// Writes the header of a picture of `size` pixels; rows of linear RGB follow.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`](crate::error::Error::Write).
     pub fn new(mut file: Pending, size: (usize, usize), metadata: &Metadata, encoding: Encoding) -> Result<Self> {
         file.put(header(size, metadata, encoding).as_bytes())?;
         Ok(Writer { file, bands: Bands::new(size), to_stored: ToStored::of(metadata, encoding), over: 0 })
@@ -80,7 +85,7 @@ impl RowWriter<[f32; 3]> for Writer {
         let width = bands.width;
         bands.push(
             rows,
-            |_, pixels, row, out| encode_band(pixels, width, to_stored, row, out),
+            |_, pixels, scratch, out| encode_band(pixels, width, to_stored, scratch, out),
             |bytes, beyond| {
                 *over += beyond;
                 file.put(bytes)
@@ -95,20 +100,32 @@ impl RowWriter<[f32; 3]> for Writer {
     }
 }
 
+/// Buffers for a row: as stored, and its components.
+#[derive(Debug, Default)]
+struct Scratch {
+    stored: Vec<[f32; 3]>,
+    scanline: Scanline,
+}
+
 /// Appends the rows; gives how many values were beyond what is held.
-fn encode_band(pixels: &[[f32; 3]], width: usize, to_stored: &ToStored, row: &mut Vec<Rgbe>, out: &mut Vec<u8>) -> u64 {
+fn encode_band(
+    pixels: &[[f32; 3]],
+    width: usize,
+    to_stored: &ToStored,
+    scratch: &mut Scratch,
+    out: &mut Vec<u8>,
+) -> u64 {
     out.reserve(pixels.len() * 4);
-    let mut over = 0;
-    for rgb in pixels.chunks_exact(width) {
-        row.clear();
-        row.extend(rgb.iter().map(|&p| {
-            let (rgbe, beyond) = rgbe::encode(to_stored.pixel(p));
-            over += beyond;
-            rgbe
-        }));
-        rgbe::put_row(row, out);
-    }
-    over
+    let Scratch { stored, scanline } = scratch;
+    let rows = pixels.chunks_exact(width).map(|row| {
+        if to_stored.keeps() {
+            return scanline.put(row, out);
+        }
+        stored.clear();
+        stored.extend(row.iter().map(|&p| to_stored.pixel(p)));
+        scanline.put(stored, out)
+    });
+    rows.sum()
 }
 
 /// The header, the blank line and the resolution.
@@ -157,6 +174,7 @@ mod tests {
     use crate::error::Warning;
     use crate::plane::Plane;
     use crate::read::hdr::parse;
+    use crate::write::rgbe;
     use crate::write::{commit, push_all};
 
     fn picture(width: usize, height: usize) -> Plane<[f32; 3]> {

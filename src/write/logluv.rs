@@ -3,7 +3,7 @@
 //! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, as they are) or 34676 (32 bits, by runs) and photometric
 //! interpretation 32845, by strips of 64 rows, that libtiff reads, and with it ImageMagick and OpenCV. Grey is written as X = Y = Z and the
 //! white it was under as WhitePoint, as `tif_luv.c` asks for. StoNits is what a luminance read is to be multiplied by. Cost: 80 ns a pixel
-//! and core; 3 bytes, or about 3 by runs. Source: see [`luv`](super::luv).
+//! and core; 3 bytes, or about 3 by runs. Source: see [`luv`].
 
 use super::ifd::tag;
 use super::luv::{self, Depth};

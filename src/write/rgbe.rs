@@ -3,27 +3,47 @@
 //! In: linear RGB or the bytes of a scanline. Out: the other. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
 //! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
 
+use crate::simd::{Loops, vectorised};
+
 /// A pixel: the mantissas of red, green and blue, and the exponent + 128.
 pub(crate) type Rgbe = [u8; 4];
 
 /// The largest number there is: mantissa 255 at exponent byte 255.
 const MAX: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
 
+/// The greatest float that is not above 1e-32.
+const SMALLEST: f32 = {
+    let nearest = 1e-32f32;
+    if nearest as f64 <= 1e-32 { nearest } else { f32::from_bits(nearest.to_bits() - 1) }
+};
+
 /// The pixel as Ward's `setcolr` makes it, by truncation, and how many of its components were beyond what it holds.
 /// Negative components and NaN become 0, as do all of a pixel whose largest is not above 1e-32.
-pub(super) fn encode([r, g, b]: [f32; 3]) -> (Rgbe, u64) {
-    let over = [r, g, b].iter().filter(|c| c.is_nan() || **c > MAX).count() as u64;
-    // Of NaN no comparison holds.
-    let [r, g, b] = [r, g, b].map(|c| if c > 0.0 { c.min(MAX) } else { 0.0 });
-    let d = r.max(g).max(b);
-    if f64::from(d) <= 1e-32 {
-        return ([0; 4], over);
-    }
+#[inline(always)]
+pub(super) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
+    // All cases are computed and one is chosen, so that loops can be made of vectors. Of NaN no comparison holds.
+    let over = rgb.map(|c| u32::from(c > MAX || c.is_nan()));
+    let [r, g, b] = rgb.map(|c| if c < MAX { c } else { MAX }).map(|c| if c > 0.0 { c } else { 0.0 });
+    let [r, g, b] = [(rgb[0], r), (rgb[1], g), (rgb[2], b)].map(|(given, c)| if given.is_nan() { 0.0 } else { c });
+    let larger = |a: f32, b: f32| if a > b { a } else { b };
+    let d = larger(larger(r, g), b);
     // frexp: d = m 2^e with m in [1/2, 1). The exponent field of a float is biased by 127 for m in [1, 2). Above 1e-32 it is normal.
-    let e = (d.to_bits() >> 23) as i32 - 126;
-    let scale = pow2(8 - e);
-    let [r, g, b] = [r, g, b].map(|c| (c * scale) as u8);
-    ([r, g, b, (e + 128) as u8], over)
+    let biased = d.to_bits() >> 23;
+    // 2^(8 - e), which e from -106 to 127 leaves normal; below, it does not matter.
+    let scale = f32::from_bits((261u32.wrapping_sub(biased) & 0xff) << 23);
+    let is_black = d <= SMALLEST;
+    let mantissa = |c: f32| if is_black { 0 } else { floor(c * scale) as u8 };
+    let exponent = if is_black { 0 } else { (biased + 2) as u8 };
+    ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
+}
+
+/// The whole part of `v`, of 0 and above and below 2^22. A cast would be no vector instruction: it has to mind what is out of range.
+#[inline(always)]
+fn floor(v: f32) -> u32 {
+    // Beside 2^23 there is no place for less than 1: the last bits are `v` rounded.
+    const BASE: f32 = 8_388_608.0;
+    let sum = v + BASE;
+    (sum.to_bits() & 0x7f_ffff).wrapping_sub(u32::from(sum - BASE > v))
 }
 
 /// The middle of the interval that truncation brought to this pixel: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 at exponent 0.
@@ -46,43 +66,122 @@ pub(super) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 /// The shortest run that is worth its two bytes.
 const MIN_RUN: usize = 4;
 
-/// Appends the scanline `row`, by components and run-length encoded where the width allows, flat otherwise.
-/// A flat pixel is never mistaken for the mark of an encoded line, (2, 2, ..), nor of a repetition, (1, 1, 1, n): the largest mantissa
-/// of a pixel that is not 0 is 128 at least.
-pub(super) fn put_row(row: &[Rgbe], out: &mut Vec<u8>) {
-    if !RLE_WIDTHS.contains(&row.len()) {
-        out.extend_from_slice(row.as_flattened());
-        return;
+/// Buffers for scanlines.
+#[derive(Debug, Default)]
+pub(super) struct Scanline {
+    /// The components, one after the other.
+    components: Vec<u8>,
+    /// For every byte whether a run begins there.
+    begins: Vec<u8>,
+}
+
+impl Scanline {
+    /// Appends the scanline of `pixels`, by components and run-length encoded where the width allows, flat otherwise; gives how many
+    /// values were beyond what is held. A flat pixel is never mistaken for the mark of an encoded line, (2, 2, ..), nor of a repetition,
+    /// (1, 1, 1, n): the largest mantissa of a pixel that is not 0 is 128 at least.
+    pub(super) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
+        let width = pixels.len();
+        self.components.resize(4 * width, 0);
+        let over = vectorised(Encode { pixels, components: &mut self.components });
+        self.put_components(width, out);
+        over
     }
-    out.extend_from_slice(&[2, 2, (row.len() >> 8) as u8, row.len() as u8]);
-    let mut plane = vec![0; row.len()];
-    for component in 0..4 {
-        for (to, from) in plane.iter_mut().zip(row) {
-            *to = from[component];
+
+    fn put_components(&mut self, width: usize, out: &mut Vec<u8>) {
+        if !RLE_WIDTHS.contains(&width) {
+            out.extend((0..width).flat_map(|x| [0, 1, 2, 3].map(|c| self.components[c * width + x])));
+            return;
         }
-        put_runs(&plane, out);
+        out.extend_from_slice(&[2, 2, (width >> 8) as u8, width as u8]);
+        for component in self.components.chunks_exact(width) {
+            put_runs(component, &mut self.begins, out);
+        }
+    }
+}
+
+/// Pixels to components.
+struct Encode<'a> {
+    pixels: &'a [[f32; 3]],
+    components: &'a mut [u8],
+}
+
+/// Pixels whose channels are laid apart before they are encoded.
+const LANES: usize = 64;
+
+impl Loops for Encode<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run(self) -> u64 {
+        let width = self.pixels.len();
+        let (r, rest) = self.components.split_at_mut(width);
+        let (g, rest) = rest.split_at_mut(width);
+        let (b, e) = rest.split_at_mut(width);
+        let mut over = 0;
+        let to = r.chunks_mut(LANES).zip(g.chunks_mut(LANES)).zip(b.chunks_mut(LANES)).zip(e.chunks_mut(LANES));
+        for (pixels, (((r, g), b), e)) in self.pixels.chunks(LANES).zip(to) {
+            let mut channels = [[0.0f32; LANES]; 3];
+            for (i, p) in pixels.iter().enumerate() {
+                (channels[0][i], channels[1][i], channels[2][i]) = (p[0], p[1], p[2]);
+            }
+            let mut encoded = [[0u8; LANES]; 4];
+            let mut beyond = 0;
+            for i in 0..LANES {
+                let ([r, g, b, e], count) = encode([channels[0][i], channels[1][i], channels[2][i]]);
+                (encoded[0][i], encoded[1][i], encoded[2][i], encoded[3][i]) = (r, g, b, e);
+                // Lanes behind the last pixel are black.
+                beyond += count;
+            }
+            over += u64::from(beyond);
+            for (to, from) in [r, g, b, e].into_iter().zip(&encoded) {
+                to.copy_from_slice(&from[..to.len()]);
+            }
+        }
+        over
+    }
+}
+
+/// Marks every byte that begins four equal ones.
+struct Mark<'a> {
+    bytes: &'a [u8],
+    begins: &'a mut [u8],
+}
+
+impl Loops for Mark<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let n = self.begins.len();
+        let [a, b, c, d] = [0, 1, 2, 3].map(|i| &self.bytes[i..i + n]);
+        for ((((to, a), b), c), d) in self.begins.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+            *to = u8::from((a ^ b) | (b ^ c) | (c ^ d) == 0);
+        }
+    }
+}
+
+/// The first of `begins` at or after `at` that is marked.
+fn next_run(begins: &[u8], at: usize) -> Option<usize> {
+    let from = begins.get(at..)?;
+    let (eights, rest) = from.as_chunks::<8>();
+    match eights.iter().position(|eight| u64::from_le_bytes(*eight) != 0) {
+        Some(i) => Some(at + 8 * i + (u64::from_le_bytes(eights[i]).trailing_zeros() / 8) as usize),
+        None => rest.iter().position(|&mark| mark != 0).map(|i| at + 8 * eights.len() + i),
     }
 }
 
 /// `fwritecolrs` for one component: runs of 4 to 127 equal bytes as (128 + n, byte), the rest as (n, n bytes) with n up to 128.
-fn put_runs(bytes: &[u8], out: &mut Vec<u8>) {
+fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     let len = bytes.len();
-    let run_at = |at: usize| {
-        let most = 127.min(len - at);
-        bytes[at..at + most].iter().take_while(|&&b| b == bytes[at]).count()
-    };
+    begins.resize(len.saturating_sub(MIN_RUN - 1), 0);
+    vectorised(Mark { bytes, begins });
     let mut at = 0;
     while at < len {
         // The next run that is long enough begins at `start`, and is `run` long; 0 when there is none.
-        let (mut start, mut run) = (at, 0);
-        while start < len {
-            let n = run_at(start);
-            if n >= MIN_RUN {
-                run = n;
-                break;
-            }
-            start += n;
-        }
+        let (start, run) = match next_run(begins, at) {
+            Some(start) => (start, bytes[start..].iter().take(127).take_while(|&&b| b == bytes[start]).count()),
+            None => (len, 0),
+        };
         // Two or three bytes before it that are all the same are cheaper as a short run.
         if (2..MIN_RUN).contains(&(start - at)) && bytes[at..start].iter().all(|&b| b == bytes[at]) {
             out.extend_from_slice(&[128 + (start - at) as u8, bytes[at]]);
@@ -171,6 +270,38 @@ mod tests {
         [r, g, b, (e + 128) as u8]
     }
 
+    /// The runs of `fwritecolrs` as it is printed.
+    fn fwritecolrs(bytes: &[u8]) -> Vec<u8> {
+        let (mut out, mut at, len) = (Vec::new(), 0, bytes.len());
+        while at < len {
+            let (mut begin, mut count) = (at, 0);
+            while begin < len {
+                count = 1;
+                while count < 127 && begin + count < len && bytes[begin + count] == bytes[begin] {
+                    count += 1;
+                }
+                if count >= MIN_RUN {
+                    break;
+                }
+                begin += count;
+            }
+            if begin - at > 1 && begin - at < MIN_RUN && bytes[at..begin].iter().all(|&b| b == bytes[at]) {
+                out.extend([128 + (begin - at) as u8, bytes[at]]);
+                at = begin;
+            }
+            for part in bytes[at..begin].chunks(128) {
+                out.push(part.len() as u8);
+                out.extend(part);
+            }
+            at = begin;
+            if begin < len && count >= MIN_RUN {
+                out.extend([128 + count as u8, bytes[begin]]);
+                at += count;
+            }
+        }
+        out
+    }
+
     fn numbers(count: usize) -> impl Iterator<Item = u32> {
         (0..count as u32).map(|i| {
             let mut x = i.wrapping_mul(0x9e37_79b9) ^ 0x5bd1_e995;
@@ -187,6 +318,26 @@ mod tests {
         for (i, &v) in values.iter().enumerate() {
             let rgb = [v, v * 0.37, values[(i * 7) % values.len()].min(v)];
             assert_eq!(encode(rgb), (setcolr(rgb), 0), "{rgb:?}");
+        }
+    }
+
+    /// Whole rows, with pixels that do not fill the lanes.
+    #[test]
+    fn rows_are_their_pixels() {
+        let mut scanline = Scanline::default();
+        for width in [1, 63, 64, 65, 1000] {
+            let pixels: Vec<[f32; 3]> = numbers(width)
+                .map(|n| {
+                    [n, n.wrapping_mul(3), n.rotate_left(9)]
+                        .map(|n| if n % 50 == 0 { f32::NAN } else { f32::from_bits(n) })
+                })
+                .collect();
+            let over = scanline.put(&pixels, &mut Vec::new());
+            let each: Vec<(Rgbe, u32)> = pixels.iter().map(|&p| encode(p)).collect();
+            assert_eq!(over, each.iter().map(|(_, over)| u64::from(*over)).sum::<u64>());
+            for (x, (pixel, _)) in each.iter().enumerate() {
+                assert_eq!([0, 1, 2, 3].map(|c| scanline.components[c * width + x]), *pixel);
+            }
         }
     }
 
@@ -216,7 +367,7 @@ mod tests {
     fn runs_are_cut_at_127_and_literals_at_128() {
         let encoded = |bytes: &[u8]| {
             let mut out = Vec::new();
-            put_runs(bytes, &mut out);
+            put_runs(bytes, &mut Vec::new(), &mut out);
             out
         };
         assert_eq!(encoded(&[7; 127]), [255, 7]);
@@ -232,6 +383,7 @@ mod tests {
 
     #[test]
     fn rows_of_every_make_come_back() {
+        let mut scanline = Scanline::default();
         for width in [1, 7, 8, 9, 127, 128, 129, 300, 32767, 32768] {
             for kind in 0..4u32 {
                 let row: Vec<Rgbe> = (0..width as u32)
@@ -244,7 +396,13 @@ mod tests {
                     })
                     .collect();
                 let mut bytes = Vec::new();
-                put_row(&row, &mut bytes);
+                let components = [0, 1, 2, 3].map(|c| row.iter().map(|p| p[c]).collect::<Vec<u8>>()).concat();
+                scanline.components = components.clone();
+                scanline.put_components(width, &mut bytes);
+                if RLE_WIDTHS.contains(&width) {
+                    let plain: Vec<u8> = components.chunks(width).flat_map(fwritecolrs).collect();
+                    assert!(bytes[4..] == plain, "width {width}, kind {kind}");
+                }
                 if !RLE_WIDTHS.contains(&width) {
                     assert_eq!(bytes.len(), 4 * width);
                 }

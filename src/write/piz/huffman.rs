@@ -194,6 +194,18 @@ impl Coder {
             let value = values[at];
             let code = codes[usize::from(value)];
             at += 1;
+            // Mostly two that do not come again, together: a 64-bit word takes them at once.
+            if let Some(&[next, after]) = values[at..].first_chunk::<2>()
+                && (next != value) & (after != next)
+            {
+                let other = codes[usize::from(next)];
+                let (length, more) = (code & 63, other & 63);
+                if length + more <= 56 {
+                    bits.put((code >> 6) << more | other >> 6, length + more);
+                    at += 1;
+                    continue;
+                }
+            }
             if values.get(at) != Some(&value) {
                 bits.put(code >> 6, code & 63);
                 continue;
