@@ -1,5 +1,6 @@
 //! Arguments that the commands share.
 
+use super::memory;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use hdralign::align::given::{Given, Place};
@@ -50,13 +51,13 @@ pub struct Aligned {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
 
-    /// Memory that may be used at most, as 500MB or 4GB [default: as much as is needed]; the results are the same. What does not fit
-    /// is on disk for as long as it is needed, in the folder of --scratch
-    #[arg(long, value_name = "SIZE", value_parser = size)]
+    /// Memory that may be used at most, as 500MB or 4GB [default: three quarters of what is free]; the results are the same. What does
+    /// not fit is on disk for as long as it is needed
+    #[arg(long, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 
-    /// The folder for what does not fit into --max-memory [default: that of the first result, or the system's for temporary files]
-    #[arg(long, value_name = "FOLDER", requires = "max_memory")]
+    /// The folder for what does not fit into memory [default: that of the first result, else the system's for temporary files]
+    #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
     /// Exit with 3 when a frame was left out or doubtful, or an exposure or the response guessed
@@ -172,7 +173,7 @@ impl Aligned {
     /// How much memory may be used, where results are written to the folder of `output`.
     pub fn memory(&self, output: Option<&Path>) -> Option<MemoryLimit> {
         let folder = || output.and_then(Path::parent).map_or_else(std::env::temp_dir, Path::to_path_buf);
-        let bytes = self.max_memory?;
+        let bytes = self.max_memory.or_else(|| Some(memory::free()? / 4 * 3))?;
         Some(MemoryLimit { bytes, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
 
@@ -207,39 +208,5 @@ impl Common {
             CropArg::None => Crop::None,
         };
         Options { crop, transforms: self.transforms.clone(), report: self.report.clone(), ..self.aligned.options() }
-    }
-}
-
-/// Bytes, as `300000000`, `256MB`, `256MiB` or `1.5GB`.
-fn size(text: &str) -> Result<u64, String> {
-    let wrong =
-        || format!("{text:?} is no size; give bytes, or a number and kB, MB, GB, KiB, MiB or GiB, as in `500MB`");
-    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
-    let (number, unit) = text.split_at(end);
-    let factor = match unit.trim().to_ascii_lowercase().as_str() {
-        "" | "b" => 1.0,
-        "k" | "kb" => 1e3,
-        "m" | "mb" => 1e6,
-        "g" | "gb" => 1e9,
-        "kib" => 1024.0,
-        "mib" => 1024.0 * 1024.0,
-        "gib" => 1024.0 * 1024.0 * 1024.0,
-        _ => return Err(wrong()),
-    };
-    let bytes = number.parse::<f64>().map_err(|_| wrong())? * factor;
-    if bytes >= 1.0 { Ok(bytes as u64) } else { Err(wrong()) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_are_as_people_write_them() {
-        let all = ["256MB", "256 mb", "1.5GiB", "300000000", "2k"].map(|t| size(t).unwrap());
-        assert_eq!(all, [256_000_000, 256_000_000, 1_610_612_736, 300_000_000, 2000]);
-        for wrong in ["", "MB", "0", "-5MB", "1.2.3GB", "5 lights"] {
-            assert!(size(wrong).unwrap_err().contains("500MB"), "{wrong}");
-        }
     }
 }

@@ -5,6 +5,7 @@
 mod align;
 mod input;
 mod inspect;
+mod memory;
 mod merge;
 mod progress;
 mod radiance;
