@@ -21,10 +21,11 @@ use hdralign::merge::deghost::{self, Deghost};
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
+use hdralign::read;
 use hdralign::response::samples::Places;
 use hdralign::response::{ResponseCurve, ResponseModel, ratios, recover_from};
 use hdralign::tonemap::{Operator, tonemap};
-use hdralign::write::{self, Metadata};
+use hdralign::write::{self, Metadata, exr};
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -206,12 +207,44 @@ fn radiance(c: &mut Criterion) {
     let picture = tonemap(&map, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());
-    for name in ["a.exr", "a.hdr", "a.tif", "a.png"] {
-        let path = [folder.path().join(name)];
+    let floats = exr::Options { sample: exr::Sample::Float, ..exr::Options::default() };
+    for (what, names, exr) in [
+        ("exr", &["a.exr"][..], exr::Options::default()),
+        ("exr floats", &["a.exr"], floats),
+        ("hdr", &["a.hdr"], exr::Options::default()),
+        ("tif", &["a.tif"], exr::Options::default()),
+        ("png", &["a.png"], exr::Options::default()),
+        ("exr and png", &["a.exr", "a.png"], exr::Options::default()),
+    ] {
+        let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
+        let options = write::Options { exr, ..write::Options::default() };
         // Dropped, the file is gone: what is measured is the encoding and the system's buffers.
-        group.bench_function(format!("write {}", &name[2..]), |b| {
-            b.iter(|| write::write(&path, black_box(&map), &picture, &metadata, &write::Options::default()));
+        group.bench_function(format!("write {what}"), |b| {
+            b.iter(|| write::write(&paths, black_box(&map), &picture, &metadata, &options));
         });
+    }
+}
+
+/// Reading and decoding: five frames of 0.96 MP, and the radiance map of one of them.
+fn reading(c: &mut Criterion) {
+    let images = paths();
+    let bracket = small();
+    let all = pixels(&bracket);
+    let mut group = c.benchmark_group("reading");
+    group.throughput(Throughput::Elements(5 * all));
+    group.bench_function("load", |b| b.iter(|| load(black_box(&images), &LoadOptions::default())));
+    let placed = Alignment::unmoved(&bracket);
+    let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
+    let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options).expect("a whole region");
+    let picture = tonemap(&map, &Operator::default());
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    group.throughput(Throughput::Elements(all));
+    for name in ["a.exr", "a.hdr", "a.tif"] {
+        let path = [folder.path().join(name)];
+        let written = write::write(&path, &map, &picture, &Metadata::default(), &write::Options::default());
+        let files = written.expect("a whole file").into_iter().map(|w| w.file).collect();
+        write::commit(files, true).expect("a file of that name");
+        group.bench_function(format!("read {}", &name[2..]), |b| b.iter(|| read::read(black_box(&path[0]))));
     }
 }
 
@@ -236,6 +269,6 @@ criterion_group! {
         .sample_size(10)
         .warm_up_time(Duration::from_millis(300))
         .measurement_time(Duration::from_secs(2));
-    targets = bitmaps, alignment, features, radiance, line
+    targets = reading, bitmaps, alignment, features, radiance, line
 }
 criterion_main!(stages);
