@@ -209,11 +209,20 @@ fn radiance(c: &mut Criterion) {
     let picture = tonemap(&map, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());
-    for name in ["a.exr", "a.hdr", "a.tif", "a.png"] {
-        let path = [folder.path().join(name)];
+    let floats = exr::Options { sample: exr::Sample::Float, ..exr::Options::default() };
+    for (what, names, exr) in [
+        ("exr", &["a.exr"][..], exr::Options::default()),
+        ("exr floats", &["a.exr"], floats),
+        ("hdr", &["a.hdr"], exr::Options::default()),
+        ("tif", &["a.tif"], exr::Options::default()),
+        ("png", &["a.png"], exr::Options::default()),
+        ("exr and png", &["a.exr", "a.png"], exr::Options::default()),
+    ] {
+        let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
+        let options = write::Options { exr, ..write::Options::default() };
         // Dropped, the file is gone: what is measured is the encoding and the system's buffers.
-        group.bench_function(format!("write {}", &name[2..]), |b| {
-            b.iter(|| write::write(&path, black_box(&map), &picture, &metadata, &write::Options::default()));
+        group.bench_function(format!("write {what}"), |b| {
+            b.iter(|| write::write(&paths, black_box(&map), &picture, &metadata, &options));
         });
     }
 }

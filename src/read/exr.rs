@@ -52,10 +52,9 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
         return Err(damaged("its channels are halved in size; convert it to RGB first".into()));
     }
     let (width, height) = (layer.size.width(), layer.size.height());
-    let at = channels.map(|channel| value_of(&channel.sample_data));
     let pixels = Plane::from_rows(width, height, |y, row| {
-        for (x, pixel) in row.iter_mut().enumerate() {
-            *pixel = [0, 1, 2].map(|c| at[c](y * width + x));
+        for (c, channel) in channels.iter().enumerate() {
+            fill(row, c, &channel.sample_data, y * width);
         }
     });
 
@@ -111,12 +110,12 @@ fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
     })
 }
 
-/// The value at an index, as a float.
-fn value_of(samples: &FlatSamples) -> Box<dyn Fn(usize) -> f32 + Sync + '_> {
+/// Channel `c` of a row, as floats, from the value `at` on.
+fn fill(row: &mut [[f32; 3]], c: usize, samples: &FlatSamples, at: usize) {
     match samples {
-        FlatSamples::F16(v) => Box::new(|i| v[i].to_f32()),
-        FlatSamples::F32(v) => Box::new(|i| v[i]),
-        FlatSamples::U32(v) => Box::new(|i| v[i] as f32),
+        FlatSamples::F16(v) => row.iter_mut().zip(&v[at..]).for_each(|(p, v)| p[c] = v.to_f32()),
+        FlatSamples::F32(v) => row.iter_mut().zip(&v[at..]).for_each(|(p, &v)| p[c] = v),
+        FlatSamples::U32(v) => row.iter_mut().zip(&v[at..]).for_each(|(p, &v)| p[c] = v as f32),
     }
 }
 

@@ -1,7 +1,7 @@
 //! OpenEXR: half or float RGB, scan lines, lossless.
 //!
 //! In: linear RGB by rows. Out: a file whose blocks lie in increasing order, so the bytes are the same on any number of threads.
-//! [`read`](crate::read) is the way back. Cost: PIZ 25 ns a pixel and core for halves, 60 for floats. On six radiance maps it is the smallest
+//! [`read`](crate::read) is the way back. Cost: PIZ 30 ns a pixel and core for halves, 55 for floats. On six radiance maps it is the smallest
 //! of all that lose nothing, 35 to 60 % of the halves as they are (ZIP 36 to 65, ZIPS 40 to 71, RLE 72 to 95), which is why it is the default. Source: "OpenEXR File
 //! Layout" and "Standard Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!

@@ -121,11 +121,11 @@ impl Pending {
     /// # Errors
     /// [`Error::Write`].
     pub(super) fn sync_ahead(&mut self) -> Result<()> {
-        let begun = self.file.flush().and_then(|()| self.file.get_ref().as_file().try_clone()).and_then(|file| {
-            // The thread sleeps in the system, and so takes no core from those that encode.
-            std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all())
-        });
-        self.syncing = Some(begun.map_err(|source| write_error(&self.target, source))?);
+        self.file.flush().map_err(|source| write_error(&self.target, source))?;
+        // The thread sleeps in the system, and so takes no core from those that encode. Without one, complete() does its work.
+        let thread =
+            |file: fs::File| std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all());
+        self.syncing = self.file.get_ref().as_file().try_clone().and_then(thread).ok();
         Ok(())
     }
 }
