@@ -17,6 +17,7 @@ pub use reference::ReferenceChoice;
 
 use crate::error::{Error, Result};
 use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
 use colour::{Primaries, Profile};
 use exposure::Exposure;
 use std::path::{Path, PathBuf};
@@ -120,34 +121,77 @@ impl Frame {
 
     /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
     pub fn grey(&self) -> Plane<u8> {
-        let stride = 3 * self.width;
-        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
-            Samples::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
-        })
+        Plane::from_rows(self.width, self.height, |y, row| self.grey_row(y, None, row))
     }
 
     /// The grey picture as [`grey`](Self::grey) has it, but brightened by `stops` (0..=8) before it is rounded to 8 bit: of a dark frame
     /// much is between its codes, in its three channels and in the bits beyond the eighth.
     pub fn grey_brightened(&self, stops: u32) -> Plane<u8> {
-        let stride = 3 * self.width;
-        Plane::from_rows(self.width, self.height, |y, row| match &self.samples {
-            Samples::Eight(v) => brightened_row(&v[y * stride..][..stride], row, stops, |code| u32::from(code) << 8),
-            Samples::Sixteen(v) => brightened_row(&v[y * stride..][..stride], row, stops, u32::from),
-        })
+        Plane::from_rows(self.width, self.height, |y, row| self.grey_row(y, Some(stops), row))
+    }
+
+    /// Row `y` of [`grey`](Self::grey) into `out`, or where there are `stops` of [`grey_brightened`](Self::grey_brightened).
+    ///
+    /// # Panics
+    /// Where `y` or the length of `out` does not fit the size.
+    pub fn grey_row(&self, y: usize, stops: Option<u32>, out: &mut [u8]) {
+        assert_eq!(out.len(), self.width, "a row is as long as the frame is wide");
+        let row = 3 * self.width * y..3 * self.width * (y + 1);
+        match &self.samples {
+            Samples::Eight(v) => vectorised(GreyOfEight { rgb: &v[row], stops, grey: out }),
+            Samples::Sixteen(v) => vectorised(GreyOfSixteen { rgb: &v[row], stops, grey: out }),
+        }
     }
 }
 
-fn grey_row<T: Copy>(rgb: &[T], grey: &mut [u8], code8: impl Fn(T) -> u32) {
-    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
-        *out = ((54 * code8(p[0]) + 183 * code8(p[1]) + 19 * code8(p[2])) >> 8) as u8;
+/// A row of codes of 8 bit, and where its grey goes. All sums fit 16 bits: the weights add up to 256.
+struct GreyOfEight<'a> {
+    rgb: &'a [u8],
+    stops: Option<u32>,
+    grey: &'a mut [u8],
+}
+
+impl Loops for GreyOfEight<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let sum = |p: &[u8; 3]| 54 * u16::from(p[0]) + 183 * u16::from(p[1]) + 19 * u16::from(p[2]);
+        let pixels = self.grey.iter_mut().zip(self.rgb.as_chunks::<3>().0);
+        match self.stops {
+            None => pixels.for_each(|(out, p)| *out = (sum(p) >> 8) as u8),
+            Some(stops) => {
+                let shift = 8 - stops.min(8);
+                pixels.for_each(|(out, p)| *out = (sum(p) >> shift).min(255) as u8);
+            }
+        }
     }
 }
 
-fn brightened_row<T: Copy>(rgb: &[T], grey: &mut [u8], stops: u32, code16: impl Fn(T) -> u32) {
-    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
-        let sum = 54 * code16(p[0]) + 183 * code16(p[1]) + 19 * code16(p[2]);
-        *out = (sum >> (16 - stops.min(8))).min(255) as u8;
+/// A row of codes of 16 bit, and where its grey goes.
+struct GreyOfSixteen<'a> {
+    rgb: &'a [u16],
+    stops: Option<u32>,
+    grey: &'a mut [u8],
+}
+
+impl Loops for GreyOfSixteen<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let pixels = self.grey.iter_mut().zip(self.rgb.as_chunks::<3>().0);
+        match self.stops {
+            None => pixels
+                .for_each(|(out, p)| *out = ((54 * (p[0] >> 8) + 183 * (p[1] >> 8) + 19 * (p[2] >> 8)) >> 8) as u8),
+            Some(stops) => {
+                let shift = 16 - stops.min(8);
+                pixels.for_each(|(out, p)| {
+                    let sum = 54 * u32::from(p[0]) + 183 * u32::from(p[1]) + 19 * u32::from(p[2]);
+                    *out = (sum >> shift).min(255) as u8;
+                });
+            }
+        }
     }
 }
 
@@ -263,6 +307,35 @@ mod tests {
         assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).at(0, 0)), [0, 41]);
         let plain = of(Samples::Eight(vec![10, 200, 30]));
         assert_eq!(plain.grey_brightened(0), plain.grey());
+    }
+
+    #[test]
+    fn rows_of_grey_are_the_definition_pixel_by_pixel() {
+        // Longer than any vector, and no multiple of one.
+        let (width, height) = (203, 3);
+        let codes: Vec<u16> = (0..3 * width * height).map(|i| (i * 40_503 % 65_536) as u16).collect();
+        let eight = Samples::Eight(codes.iter().map(|c| (c >> 8) as u8).collect());
+        for samples in [eight, Samples::Sixteen(codes)] {
+            let frame = Frame::new("a".into(), width, height, samples, Exposure::given(0.0).unwrap());
+            let sixteen = |i: usize| match frame.samples() {
+                Samples::Eight(v) => u32::from(v[i]) << 8,
+                Samples::Sixteen(v) => u32::from(v[i]),
+            };
+            let sum = |i: usize, bits: u32| {
+                54 * (sixteen(3 * i) >> bits) + 183 * (sixteen(3 * i + 1) >> bits) + 19 * (sixteen(3 * i + 2) >> bits)
+            };
+            let slow = |stops: Option<u32>, i: usize| match stops {
+                None => sum(i, 8) >> 8,
+                Some(stops) => (sum(i, 0) >> (16 - stops)).min(255),
+            };
+            let mut row = vec![0; width];
+            for stops in [None, Some(0), Some(2), Some(6), Some(8)] {
+                for y in 0..height {
+                    frame.grey_row(y, stops, &mut row);
+                    assert!((0..width).all(|x| u32::from(row[x]) == slow(stops, y * width + x)), "{stops:?}");
+                }
+            }
+        }
     }
 
     #[test]
