@@ -12,6 +12,7 @@
 
 pub mod agreement;
 mod basis;
+mod bilinear;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
@@ -26,7 +27,9 @@ pub mod intensity_map;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;
+mod normal;
 mod overlap;
+mod patch;
 pub mod patches;
 mod period;
 mod place;
@@ -43,6 +46,7 @@ pub mod warp;
 
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
+use crate::plane::Plane;
 use given::Given;
 use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
@@ -255,6 +259,13 @@ impl Alignment {
             overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
         }
     }
+
+    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
+    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
+        let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
+        let taking_part = all.filter(|(_, (_, verdict))| verdict.status != Status::Rejected);
+        taking_part.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
+    }
 }
 
 /// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
@@ -294,26 +305,44 @@ fn search(
     given: &[Option<Verdict>],
     find: fn(&Search) -> Vec<Verdict>,
 ) -> Vec<Verdict> {
-    let (pyramids, blank): (Vec<GreyPyramid>, Vec<bool>) = bracket.frames().par_iter().map(pyramid).unzip();
-    let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), given, options };
-    find(&search)
+    let seen: Vec<Seen> = bracket.frames().par_iter().map(Seen::of).collect();
+    let whole = |y: usize, row: &mut [u8], i: usize| bracket.frames()[i].grey_row(y, seen[i].stops, row);
+    let (width, height) = (bracket.width(), bracket.height());
+    let pyramids: Vec<GreyPyramid> = (0..seen.len())
+        .into_par_iter()
+        .map(|i| GreyPyramid::of_rows((width, height), |y, row| whole(y, row, i)))
+        .collect();
+    let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
+    let grey = |i: usize| Plane::from_rows(width, height, |y, row| whole(y, row, i));
+    let reference = bracket.reference_index();
+    find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, reference, given, options })
 }
 
-/// The grey pyramid in which the motion of `frame` is sought, and whether the frame is as good as blank. A dark one is brightened, so
-/// that neither rounding nor halving takes away what little it shows.
-fn pyramid(frame: &Frame) -> (GreyPyramid, bool) {
-    let grey = frame.grey();
-    let histogram = Histogram::of(&grey);
-    let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
-    let is_blank = nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK;
-    // What is brighter than nearly all may burn out: a lamp still has its edge.
-    let stops = nearly_most.leading_zeros().min(MOST_STOPS);
-    (GreyPyramid::new(if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops) }), is_blank)
+/// How a frame is looked at.
+struct Seen {
+    /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
+    stops: Option<u32>,
+    /// Whether it is as good as blank.
+    is_blank: bool,
 }
 
-/// The grey pyramid in which the motion of `frame` is sought.
+impl Seen {
+    fn of(frame: &Frame) -> Self {
+        let histogram = Histogram::of_rows((frame.width(), frame.height()), |y, row| frame.grey_row(y, None, row));
+        let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
+        // What is brighter than nearly all may burn out: a lamp still has its edge.
+        let stops = nearly_most.leading_zeros().min(MOST_STOPS);
+        Seen {
+            stops: (stops >= LEAST_STOPS).then_some(stops),
+            is_blank: nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK,
+        }
+    }
+}
+
+/// The grey pyramid in which the motion of `frame` is sought, with all its levels.
 pub fn grey_pyramid(frame: &Frame) -> GreyPyramid {
-    pyramid(frame).0
+    let stops = Seen::of(frame).stops;
+    GreyPyramid::new(Plane::from_rows(frame.width(), frame.height(), |y, row| frame.grey_row(y, stops, row)))
 }
 
 /// A frame within so many codes of black, or of white, may hold nothing but noise.

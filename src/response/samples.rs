@@ -7,7 +7,7 @@
 //! means over patches, by the thousand.
 
 use crate::align::warp::{Warp, map};
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame, Samples as Codes};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -165,21 +165,12 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
 }
 
 /// The frames that take part.
-fn placed<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Vec<Placed<'a>> {
-    let frames = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
-    frames
-        .filter(|(_, (_, verdict))| verdict.status != Status::Rejected)
-        .filter_map(|(index, (frame, verdict))| {
-            Some(Placed {
-                frame,
-                index,
-                matrix: match verdict.warp? {
-                    Warp::Identity => None,
-                    warp => Some(warp.matrix(frame.width(), frame.height())),
-                },
-            })
-        })
-        .collect()
+fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
+    let matrix = |frame: &Frame, warp: Warp| match warp {
+        Warp::Identity => None,
+        warp => Some(warp.matrix(frame.width(), frame.height())),
+    };
+    alignment.placed(bracket).map(|(index, frame, warp)| Placed { frame, index, matrix: matrix(frame, warp) }).collect()
 }
 
 /// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
