@@ -5,39 +5,37 @@
 //! section 3 (the Gaussian scale space is separable).
 
 use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
 
 /// Half the picture: every pixel the rounded mean of four. An odd last column or row is dropped.
 pub fn halve(plane: &Plane<u8>) -> Plane<u8> {
     let (width, height) = (plane.width() / 2, plane.height() / 2);
-    Plane::from_rows(width, height, |y, row| {
-        let (upper, lower) = (plane.row(2 * y), plane.row(2 * y + 1));
-        let (upper, lower) = (&upper[..2 * width], &lower[..2 * width]);
-        // Eight at a time: two to a word of 16 bit, all in one of 64.
-        let (eights, rest) = row.as_chunks_mut::<8>();
-        let done = 16 * eights.len();
-        let sums = |a: &[u8; 8], b: &[u8; 8]| {
-            let (a, b) = (u64::from_le_bytes(*a), u64::from_le_bytes(*b));
-            let sum = (a & LOW) + (a >> 8 & LOW) + (b & LOW) + (b >> 8 & LOW) + 2 * ONES;
-            // Each mean lies in the low byte of its 16 bits; they are pushed together.
-            let mean = sum >> 2 & LOW;
-            let pairs = (mean | mean >> 8) & 0x0000_FFFF_0000_FFFF;
-            (pairs | pairs >> 16) as u32
-        };
-        let (upper_fours, lower_fours) = (upper[..done].as_chunks::<8>().0, lower[..done].as_chunks::<8>().0);
-        for (out, (a, b)) in eights.iter_mut().zip(upper_fours.chunks_exact(2).zip(lower_fours.chunks_exact(2))) {
-            let (left, right) = (sums(&a[0], &b[0]), sums(&a[1], &b[1]));
-            *out = (u64::from(left) | u64::from(right) << 32).to_le_bytes();
-        }
-        for (v, (a, b)) in rest.iter_mut().zip(upper[done..].chunks_exact(2).zip(lower[done..].chunks_exact(2))) {
+    Plane::from_rows(width, height, |y, row| halve_rows(plane.row(2 * y), plane.row(2 * y + 1), row))
+}
+
+/// A row of half the picture from the two rows that it lies on, which are at least twice as long.
+pub fn halve_rows(upper: &[u8], lower: &[u8], half: &mut [u8]) {
+    vectorised(Halves { upper, lower, half });
+}
+
+struct Halves<'a> {
+    upper: &'a [u8],
+    lower: &'a [u8],
+    half: &'a mut [u8],
+}
+
+impl Loops for Halves<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let pairs = self.upper.as_chunks::<2>().0.iter().zip(self.lower.as_chunks::<2>().0);
+        for (v, (a, b)) in self.half.iter_mut().zip(pairs) {
             let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
             *v = ((sum + 2) >> 2) as u8;
         }
-    })
+    }
 }
-
-/// The low byte of every 16 bits, and its lowest bit.
-const LOW: u64 = 0x00FF_00FF_00FF_00FF;
-const ONES: u64 = 0x0001_0001_0001_0001;
 
 /// `plane` and its halves, the largest first, as long as the short side of the next is at least `least_side`.
 pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
@@ -92,17 +90,63 @@ pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     let mut smooth = Plane::filled(width, height, 0.0f32);
     smooth.fill_bands(|rows, band| {
         let mut column = vec![0.0f32; width + 2 * reach];
+        let mut above_and_below: Vec<&[f32]> = vec![&[]; 2 * reach + 1];
         for (y, out) in rows.zip(band.chunks_exact_mut(width)) {
-            let above_and_below: Vec<&[f32]> =
-                (0..=2 * reach).map(|k| plane.row((y + k).saturating_sub(reach).min(height - 1))).collect();
-            weigh(&half, &mut column[reach..reach + width], |k, x| &above_and_below[k][x..]);
-            let (first, last) = (column[reach], column[reach + width - 1]);
-            column[..reach].fill(first);
-            column[reach + width..].fill(last);
-            weigh(&half, out, |k, x| &column[x + k..]);
+            for (k, row) in above_and_below.iter_mut().enumerate() {
+                *row = plane.row((y + k).saturating_sub(reach).min(height - 1));
+            }
+            vectorised(SmoothRow { half: &half, above_and_below: &above_and_below, column: &mut column, out });
         }
     });
     smooth
+}
+
+/// A row of a smoothed plane: first down the rows about it into `column`, then along that, whose ends go on as far as the kernel reaches.
+struct SmoothRow<'a> {
+    half: &'a [f32],
+    above_and_below: &'a [&'a [f32]],
+    column: &'a mut [f32],
+    out: &'a mut [f32],
+}
+
+impl Loops for SmoothRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let SmoothRow { half, above_and_below, column, out } = self;
+        let (width, reach) = (out.len(), half.len() - 1);
+        weigh(half, &mut column[reach..reach + width], |k| above_and_below[k]);
+        let (first, last) = (column[reach], column[reach + width - 1]);
+        column[..reach].fill(first);
+        column[reach + width..].fill(last);
+        weigh(half, out, |k| &column[k..]);
+    }
+}
+
+/// Every `out[x]` the weighed sum of the values `at(k)[x]`, k from 0 to twice the kernel's reach: the middle one, then pairs from it outwards.
+#[inline(always)]
+fn weigh<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
+    let (n, reach) = (out.len(), half.len() - 1);
+    let pair = |k: usize| (half[k], &at(reach - k)[..n], &at(reach + k)[..n]);
+    for (o, v) in out.iter_mut().zip(at(reach)) {
+        *o = half[0] * v;
+    }
+    // Three pairs at a time, so that the sums are fetched and put back less often.
+    let mut k = 1;
+    while k + 2 <= reach {
+        let ((p, a, b), (q, c, d), (r, e, f)) = (pair(k), pair(k + 1), pair(k + 2));
+        for x in 0..n {
+            out[x] = out[x] + p * (a[x] + b[x]) + q * (c[x] + d[x]) + r * (e[x] + f[x]);
+        }
+        k += 3;
+    }
+    for k in k..=reach {
+        let (w, a, b) = pair(k);
+        for x in 0..n {
+            out[x] += w * (a[x] + b[x]);
+        }
+    }
 }
 
 /// The levels that `table` gives to the plane's codes, smoothed by the binomial kernel (1, 4, 6, 4, 1) / 16 along both axes, whose standard
@@ -123,56 +167,38 @@ pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
                     *l = table[usize::from(v)];
                 }
             }
-            let [a, b, c, d, e] = &window;
-            let (a, b, c, d, e) = (&a[..width], &b[..width], &c[..width], &d[..width], &e[..width]);
-            let inner = &mut column[2..width + 2];
-            for x in 0..width {
-                inner[x] = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
-            }
-            let (first, last) = (column[2], column[width + 1]);
-            column[..2].fill(first);
-            column[width + 2..].fill(last);
-            for (o, c) in out.iter_mut().zip(column.windows(5)) {
-                *o = (6.0 * c[2] + 4.0 * (c[1] + c[3]) + (c[0] + c[4])) * (1.0 / 256.0);
-            }
+            vectorised(BinomialRow { window: window.each_ref().map(|row| &row[..]), column: &mut column, out });
         }
     });
     smooth
 }
 
-/// Pixels that are weighed together: their sums stay in registers while the kernel goes by.
-const TOGETHER: usize = 32;
-
-/// Every `out[x]` the weighed sum of the first values of `at(k, x)`, k from 0 to twice the kernel's reach.
-fn weigh<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize, usize) -> &'a [f32]) {
-    let width = out.len();
-    if width < TOGETHER {
-        for (x, o) in out.iter_mut().enumerate() {
-            [*o] = weighed(half, |k| at(k, x));
-        }
-        return;
-    }
-    // The last block reaches back over the one before it; what both compute is the same.
-    for x in (0..width).step_by(TOGETHER).map(|x| x.min(width - TOGETHER)) {
-        out[x..x + TOGETHER].copy_from_slice(&weighed::<TOGETHER>(half, |k| at(k, x)));
-    }
+/// A row of a plane smoothed by the binomial kernel: first down the five rows about it into `column`, then along that.
+struct BinomialRow<'a> {
+    window: [&'a [f32]; 5],
+    column: &'a mut [f32],
+    out: &'a mut [f32],
 }
 
-/// The weighed sums of `N` neighbouring pixels: the middle one, then pairs from it outwards.
-#[inline(always)]
-fn weighed<'a, const N: usize>(half: &[f32], at: impl Fn(usize) -> &'a [f32]) -> [f32; N] {
-    let reach = half.len() - 1;
-    let mut sums = [0.0f32; N];
-    for (s, v) in sums.iter_mut().zip(&at(reach)[..N]) {
-        *s = half[0] * v;
-    }
-    for (k, w) in half.iter().enumerate().skip(1) {
-        let (before, after) = (&at(reach - k)[..N], &at(reach + k)[..N]);
-        for (s, (a, b)) in sums.iter_mut().zip(before.iter().zip(after)) {
-            *s += w * (a + b);
+impl Loops for BinomialRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let BinomialRow { window, column, out } = self;
+        let width = out.len();
+        let [a, b, c, d, e] = window.map(|row| &row[..width]);
+        let inner = &mut column[2..width + 2];
+        for x in 0..width {
+            inner[x] = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
+        }
+        let (first, last) = (column[2], column[width + 1]);
+        column[..2].fill(first);
+        column[width + 2..].fill(last);
+        for (o, c) in out.iter_mut().zip(column.windows(5)) {
+            *o = (6.0 * c[2] + 4.0 * (c[1] + c[3]) + (c[0] + c[4])) * (1.0 / 256.0);
         }
     }
-    sums
 }
 
 /// The Gaussian's weights from its centre outwards; all of them, both sides, sum to 1.
@@ -195,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn halving_eight_at_a_time_is_halving_one_by_one() {
+    fn halving_side_by_side_is_halving_one_by_one() {
         for (width, height) in [(16, 2), (37, 5), (64, 4), (131, 7)] {
             let plane = Plane::from_rows(width, height, |y, row| {
                 for (x, v) in row.iter_mut().enumerate() {

@@ -8,6 +8,7 @@
 use super::common_exposure::CommonExposure;
 use super::warp::map;
 use crate::plane::{Plane, map_bands};
+use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 
 /// Tiles along the long side.
@@ -230,12 +231,39 @@ impl Pattern {
     }
 
     /// The correlation with what lies (dx, dy) beside the place; not a number where the frame does not reach.
-    fn correlation(&self, laid: &Plane<f32>, (dx, dy): Shift) -> f32 {
+    fn correlation(&self, laid: &Plane<f32>, shift: Shift) -> f32 {
+        let (sums, squares, products) = vectorised(Moments { pattern: self, laid, shift });
+        let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
+        let sum = total(sums);
+        let variance = total(squares) - sum * sum / self.count;
+        // A frame without structure where the reference has some agrees with nothing.
+        if variance.is_nan() {
+            f32::NAN
+        } else {
+            total(products) / (self.energy * variance.max(0.25 * self.count)).sqrt()
+        }
+    }
+}
+
+/// The sums that a correlation is made of, over what lies `shift` beside a pattern's place.
+struct Moments<'a> {
+    pattern: &'a Pattern,
+    laid: &'a Plane<f32>,
+    shift: Shift,
+}
+
+impl Loops for Moments<'_> {
+    /// The sums of the frame's levels, of their squares, and of their products with the pattern.
+    type Output = ([f32; LANES], [f32; LANES], [f32; LANES]);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Moments { pattern, laid, shift: (dx, dy) } = self;
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-        let left = (self.left as isize + REACH + dx) as usize;
-        let rows = self.values.chunks_exact(self.side).zip(self.mask.chunks_exact(self.side));
+        let left = (pattern.left as isize + REACH + dx) as usize;
+        let rows = pattern.values.chunks_exact(pattern.side).zip(pattern.mask.chunks_exact(pattern.side));
         for (y, (values, mask)) in rows.enumerate() {
-            let frame = &laid.row(((self.top + y) as isize + REACH + dy) as usize)[left..left + self.side];
+            let frame = &laid.row(((pattern.top + y) as isize + REACH + dy) as usize)[left..left + pattern.side];
             let eights = |r: &[f32]| r.len() / LANES * LANES;
             let whole = eights(values);
             for ((v, m), f) in values[..whole]
@@ -256,15 +284,7 @@ impl Pattern {
                 products[0] += v * f;
             }
         }
-        let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
-        let sum = total(sums);
-        let variance = total(squares) - sum * sum / self.count;
-        // A frame without structure where the reference has some agrees with nothing.
-        if variance.is_nan() {
-            f32::NAN
-        } else {
-            total(products) / (self.energy * variance.max(0.25 * self.count)).sqrt()
-        }
+        (sums, squares, products)
     }
 }
 

@@ -6,6 +6,7 @@
 //! 2003, section 2.1 and its listing.
 
 use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
 use std::ops::Range;
 
 /// One bit a pixel; rows are padded to whole words with zeros, and with a zero word at each end.
@@ -79,7 +80,7 @@ pub(super) fn bits_from(row: &[u64], bit: i64) -> u64 {
 }
 
 /// The 64 bits that begin `offset` (0..64) bits into `low`.
-#[inline]
+#[inline(always)]
 fn join(low: u64, high: u64, offset: u32) -> u64 {
     (low >> offset) | (high << 1) << (63 - offset)
 }
@@ -136,6 +137,7 @@ impl ThresholdBitmaps {
         bitmaps
     }
 
+    #[inline(always)]
     fn words(&self, range: Range<usize>) -> Words<'_> {
         (&self.threshold.words[range.clone()], &self.exclusion.words[range])
     }
@@ -175,7 +177,7 @@ pub struct Crossings {
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
     let mut sum = Difference::default();
     let mut add = |(reference, low, high): (Words<'_>, Words<'_>, Words<'_>)| {
-        let (differing, compared) = count(reference, low, high, (dx & 63) as u32);
+        let (differing, compared) = vectorised(Count { reference, low, high, offset: (dx & 63) as u32 });
         sum.differing += differing;
         sum.compared += compared;
     };
@@ -201,6 +203,7 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
 type Words<'a> = (&'a [u64], &'a [u64]);
 
 /// The words `near` of the reference, and the frame's from `far` words farther on in which theirs begin and end.
+#[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
@@ -212,19 +215,30 @@ fn overlap<'a>(
 }
 
 /// How many pixels differ and count, and how many count. The words of the frame begin `offset` bits into `low` and end in `high`.
-#[inline]
-fn count(reference: Words<'_>, low: Words<'_>, high: Words<'_>, offset: u32) -> (u64, u64) {
-    let n = reference.0.len();
-    let (rt, re) = (&reference.0[..n], &reference.1[..n]);
-    let ((lt, le), (ht, he)) = ((&low.0[..n], &low.1[..n]), (&high.0[..n], &high.1[..n]));
-    let (mut differing, mut compared) = (0u64, 0u64);
-    for i in 0..n {
-        let counted = re[i] & join(le[i], he[i], offset);
-        let differs = (rt[i] ^ join(lt[i], ht[i], offset)) & counted;
-        differing += u64::from(differs.count_ones());
-        compared += u64::from(counted.count_ones());
+struct Count<'a> {
+    reference: Words<'a>,
+    low: Words<'a>,
+    high: Words<'a>,
+    offset: u32,
+}
+
+impl Loops for Count<'_> {
+    type Output = (u64, u64);
+
+    #[inline(always)]
+    fn run(self) -> (u64, u64) {
+        let n = self.reference.0.len();
+        let (rt, re) = (&self.reference.0[..n], &self.reference.1[..n]);
+        let ((lt, le), (ht, he)) = ((&self.low.0[..n], &self.low.1[..n]), (&self.high.0[..n], &self.high.1[..n]));
+        let (mut differing, mut compared) = (0u64, 0u64);
+        for i in 0..n {
+            let counted = re[i] & join(le[i], he[i], self.offset);
+            let differs = (rt[i] ^ join(lt[i], ht[i], self.offset)) & counted;
+            differing += u64::from(differs.count_ones());
+            compared += u64::from(counted.count_ones());
+        }
+        (differing, compared)
     }
-    (differing, compared)
 }
 
 /// The crossings under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself: `columns` of them (in whole
@@ -236,7 +250,6 @@ pub fn crossings(
     columns: usize,
     parts: &mut [Crossings],
 ) {
-    const WORDS: usize = 8;
     let (height, stride) = (reference.threshold.height as i64, reference.threshold.stride() as i64);
     let (words, rows) = (stride - 2, (parts.len() / columns) as i64);
     parts.fill(Crossings::default());
@@ -244,13 +257,8 @@ pub fn crossings(
         let band = (height * row / rows).max(-dy)..(height * (row + 1) / rows).min(height - dy);
         for first in (0..words).step_by(WORDS) {
             let n = (words - first).min(WORDS as i64);
-            // The counts of each word go down the band, side by side.
-            let mut counts = ([0u64; WORDS], [0u64; WORDS]);
-            for y in band.clone() {
-                let near = y * stride + 1 + first..y * stride + 1 + first + n;
-                let (reference, low, high) = overlap(reference, frame, near, dy * stride + (dx >> 6));
-                cross(reference, low, high, (dx & 63) as u32, &mut counts);
-            }
+            let counts =
+                vectorised(Band { reference, frame, rows: band.clone(), words: first..first + n, shift: (dx, dy) });
             for k in 0..n as usize {
                 let column = ((first as usize + k + 1) * columns - 1) / words as usize;
                 let part = &mut parts[row as usize * columns + column];
@@ -261,16 +269,45 @@ pub fn crossings(
     }
 }
 
-/// As [`count`]: how many pixels that count are bright in the reference alone, and in the frame alone, for each word.
-#[inline]
-fn cross<const N: usize>(
+/// Some rows and up to eight words of the reference, and the frame under a shift.
+struct Band<'a> {
+    reference: &'a ThresholdBitmaps,
+    frame: &'a ThresholdBitmaps,
+    rows: Range<i64>,
+    words: Range<i64>,
+    shift: (i64, i64),
+}
+
+/// Words that go down a band side by side.
+const WORDS: usize = 8;
+
+impl Loops for Band<'_> {
+    /// How many pixels that count are bright in the reference alone, and in the frame alone, for each word.
+    type Output = ([u64; WORDS], [u64; WORDS]);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let (stride, (dx, dy)) = (self.reference.threshold.stride() as i64, self.shift);
+        let mut counts = ([0u64; WORDS], [0u64; WORDS]);
+        for y in self.rows {
+            let near = y * stride + 1 + self.words.start..y * stride + 1 + self.words.end;
+            let (reference, low, high) = overlap(self.reference, self.frame, near, dy * stride + (dx >> 6));
+            cross(reference, low, high, (dx & 63) as u32, &mut counts);
+        }
+        counts
+    }
+}
+
+/// As [`Count`], for each word by itself.
+#[inline(always)]
+fn cross(
     reference: Words<'_>,
     low: Words<'_>,
     high: Words<'_>,
     offset: u32,
-    counts: &mut ([u64; N], [u64; N]),
+    counts: &mut ([u64; WORDS], [u64; WORDS]),
 ) {
-    let n = reference.0.len().min(N);
+    let n = reference.0.len().min(WORDS);
     let (rt, re) = (&reference.0[..n], &reference.1[..n]);
     let ((lt, le), (ht, he)) = ((&low.0[..n], &low.1[..n]), (&high.0[..n], &high.1[..n]));
     for i in 0..n {

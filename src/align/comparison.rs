@@ -7,10 +7,11 @@
 use super::common_exposure::{CommonExposure, Tones};
 use super::cubic::BORDER;
 use super::mtb::GreyPyramid;
+use super::patch::Patches;
 use super::warp::Warp;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features are sought.
 const MEASURED_PIXELS: usize = 600_000;
@@ -23,8 +24,8 @@ const JITTER: f32 = 0.15;
 
 /// The first level of `pyramid` with at most `pixels` pixels.
 fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
-    let area = |i: usize| pyramid.level(i).width() * pyramid.level(i).height();
-    (0..pyramid.len()).find(|&i| area(i) <= pixels).unwrap_or(pyramid.len() - 1)
+    let area = |(width, height): (usize, usize)| width * height;
+    (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)
 }
 
 /// The level on which agreement is measured, and features are sought.
@@ -108,15 +109,18 @@ pub struct Comparison<'a> {
     levels: Vec<OnceLock<Level>>,
     /// See [`fine_points`](Self::fine_points).
     fine_points: OnceLock<Vec<Point>>,
+    /// See [`patches`](Self::patches).
+    patches: Mutex<Option<Patches>>,
 }
 
 impl<'a> Comparison<'a> {
     /// The comparison of `frame` with `reference`, under which it lies about as `start` says.
     pub fn new(reference: &'a GreyPyramid, frame: &'a GreyPyramid, start: &Warp) -> Self {
-        let start = start.matrix(reference.level(0).width(), reference.level(0).height());
+        let (width, height) = reference.size(0);
+        let start = start.matrix(width, height);
         let tones = (0..reference.len()).map(|_| OnceLock::new()).collect();
         let levels = (0..reference.len()).map(|_| OnceLock::new()).collect();
-        Comparison { reference, frame, start, tones, levels, fine_points: OnceLock::new() }
+        Comparison { reference, frame, start, tones, levels, fine_points: OnceLock::new(), patches: Mutex::default() }
     }
 
     /// The reference.
@@ -141,9 +145,20 @@ impl<'a> Comparison<'a> {
         self.fine_points.get_or_init(choose)
     }
 
+    /// What was read of the frame about its places of the [`fine_points`](Self::fine_points) when they were last refined; what `unread`
+    /// gives, the first time. The places are much the same each time, and what is read there is.
+    pub(super) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
+        self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::anew)
+    }
+
+    /// Keeps what was read for the next time.
+    pub(super) fn keep_patches(&self, patches: Patches) {
+        *self.patches.lock().unwrap_or_else(PoisonError::into_inner) = Some(patches);
+    }
+
     /// Width and height of the frames.
     pub fn size(&self) -> (usize, usize) {
-        (self.reference.level(0).width(), self.reference.level(0).height())
+        self.reference.size(0)
     }
 
     /// Both frames on level `i`.

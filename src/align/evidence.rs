@@ -113,13 +113,13 @@ pub fn xor_curves(
     options: &AlignOptions,
 ) -> XorCurves {
     let level = measured_level(reference);
-    let full = reference.level(0);
+    let (width, height) = reference.size(0);
     let own = || mtb::search(reference, frame, level, &options.mtb).warp();
     let warp = warp.copied().unwrap_or_else(own);
     let [against, bitmaps] = FrameBitmaps::pair(reference, frame, options);
     let scale = bitmaps.scale;
-    let (dx, dy) = warp.shift_px(full.width(), full.height());
-    let angle = warp.rotation_deg(full.width(), full.height());
+    let (dx, dy) = warp.shift_px(width, height);
+    let angle = warp.rotation_deg(width, height);
     let share = |m: [f64; 3]| {
         let motion = Motion { dx: m[0] / scale, dy: m[1] / scale, angle: m[2].to_radians() };
         let threshold = &against.bitmaps.threshold;

@@ -12,6 +12,7 @@
 
 pub mod agreement;
 mod basis;
+mod bilinear;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
@@ -26,7 +27,9 @@ pub mod intensity_map;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;
+mod normal;
 mod overlap;
+mod patch;
 pub mod patches;
 mod period;
 mod place;
@@ -41,14 +44,16 @@ pub mod threshold;
 mod tile_fit;
 pub mod warp;
 
-use crate::bracket::{Bracket, Frame};
+use crate::bracket::{Bracket, Frame, Window};
 use crate::error::{Error, Result, Warning};
+use crate::plane::Plane;
 use given::Given;
 use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
 use rayon::prelude::*;
 use search::Search;
 use sift::SiftOptions;
+use std::sync::{Mutex, PoisonError};
 use threshold::{Histogram, Percentile};
 use warp::Warp;
 
@@ -256,6 +261,13 @@ impl Alignment {
             overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
         }
     }
+
+    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
+    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
+        let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
+        let taking_part = all.filter(|(_, (_, verdict))| verdict.status != Status::Rejected);
+        taking_part.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
+    }
 }
 
 /// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
@@ -295,31 +307,62 @@ fn search(
     given: &[Option<Verdict>],
     find: fn(&Search) -> Vec<Verdict>,
 ) -> Result<Vec<Verdict>> {
-    let seen: Vec<Result<(GreyPyramid, bool)>> = bracket.frames().par_iter().map(pyramid).collect();
-    let (pyramids, blank): (Vec<_>, Vec<_>) = seen.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let search = Search { pyramids: &pyramids, blank: &blank, reference: bracket.reference_index(), given, options };
-    Ok(find(&search))
+    let looked: Vec<Result<(Seen, GreyPyramid)>> = bracket.frames().par_iter().map(look).collect();
+    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
+    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
+    let failed = Mutex::new(None);
+    let grey = |i: usize| {
+        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
+            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            Plane::filled(bracket.width(), bracket.height(), 0)
+        })
+    };
+    let reference = bracket.reference_index();
+    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, reference, given, options });
+    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        None => Ok(found),
+        Some(error) => Err(error),
+    }
 }
 
-/// The grey pyramid in which the motion of `frame` is sought, and whether the frame is as good as blank. A dark one is brightened, so
-/// that neither rounding nor halving takes away what little it shows.
-fn pyramid(frame: &Frame) -> Result<(GreyPyramid, bool)> {
-    let grey = frame.grey()?;
-    let histogram = Histogram::of(&grey);
-    let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
-    let is_blank = nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK;
-    // What is brighter than nearly all may burn out: a lamp still has its edge.
-    let stops = nearly_most.leading_zeros().min(MOST_STOPS);
-    let grey = if stops < LEAST_STOPS { grey } else { frame.grey_brightened(stops)? };
-    Ok((GreyPyramid::new(grey), is_blank))
+/// How a frame is looked at.
+struct Seen {
+    /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
+    stops: Option<u32>,
+    /// Whether it is as good as blank.
+    is_blank: bool,
 }
 
-/// The grey pyramid in which the motion of `frame` is sought.
+impl Seen {
+    fn of(whole: &Window) -> Self {
+        let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
+        let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
+        // What is brighter than nearly all may burn out: a lamp still has its edge.
+        let stops = nearly_most.leading_zeros().min(MOST_STOPS);
+        Seen {
+            stops: (stops >= LEAST_STOPS).then_some(stops),
+            is_blank: nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK,
+        }
+    }
+}
+
+/// How `frame` is looked at, and its grey pyramid but for the full size.
+fn look(frame: &Frame) -> Result<(Seen, GreyPyramid)> {
+    let whole = frame.whole()?;
+    let seen = Seen::of(&whole);
+    let size = (frame.width(), frame.height());
+    let pyramid = GreyPyramid::of_rows(size, |y, row| whole.grey_row(y, seen.stops, row));
+    Ok((seen, pyramid))
+}
+
+/// The grey pyramid in which the motion of `frame` is sought, with all its levels.
 ///
 /// # Errors
 /// [`Error::Scratch`], where the frame is on disk.
 pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    Ok(pyramid(frame)?.0)
+    let stops = Seen::of(&frame.whole()?).stops;
+    Ok(GreyPyramid::new(frame.greys(stops)?))
 }
 
 /// A frame within so many codes of black, or of white, may hold nothing but noise.

@@ -38,23 +38,59 @@ const COARSEST: usize = 32;
 /// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
+    size: (usize, usize),
+    /// How many of the largest levels are not kept.
+    passed: usize,
     levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
 }
 
 impl GreyPyramid {
     /// The pyramid of `grey`, down to a short side of about 32 pixels.
     pub fn new(grey: Plane<u8>) -> Self {
-        GreyPyramid { levels: pyramid::halves(grey, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect() }
+        Self::kept((grey.width(), grey.height()), 0, grey)
+    }
+
+    /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is searched, only two rows
+    /// of it are ever there, and level 0 cannot be asked for.
+    pub(super) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
+        let (width, height) = size;
+        if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
+            return Self::new(Plane::from_rows(width, height, row));
+        }
+        let mut half = Plane::filled(width / 2, height / 2, 0u8);
+        half.fill_bands(|rows, band| {
+            let (mut upper, mut lower) = (vec![0; width], vec![0; width]);
+            for (y, out) in rows.zip(band.chunks_exact_mut(width / 2)) {
+                row(2 * y, &mut upper);
+                row(2 * y + 1, &mut lower);
+                pyramid::halve_rows(&upper, &lower, out);
+            }
+        });
+        Self::kept(size, 1, half)
+    }
+
+    /// The levels from that on which `first` is.
+    fn kept(size: (usize, usize), passed: usize, first: Plane<u8>) -> Self {
+        let levels = pyramid::halves(first, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect();
+        GreyPyramid { size, passed, levels }
     }
 
     /// Level `i`, 0 the largest.
+    ///
+    /// # Panics
+    /// When there is none, or it was not kept.
     pub fn level(&self, i: usize) -> &Plane<u8> {
-        &self.levels[i].0
+        &self.levels[i - self.passed].0
+    }
+
+    /// Width and height of level `i`, kept or not.
+    pub fn size(&self, i: usize) -> (usize, usize) {
+        (self.size.0 >> i, self.size.1 >> i)
     }
 
     /// How many levels there are.
     pub fn len(&self) -> usize {
-        self.levels.len()
+        self.passed + self.levels.len()
     }
 
     /// Never: there is always the full size.
@@ -64,7 +100,8 @@ impl GreyPyramid {
 
     /// The histogram of level `i`.
     pub fn histogram(&self, i: usize) -> &Histogram {
-        self.levels[i].1.get_or_init(|| Histogram::of(&self.levels[i].0))
+        let (plane, histogram) = &self.levels[i - self.passed];
+        histogram.get_or_init(|| Histogram::of(plane))
     }
 
     /// The bitmaps of level `i` at `percentile`.
@@ -103,8 +140,8 @@ impl MtbMatch {
 /// size, or for the largest of at most [`ENOUGH_PIXELS`].
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
-    let area = |i: usize| reference.level(i).width() * reference.level(i).height();
-    let enough = (0..coarsest).find(|&i| area(i) <= ENOUGH_PIXELS).unwrap_or(coarsest);
+    let area = |(width, height): (usize, usize)| width * height;
+    let enough = (0..coarsest).find(|&i| area(reference.size(i)) <= ENOUGH_PIXELS).unwrap_or(coarsest);
     let finest = finest.clamp(enough, coarsest);
     let max_angle = options.max_rotation_deg.to_radians();
     let mut pair = Pair::new(reference, frame, coarsest, options.exclusion);
@@ -135,7 +172,7 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             candidates = best_distinct(settled, 1, distinct);
         }
         if level == finest {
-            return pair.conclude(&mut descent, candidates[0], level, reference.level(0));
+            return pair.conclude(&mut descent, candidates[0], level, reference.size(0));
         }
         level -= 1;
         for c in &mut candidates {
@@ -165,7 +202,7 @@ pub fn rivals(
     options: &MtbOptions,
 ) -> Vec<Motion> {
     let level = (0..reference.len())
-        .find(|&i| reference.level(i).width().min(reference.level(i).height()) < 2 * RIVALS_SIDE)
+        .find(|&i| reference.size(i).0.min(reference.size(i).1) < 2 * RIVALS_SIDE)
         .unwrap_or(reference.len() - 1);
     let pair = Pair::new(reference, frame, level, options.exclusion);
     let scale = (1u64 << level) as f64;
@@ -243,14 +280,14 @@ impl Pair {
     }
 
     /// The motion at full size from `found` at `level`, or none at all where that cannot be told from it.
-    fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: &Plane<u8>) -> MtbMatch {
+    fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
         let here = &self.reference.threshold;
         let (mut difference, error) = descent.judge(&found);
         let mut error_px = scale * error;
         // What halving drops at the right and below moves the centre about which the picture turns.
         let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
-        let (x, y) = (off(full.width(), here.width()), off(full.height(), here.height()));
+        let (x, y) = (off(full.0, here.width()), off(full.1, here.height()));
         let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
         let mut motion = Motion {
             dx: scale * found.dx + x - (c * x - s * y),

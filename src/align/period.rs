@@ -7,6 +7,7 @@
 use super::bitmap::difference_shifted;
 use super::mtb::{GreyPyramid, MtbOptions};
 use super::threshold::own_percentile;
+use rayon::prelude::*;
 
 /// Short side of the level that is looked at: fine enough for the windows of a facade.
 const SIDE: usize = 256;
@@ -19,7 +20,7 @@ const LEAST_DIFFERENCE: f64 = 0.03;
 
 /// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames sought.
 pub(super) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
-    let fits = |i: &usize| picture.level(*i).width().min(picture.level(*i).height()) < SIDE;
+    let fits = |i: &usize| picture.size(*i).0.min(picture.size(*i).1) < SIDE;
     let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);
     let plane = picture.level(level);
     let bitmaps =
@@ -28,8 +29,10 @@ pub(super) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     // Shifts by d and by -d compare the same pixels.
     let side = (2 * reach + 1) as usize;
     let rate = |dx: i64, dy: i64| difference_shifted(&bitmaps, &bitmaps, dx, dy).rate();
-    let rates: Vec<f64> =
-        (0..side * (reach as usize + 1)).map(|i| rate((i % side) as i64 - reach, (i / side) as i64)).collect();
+    let rates: Vec<f64> = (0..side * (reach as usize + 1))
+        .into_par_iter()
+        .map(|i| rate((i % side) as i64 - reach, (i / side) as i64))
+        .collect();
     let at = |dx: i64, dy: i64| {
         let (dx, dy) = if dy < 0 { (-dx, -dy) } else { (dx, dy) };
         rates[dy as usize * side + (dx + reach) as usize]

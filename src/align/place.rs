@@ -5,6 +5,7 @@
 
 use super::Model;
 use super::agreement::{Agreement, Survey, survey};
+use super::bilinear::Laid;
 use super::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
 use super::mtb::{self, GreyPyramid, MtbOptions};
 use super::refine::{refine, restrict};
@@ -71,24 +72,10 @@ impl Candidate {
     }
 }
 
-/// The frame on the reference's grid, that lies in it by `warp`; its border goes on where it does not reach.
-pub(super) fn laid_on_reference(frame: &GreyPyramid, warp: &Warp) -> GreyPyramid {
-    let grey = frame.level(0);
-    let (width, height) = (grey.width(), grey.height());
-    let h = warp.matrix(width, height);
-    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-    GreyPyramid::new(Plane::from_rows(width, height, |y, row| {
-        for (x, v) in row.iter_mut().enumerate() {
-            let (u, w) = map(&h, x as f64, y as f64);
-            let (u, w) = (u.clamp(0.0, right), w.clamp(0.0, bottom));
-            let (left, top) = ((u as usize).min(width.max(2) - 2), (w as usize).min(height.max(2) - 2));
-            let (fx, fy) = ((u - left as f64) as f32, (w - top as f64) as f32);
-            let (upper, lower) = (grey.row(top), grey.row((top + 1).min(height - 1)));
-            let next = (left + 1).min(width - 1);
-            let mix = |r: &[u8]| f32::from(r[left]) * (1.0 - fx) + f32::from(r[next]) * fx;
-            *v = (mix(upper) * (1.0 - fy) + mix(lower) * fy + 0.5) as u8;
-        }
-    }))
+/// The frame whose grey picture is `grey` on the reference's grid, that lies in it by `warp`; its border goes on where it does not reach.
+pub(super) fn laid_on_reference(grey: &Plane<u8>, warp: &Warp) -> GreyPyramid {
+    let laid = Laid::new(grey, warp);
+    GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| laid.row(y, row))
 }
 
 /// What bitmaps and features that agree are worth where tiles say little.

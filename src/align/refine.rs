@@ -9,9 +9,14 @@ use super::Model;
 use super::basis::Basis;
 use super::comparison::{Comparison, Point, finest_level, measured_level, off_level, on_level};
 use super::cubic::cubic;
-use super::patches::{self, Patches};
+use super::normal;
+use super::patch::Patches;
+use super::patches;
 use super::warp::{Warp, map};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
+use nalgebra::{DMatrix, Matrix3};
+use rayon::prelude::*;
 
 /// Steps at each level, at the most.
 const MOST_STEPS: usize = 12;
@@ -22,9 +27,6 @@ const LEAST_POINTS: usize = 50;
 /// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
 /// it were. Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
-/// Tukey's constant: 95 % efficient on normal noise.
-const TUKEY: f32 = 4.685;
-
 /// A refined warp and how well the pixels determine it. All lengths are in pixels of level 0.
 #[derive(Debug, Clone)]
 pub struct Refined {
@@ -46,12 +48,9 @@ pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usi
     let mut last = None;
     for level in (measured..=coarsest.min(pair.reference().len() - 1)).rev() {
         let whole = pair.level(level);
-        let residuals = |h: &Matrix3<f64>, out: &mut Vec<Option<f32>>| {
-            out.clear();
-            out.extend(whole.points.iter().map(|p| {
-                let (u, v) = map(h, p.x, p.y);
-                cubic(&whole.both.frame, u, v).map(|f| f - p.level)
-            }));
+        let residuals = |h: &Matrix3<f64>, out: &mut [f32]| {
+            let pieces = whole.points.par_chunks(PIECE).zip(out.par_chunks_mut(PIECE));
+            pieces.for_each(|(points, out)| vectorised(Residuals { points, h, frame: &whole.both.frame, out }));
         };
         let stage = Stage::new(pair, level, level == finest, &whole.points)?;
         let (h, error_px) = stage.solve(state, model, residuals)?;
@@ -59,13 +58,38 @@ pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usi
     }
     if finest < measured {
         let points = patches::points(pair);
-        let mut seen = Patches::unread(points.len());
-        let residuals = |h: &Matrix3<f64>, out: &mut Vec<Option<f32>>| seen.residuals(pair, h, out);
+        let mut seen = pair.patches(|| Patches::unread(points.len()));
+        let residuals = |h: &Matrix3<f64>, out: &mut [f32]| patches::residuals(pair, &mut seen, h, out);
         let stage = Stage::new(pair, finest_level(pair.reference()), true, points)?;
-        let (h, error_px) = stage.solve(state, model, residuals)?;
+        let solved = stage.solve(state, model, residuals);
+        pair.keep_patches(seen);
+        let (h, error_px) = solved?;
         (state, last) = (h, Some(error_px));
     }
     Some(Refined { warp: to_warp(&state, model, width, height), error_px: last? })
+}
+
+/// Points that are looked at together, by one thread.
+const PIECE: usize = 1024;
+
+/// On a level that is there as a whole: the frame's level less the reference's at some of the points.
+struct Residuals<'a> {
+    points: &'a [Point],
+    h: &'a Matrix3<f64>,
+    frame: &'a Plane<f32>,
+    out: &'a mut [f32],
+}
+
+impl Loops for Residuals<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (p, out) in self.points.iter().zip(self.out) {
+            let (u, v) = map(self.h, p.x, p.y);
+            *out = cubic(self.frame, u, v).map_or(f32::NAN, |f| f - p.level);
+        }
+    }
 }
 
 /// The warp of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
@@ -110,23 +134,23 @@ impl<'a> Stage<'a> {
     }
 
     /// Steps of Gauss and Newton with Tukey's weights until no corner moves. `residuals` gives the frame's level less the reference's
-    /// at every point under a warp; none where the frame does not reach. Gives the warp, and [`Refined::error_px`].
+    /// at every point under a warp; not a number where the frame does not reach. Gives the warp, and [`Refined::error_px`].
     fn solve(
         &self,
         h_full: Matrix3<f64>,
         model: Model,
-        mut residuals: impl FnMut(&Matrix3<f64>, &mut Vec<Option<f32>>),
+        mut residuals: impl FnMut(&Matrix3<f64>, &mut [f32]),
     ) -> Option<(Matrix3<f64>, f64)> {
         let (width, height) = self.size;
         let mut h = on_level(&h_full, self.level);
         let basis = Basis::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
-        let mut left: Vec<Option<f32>> = Vec::with_capacity(self.points.len());
+        let mut left = vec![0.0f32; self.points.len()];
         let mut normal = DMatrix::zeros(basis.numbers(), basis.numbers());
         for _ in 0..MOST_STEPS {
             residuals(&h, &mut left);
             let noise = spread(self.points, &left)?;
-            let (mut a, mut b) = self.normal_equations(basis.numbers(), &rows, &left, noise);
+            let (mut a, mut b) = normal::equations(basis.numbers(), self.points, &rows, &left, noise);
             basis.add_prior(&h, NOISE_FACTOR, &mut a, &mut b);
             normal = a.clone();
             let step = basis.solve(a, b)?;
@@ -143,52 +167,19 @@ impl<'a> Stage<'a> {
         let error_px = NOISE_FACTOR * (1u64 << self.level) as f64 * basis.expected_error(&normal)?;
         Some((off_level(&h, self.level), error_px))
     }
-
-    /// A = sum w J^T g g^T J and b = sum w J^T g r, in units of the noise.
-    fn normal_equations(
-        &self,
-        n: usize,
-        rows: &[[f64; 8]],
-        residuals: &[Option<f32>],
-        noise: f32,
-    ) -> (DMatrix<f64>, DVector<f64>) {
-        let mut a = [[0.0f64; 8]; 8];
-        let mut b = [0.0f64; 8];
-        for ((p, j), r) in self.points.iter().zip(rows).zip(residuals) {
-            let Some(r) = r else { continue };
-            let w = f64::from(tukey_weight(r * p.precision / noise) * p.precision * p.precision / (noise * noise));
-            if w == 0.0 {
-                continue;
-            }
-            for i in 0..n {
-                let wj = w * j[i];
-                b[i] += wj * f64::from(*r);
-                for k in i..n {
-                    a[i][k] += wj * j[k];
-                }
-            }
-        }
-        (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
-    }
-}
-
-/// Tukey's biweight of a residual in units of its standard deviation.
-fn tukey_weight(r: f32) -> f32 {
-    let t = r / TUKEY;
-    let inside = (1.0 - t * t).max(0.0);
-    inside * inside
 }
 
 /// The robust standard deviation of the trusted residuals: 1.4826 times the median of their absolutes, at least half a grey level.
-fn spread(points: &[Point], residuals: &[Option<f32>]) -> Option<f32> {
-    let mut absolutes: Vec<f32> =
-        points.iter().zip(residuals).filter_map(|(p, r)| r.map(|r| (r * p.precision).abs())).collect();
+fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
+    // The bits of numbers that are not negative are ordered as they are.
+    let seen = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
+    let mut absolutes: Vec<u32> = seen.map(|(p, r)| (r * p.precision).abs().to_bits()).collect();
     if absolutes.len() < LEAST_POINTS {
         return None;
     }
     let middle = absolutes.len() / 2;
-    let (_, median, _) = absolutes.select_nth_unstable_by(middle, f32::total_cmp);
-    Some((1.4826 * *median).max(0.5))
+    let (_, median, _) = absolutes.select_nth_unstable(middle);
+    Some((1.4826 * f32::from_bits(*median)).max(0.5))
 }
 
 #[cfg(test)]

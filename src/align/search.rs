@@ -10,6 +10,7 @@ use super::period;
 use super::place::{self, Candidate};
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
+use crate::plane::Plane;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -33,7 +34,10 @@ const RIVAL_APART: f64 = 3.0;
 
 /// One run over a bracket.
 pub(super) struct Search<'a> {
+    /// The frames' grey pyramids.
     pub(super) pyramids: &'a [GreyPyramid],
+    /// ... and the whole pictures, which are made when they are asked for.
+    pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// Which frames are as good as blank.
     pub(super) blank: &'a [bool],
     pub(super) reference: usize,
@@ -147,7 +151,7 @@ impl Search<'_> {
     }
 
     fn size(&self) -> (usize, usize) {
-        (self.base().level(0).width(), self.base().level(0).height())
+        self.base().size(0)
     }
 
     /// `verdict` of every frame but the reference, in parallel.
@@ -262,7 +266,7 @@ impl Search<'_> {
         let warp = verdict.warp?;
         let pyramid = match warp {
             Warp::Identity => Cow::Borrowed(&self.pyramids[n]),
-            warp => Cow::Owned(place::laid_on_reference(&self.pyramids[n], &warp)),
+            warp => Cow::Owned(place::laid_on_reference(&(self.grey)(n), &warp)),
         };
         Some(Base { pyramid, error_px: verdict.error_px.unwrap_or(0.0), confidence: verdict.confidence })
     }

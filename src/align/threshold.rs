@@ -44,22 +44,19 @@ pub struct Histogram([u64; 256]);
 impl Histogram {
     /// The histogram of `plane`; of a large one that of every so many rows, about `COUNTED` pixels.
     pub fn of(plane: &Plane<u8>) -> Self {
-        // Four tables, so that equal neighbours do not wait for each other.
-        let mut counts = [[0u32; 256]; 4];
-        let step = (plane.as_slice().len() / COUNTED).max(1);
-        for y in (0..plane.height()).step_by(step) {
-            let (fours, rest) = plane.row(y).as_chunks::<4>();
-            for four in fours {
-                for (table, &v) in counts.iter_mut().zip(four) {
-                    table[usize::from(v)] += 1;
-                }
-            }
-            for &v in rest {
-                counts[0][usize::from(v)] += 1;
-            }
+        let mut counts = Counts::default();
+        counted_rows((plane.width(), plane.height())).for_each(|y| counts.add(plane.row(y)));
+        counts.sum()
+    }
+
+    /// The same of a picture of `size` that is not there: `fill` computes a row.
+    pub fn of_rows((width, height): (usize, usize), fill: impl Fn(usize, &mut [u8])) -> Self {
+        let (mut counts, mut row) = (Counts::default(), vec![0; width]);
+        for y in counted_rows((width, height)) {
+            fill(y, &mut row);
+            counts.add(&row);
         }
-        let sum = std::array::from_fn(|v| counts.iter().map(|c| u64::from(c[v])).sum());
-        Histogram(sum)
+        counts.sum()
     }
 
     fn total(&self) -> u64 {
@@ -102,6 +99,38 @@ impl Histogram {
     /// Of the pixels that count at this zone, the share on the side that has fewer: 0 where the bitmap is blank.
     fn balance(&self, zone: &Zone) -> f64 {
         self.share_below(zone.low.into()).min(1.0 - self.share_below(usize::from(zone.high) + 1))
+    }
+}
+
+/// The rows of a picture of this size that are counted.
+fn counted_rows((width, height): (usize, usize)) -> impl Iterator<Item = usize> {
+    (0..height).step_by((width * height / COUNTED).max(1))
+}
+
+/// Four tables, so that equal neighbours do not wait for each other.
+struct Counts([[u32; 256]; 4]);
+
+impl Default for Counts {
+    fn default() -> Self {
+        Counts([[0; 256]; 4])
+    }
+}
+
+impl Counts {
+    fn add(&mut self, row: &[u8]) {
+        let (fours, rest) = row.as_chunks::<4>();
+        for four in fours {
+            for (table, &v) in self.0.iter_mut().zip(four) {
+                table[usize::from(v)] += 1;
+            }
+        }
+        for &v in rest {
+            self.0[0][usize::from(v)] += 1;
+        }
+    }
+
+    fn sum(&self) -> Histogram {
+        Histogram(std::array::from_fn(|v| self.0.iter().map(|c| u64::from(c[v])).sum()))
     }
 }
 

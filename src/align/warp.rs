@@ -79,6 +79,7 @@ pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
 }
 
 /// x' ~ H x. Not finite on the line that H sends to infinity.
+#[inline(always)]
 pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
     ((h[(0, 0)] * x + h[(0, 1)] * y + h[(0, 2)]) / w, (h[(1, 0)] * x + h[(1, 1)] * y + h[(1, 2)]) / w)

@@ -9,6 +9,7 @@ mod capture;
 pub mod colour;
 mod decode;
 pub mod exposure;
+mod grey;
 mod load;
 mod nominal;
 mod reference;
@@ -163,12 +164,7 @@ impl Frame {
     /// # Errors
     /// [`Error::Scratch`], where the frame is on disk.
     pub fn grey(&self) -> Result<Plane<u8>> {
-        let (all, stride) = (self.whole()?, 3 * self.width);
-        let codes = all.codes();
-        Ok(Plane::from_rows(self.width, self.height, |y, row| match codes {
-            Codes::Eight(v) => grey_row(&v[y * stride..][..stride], row, u32::from),
-            Codes::Sixteen(v) => grey_row(&v[y * stride..][..stride], row, |code| u32::from(code >> 8)),
-        }))
+        self.greys(None)
     }
 
     /// The grey picture as [`grey`](Self::grey) has it, but brightened by `stops` (0..=8) before it is rounded to 8 bit: of a dark frame
@@ -177,25 +173,13 @@ impl Frame {
     /// # Errors
     /// [`Error::Scratch`], where the frame is on disk.
     pub fn grey_brightened(&self, stops: u32) -> Result<Plane<u8>> {
-        let (all, stride) = (self.whole()?, 3 * self.width);
-        let codes = all.codes();
-        Ok(Plane::from_rows(self.width, self.height, |y, row| match codes {
-            Codes::Eight(v) => brightened_row(&v[y * stride..][..stride], row, stops, |code| u32::from(code) << 8),
-            Codes::Sixteen(v) => brightened_row(&v[y * stride..][..stride], row, stops, u32::from),
-        }))
+        self.greys(Some(stops))
     }
-}
 
-fn grey_row<T: Copy>(rgb: &[T], grey: &mut [u8], code8: impl Fn(T) -> u32) {
-    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
-        *out = ((54 * code8(p[0]) + 183 * code8(p[1]) + 19 * code8(p[2])) >> 8) as u8;
-    }
-}
-
-fn brightened_row<T: Copy>(rgb: &[T], grey: &mut [u8], stops: u32, code16: impl Fn(T) -> u32) {
-    for (out, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
-        let sum = 54 * code16(p[0]) + 183 * code16(p[1]) + 19 * code16(p[2]);
-        *out = (sum >> (16 - stops.min(8))).min(255) as u8;
+    /// The [`grey`](Self::grey) picture, or where there are `stops` the [`grey_brightened`](Self::grey_brightened) one.
+    pub(crate) fn greys(&self, stops: Option<u32>) -> Result<Plane<u8>> {
+        let all = self.whole()?;
+        Ok(Plane::from_rows(self.width, self.height, |y, row| all.grey_row(y, stops, row)))
     }
 }
 
@@ -296,28 +280,6 @@ mod tests {
     fn frame(name: &str, width: usize, ev: f64) -> Frame {
         let exposure = Exposure::given(ev).unwrap();
         Frame::new(name.into(), width, 2, Samples::Eight(vec![128; 6 * width]), exposure)
-    }
-
-    #[test]
-    fn grey_is_wards_at_either_depth() {
-        let of =
-            |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap()).grey().unwrap().at(0, 0);
-        assert_eq!(of(Samples::Eight(vec![10, 200, 30])), ((54 * 10 + 183 * 200 + 19 * 30) >> 8) as u8);
-        assert_eq!(of(Samples::Sixteen(vec![0x0AFF, 0xC800, 0x1E10])), of(Samples::Eight(vec![10, 200, 30])));
-        assert_eq!(of(Samples::Eight(vec![255; 3])), 255);
-    }
-
-    #[test]
-    fn a_brightened_grey_keeps_what_rounding_loses() {
-        let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap());
-        // (54 + 2 * 183) / 256 = 1.64, of which 1 is left; times 64 it is 105.
-        let dark = of(Samples::Eight(vec![1, 2, 0]));
-        assert_eq!([0, 6, 8].map(|stops| dark.grey_brightened(stops).unwrap().at(0, 0)), [1, 105, 255]);
-        // 0.64 of a code at 8 bit.
-        let deep = of(Samples::Sixteen(vec![164, 164, 164]));
-        assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).unwrap().at(0, 0)), [0, 41]);
-        let plain = of(Samples::Eight(vec![10, 200, 30]));
-        assert_eq!(plain.grey_brightened(0).unwrap(), plain.grey().unwrap());
     }
 
     #[test]

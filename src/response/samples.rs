@@ -8,7 +8,7 @@
 
 use crate::align::resample::rows_under;
 use crate::align::warp::{Warp, map};
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Frame, Window};
 use crate::error::Result;
 use nalgebra::Matrix3;
@@ -191,16 +191,13 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
 }
 
 /// The frames that take part.
-fn placed<'a>(bracket: &'a Bracket, alignment: &Alignment) -> Vec<Placed<'a>> {
-    let frames = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
-    frames
-        .filter(|(_, (_, verdict))| verdict.status != Status::Rejected)
-        .filter_map(|(index, (frame, verdict))| {
-            let warp = verdict.warp?;
-            let matrix = (warp != Warp::Identity).then(|| warp.matrix(frame.width(), frame.height()));
-            Some(Placed { frame, index, warp, matrix })
-        })
-        .collect()
+fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
+    let matrix = |frame: &Frame, warp: Warp| match warp {
+        Warp::Identity => None,
+        warp => Some(warp.matrix(frame.width(), frame.height())),
+    };
+    let placed = alignment.placed(bracket);
+    placed.map(|(index, frame, warp)| Placed { frame, index, warp, matrix: matrix(frame, warp) }).collect()
 }
 
 /// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.

@@ -4,6 +4,7 @@ use super::SiftOptions;
 use super::scale_space::{Octave, ScaleSpace};
 use crate::align::features::Keypoint;
 use crate::plane::{Plane, map_bands};
+use crate::simd::{Loops, vectorised};
 use nalgebra::{Matrix3, Vector3};
 
 /// An extremum of D, in pixels of its octave.
@@ -103,8 +104,29 @@ impl<'a> Window<'a> {
     }
 
     /// Marks where D is larger than `least` and no smaller than its four neighbours in the plane, or the same below zero: few samples
-    /// are left for closer looks. Side by side and without a branch, so that the compiler takes four at a time.
+    /// are left for closer looks.
     fn mark(&mut self, least: f32) {
+        let Window { up, here, down, candidates, .. } = self;
+        vectorised(Marks { up, here, down, least, candidates });
+    }
+}
+
+/// See [`Window::mark`].
+struct Marks<'a> {
+    up: &'a [f32],
+    here: &'a [f32],
+    down: &'a [f32],
+    least: f32,
+    candidates: &'a mut [bool],
+}
+
+impl Loops for Marks<'_> {
+    type Output = ();
+
+    // Side by side and without a branch, so that the compiler takes as many at a time as it can.
+    #[inline(always)]
+    fn run(self) {
+        let least = self.least;
         let n = self.here.len().max(2) - 2;
         let (up, down) = (&self.up[1..][..n], &self.down[1..][..n]);
         let (left, here, right) = (&self.here[..n], &self.here[1..][..n], &self.here[2..][..n]);

@@ -1,6 +1,7 @@
 //! Gradients as length and direction, and the Gaussian that weighs them, without the platform's functions.
 
 use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 use std::sync::LazyLock;
@@ -24,7 +25,26 @@ impl Gradients {
         let (left, right) = (&here[columns.start - 1..][..n], &here[columns.start + 1..][..n]);
         let (up, down) = (&up[columns.clone()], &down[columns]);
         let (length, direction) = (&mut self.length[..n], &mut self.direction[..n]);
-        // Side by side and without a branch, so that the compiler takes four at a time.
+        vectorised(Stretch { sides: [left, right, up, down], length, direction });
+    }
+}
+
+/// A stretch of a row: what lies left, right, above and below of each sample, and where its gradient goes.
+struct Stretch<'a> {
+    sides: [&'a [f32]; 4],
+    length: &'a mut [f32],
+    direction: &'a mut [f32],
+}
+
+impl Loops for Stretch<'_> {
+    type Output = ();
+
+    // Side by side and without a branch, so that the compiler takes as many at a time as it can.
+    #[inline(always)]
+    fn run(self) {
+        let n = self.length.len();
+        let [left, right, up, down] = self.sides.map(|side| &side[..n]);
+        let (length, direction) = (&mut self.length[..n], &mut self.direction[..n]);
         for i in 0..n {
             let (dx, dy) = (right[i] - left[i], down[i] - up[i]);
             length[i] = (dx * dx + dy * dy).sqrt();
