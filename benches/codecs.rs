@@ -4,15 +4,15 @@
 //! can do without: decoding the same photographs and encoding the same two results, by the library's own readers and writers. Printed
 //! are medians of the wall time and their ratio.
 //!
-//! The frames are those of `testdata/window`, each four times side by side and four times one below the other, mirrored: what lies beyond
-//! the first moves otherwise than hands do, so that alignment has more to do than with photographs. Better are photographs of your own,
-//! by their names in HDRALIGN_BENCH_IMAGES, separated by spaces.
+//! The frames are those of `testdata/window`, enlarged, so that their motion stays that of hands: mirrored tiles move against each other, and
+//! aligning them takes many times as long. They are smoother than photographs, which codecs like: better are photographs of your own, by
+//! their names in HDRALIGN_BENCH_IMAGES, separated by spaces.
 
 use hdralign::bracket::{LoadOptions, load};
 use hdralign::pipeline::{self, Options, Outcome};
 use hdralign::write::{self, Metadata};
 use image::codecs::jpeg::JpegEncoder;
-use image::{RgbImage, imageops};
+use image::imageops;
 use img_parts::jpeg::Jpeg;
 use img_parts::{Bytes, ImageEXIF};
 use std::path::{Path, PathBuf};
@@ -23,18 +23,11 @@ const ROUNDS: usize = 7;
 /// Threads.
 const THREADS: [usize; 2] = [1, 2];
 
-/// Frame `i` of the window with its mirror images, 4 x 4 tiles, as a JPEG with its EXIF.
-fn tiled(i: usize) -> Vec<u8> {
+/// Frame `i` of the window at four times its width and height, as a JPEG with its EXIF.
+fn enlarged(i: usize) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("testdata/window/window_{i}.jpg"));
-    let tile = image::open(&path).expect("a frame of testdata/window").to_rgb8();
-    let (width, height) = tile.dimensions();
-    let across = imageops::flip_horizontal(&tile);
-    let tiles = [&tile, &across].map(|t| [t.clone(), imageops::flip_vertical(t)]);
-    let mut whole = RgbImage::new(4 * width, 4 * height);
-    for (x, y) in (0..4).flat_map(|x| (0..4).map(move |y| (x, y))) {
-        let tile = &tiles[x as usize % 2][y as usize % 2];
-        imageops::replace(&mut whole, tile, i64::from(x * width), i64::from(y * height));
-    }
+    let small = image::open(&path).expect("a frame of testdata/window").to_rgb8();
+    let whole = imageops::resize(&small, 4 * small.width(), 4 * small.height(), imageops::FilterType::Triangle);
     let mut plain = Vec::new();
     JpegEncoder::new_with_quality(&mut plain, 92).encode_image(&whole).expect("a JPEG");
     let exif = Jpeg::from_bytes(std::fs::read(&path).expect("the frame").into()).expect("a JPEG").exif();
@@ -50,7 +43,7 @@ fn photographs(folder: &Path) -> Vec<PathBuf> {
     }
     let make = |i: usize| {
         let path = folder.join(format!("w{i}.jpg"));
-        std::fs::write(&path, tiled(i)).expect("space in the temporary folder");
+        std::fs::write(&path, enlarged(i)).expect("space in the temporary folder");
         path
     };
     (2..=4).map(make).collect()
