@@ -5,6 +5,8 @@
 //! RFC 1951, sections 3.2.5 to 3.2.7; A. Moffat and J. Katajainen, "In-Place Calculation of Minimum-Redundancy Codes", WADS 1995; for the
 //! idea that runs of 8 bytes are all that is worth looking for, the `fdeflate` crate.
 
+use super::adler::Adler;
+
 /// Bytes that share a code: few enough that it fits them, enough that its 150 bytes do not matter.
 const BLOCK: usize = 1 << 16;
 
@@ -35,6 +37,14 @@ pub(super) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
     bits.align();
     bits.put(0xffff_0000, 32);
     bits.end();
+}
+
+/// Appends `raw`, packed, as a whole zlib stream.
+pub(super) fn zlib(raw: &[u8], out: &mut Vec<u8>) {
+    // Deflate, window of 32 KB, fastest.
+    out.extend_from_slice(&[0x78, 0x01]);
+    deflate(raw, true, out);
+    out.extend_from_slice(&Adler::of(raw).sum().to_be_bytes());
 }
 
 /// What a block is made of.

@@ -8,17 +8,13 @@
 //! The `tiff` crate's encoder writes the byte order of the machine and compresses only whole pictures, so the little that is needed of
 //! the structure is here; its decoder is the judge in the tests.
 
+use super::deflate::zlib;
 use super::ifd::{Directory, tag};
 use super::luv::Depth;
 use super::{Bands, Metadata, Pending, RowWriter, Written};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
-use flate2::Compression;
-use flate2::write::ZlibEncoder;
 use std::io::{self, Seek, SeekFrom, Write};
-
-/// How hard to deflate: the least, for noise does not shrink further whatever is spent on it.
-const LEVEL: u32 = 1;
 
 /// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
 pub trait Sample: Copy + Send + Sync + 'static {
@@ -198,14 +194,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
         let Writer { strips, bands } = self;
         let width = bands.width;
-        bands.push(
-            rows,
-            |_, pixels, raw, out| deflate(pixels, width, raw, out),
-            |strip, outcome| {
-                outcome.map_err(|e| strips.file.error(e))?;
-                strips.put(strip)
-            },
-        )
+        bands.push(rows, |_, pixels, raw, out| pack(pixels, width, raw, out), |strip, ()| strips.put(strip))
     }
 
     fn finish(self: Box<Self>) -> Result<Written> {
@@ -214,15 +203,14 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     }
 }
 
-fn deflate<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) -> io::Result<()> {
+/// Appends a strip.
+fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) {
     raw.clear();
     raw.reserve(size_of_val(pixels));
     for row in pixels.chunks_exact(width) {
         T::put_predicted(row, raw);
     }
-    let mut encoder = ZlibEncoder::new(out, Compression::new(LEVEL));
-    encoder.write_all(raw)?;
-    encoder.finish().map(|_| ())
+    zlib(raw, out);
 }
 
 #[cfg(test)]
