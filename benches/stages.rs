@@ -15,12 +15,13 @@ use hdralign::align::refine::refine;
 use hdralign::align::resample::resample_rows;
 use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::threshold::Percentile;
-use hdralign::align::{AlignOptions, Alignment, Model, align};
+use hdralign::align::{AlignOptions, Alignment, Model, align, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::deghost::{self, Deghost};
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
+use hdralign::pyramid::gaussian;
 use hdralign::read::read;
 use hdralign::response::samples::Places;
 use hdralign::response::{ResponseCurve, ResponseModel, ratios, recover_from};
@@ -112,6 +113,13 @@ fn alignment(c: &mut Criterion) {
     let all = pixels(&bracket);
     let mut group = c.benchmark_group("align");
     group.throughput(Throughput::Elements(all));
+    group.bench_function("grey pyramid of a frame", |b| b.iter(|| grey_pyramid(black_box(&bracket.frames()[3]))));
+    group.bench_function("smoothed", |b| {
+        let levels = Plane::from_rows(bracket.width(), bracket.height(), |y, row| {
+            row.iter_mut().zip(frame.level(0).row(y)).for_each(|(v, &code)| *v = f32::from(code));
+        });
+        b.iter(|| gaussian(black_box(&levels), 1.6));
+    });
     let options = MtbOptions::default();
     let start = mtb::search(&reference, &frame, 0, &options).warp();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {

@@ -96,13 +96,18 @@ fn a_black_frame_goes_with_others_that_did_not_move() {
 #[test]
 fn a_black_frame_among_others_that_moved_is_rejected() {
     let moved = [(Warp::Identity, 0.0), (shift(6.0, -4.0), 1.0), (shift(-3.0, 5.0), NEARLY_BLACK)];
-    let (alignment, warnings) = align(&bracket(&moved), &AlignOptions::default()).unwrap();
+    let bracket = bracket(&moved);
+    let (alignment, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
     assert_eq!(
         statuses(&alignment),
         [Status::Rejected, Status::Reference, Status::Aligned],
         "{:?}",
         alignment.verdicts[0]
     );
+    // It takes no part in what follows.
+    let placed: Vec<_> = alignment.placed(&bracket).map(|(i, frame, warp)| (i, frame.path(), Some(warp))).collect();
+    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.verdicts[i].warp));
+    assert_eq!(placed, expected);
     assert!(warnings.iter().any(|w| matches!(w, Warning::FrameRejected { .. })));
 }
 
