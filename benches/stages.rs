@@ -17,7 +17,9 @@ use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::threshold::Percentile;
 use hdralign::align::{AlignOptions, Alignment, Model, align};
 use hdralign::bracket::{Bracket, Frame, LoadOptions, ReferenceChoice, Samples, load};
+use hdralign::merge::calibration::Unit;
 use hdralign::merge::deghost::{self, Deghost};
+use hdralign::merge::statistics::Statistics;
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
@@ -190,17 +192,20 @@ fn radiance(c: &mut Criterion) {
     }
     let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
     let curve = ResponseCurve::srgb();
-    group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options)));
+    group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options, None)));
     let by_noise = MergeOptions { weight: Weight::Noise, ..options };
-    group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise)));
+    group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise, None)));
     let deghost = Deghost::default();
     group.bench_function("deghost", |b| {
         b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, &deghost));
     });
-    let (map, _) = merge(&bracket, &placed, &curve, &options).expect("a whole region");
+    let (map, _) = merge(&bracket, &placed, &curve, &options, None).expect("a whole region");
     group.throughput(Throughput::Elements(all));
     group.bench_function("flare", |b| {
         b.iter_batched(|| map.clone(), |mut map| flare::remove(&mut map), BatchSize::LargeInput)
+    });
+    group.bench_function("statistics", |b| {
+        b.iter(|| Statistics::measured(black_box(&map.pixels), [0.2126, 0.7152, 0.0722], Unit::Relative));
     });
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
     let picture = tonemap(&map, &Operator::default());

@@ -17,7 +17,7 @@ use crate::merge::calibration::{self, Calibration, CalibrationReport, Unit};
 use crate::merge::deghost::{self, Deghost, Ghosts};
 use crate::merge::flare::{self, FlareReport};
 use crate::merge::statistics::Statistics;
-use crate::merge::{self, MergeOptions, MergeReport, RadianceMap, gamut, weight::Weight};
+use crate::merge::{self, MergeOptions, MergeReport, Merged, RadianceMap, gamut, weight::Weight};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::{self, Exposures};
@@ -376,16 +376,13 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<(RadianceMap, MergeReport, Option<Ghosts>, Option<FlareReport>)> {
+    ) -> Result<(RadianceMap, Merged, Option<Ghosts>, Option<FlareReport>)> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
-            let (mut map, mut report) = merge::merge_without(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let (mut map, merged) = merge::merge(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let flare = options.flare.then(|| flare::remove(&mut map));
-            if flare.is_some() {
-                report.radiance = Statistics::of(&map.pixels);
-            }
-            Ok((map, report, ghosts, flare))
+            Ok((map, merged, ghosts, flare))
         });
         self.times.merge = time;
         merged
@@ -395,7 +392,7 @@ impl<'a> Line<'a> {
     fn units(
         &mut self,
         map: RadianceMap,
-        merged: MergeReport,
+        merged: Merged,
         colour: Option<Space>,
         calibration: &Option<CalibrationReport>,
     ) -> (RadianceMap, MergeReport) {
@@ -414,7 +411,7 @@ impl<'a> Line<'a> {
             calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
         }
         let radiance = Statistics::measured(&map.pixels, gamut::weights(&map.primaries), unit);
-        (map, MergeReport { radiance, ..merged })
+        (map, merged.report(radiance))
     }
 
     fn tonemap(&mut self, radiance: &RadianceMap, options: &Options) -> DisplayImage {

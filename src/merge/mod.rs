@@ -1,7 +1,7 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`MergeReport`]. Cost: about 20 ns of one core for each pixel of each frame that did not move; resampling for those that did.
+//! [`Merged`]. Cost: about 10 ns of one core for each pixel of each frame that did not move; resampling for those that did.
 //! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,
@@ -22,7 +22,7 @@
 //!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
-//! inside a half-float's 6e-8..65504. Divide by [`MergeReport::reference_exposure`] to compare brackets of different exposure.
+//! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure.
 
 pub mod calibration;
 pub mod deghost;
@@ -40,9 +40,10 @@ use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
+use crate::simd::vectorised;
 use deghost::Ghosts;
-use layer::{Strip, layers};
-use mean::Mean;
+use layer::{COLUMNS, ROWS, Tile, layers};
+use mean::{Bounds, Means, Merging};
 use serde::Serialize;
 use statistics::Statistics;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -50,9 +51,6 @@ use weight::Weight;
 
 /// The least radiance: below what any curve and exposure give, so that no value is 0.
 pub const FLOOR: f32 = 1e-12;
-
-/// Rows that are resampled at a time: what all frames have of them stays in the cache.
-const STRIP: usize = 16;
 
 /// Linear radiance.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,8 +71,8 @@ pub struct MergeOptions {
 }
 
 /// What came of merging.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct MergeReport {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Merged {
     /// Frames that took part.
     pub frames: usize,
     /// Pixels of which some channel is at its top code even in the shortest exposure that covers them: their radiance is a lower bound.
@@ -83,13 +81,36 @@ pub struct MergeReport {
     pub all_black: usize,
     /// The reference's relative exposure t * ISO / N^2 in s, by which radiance can be divided to be comparable between brackets.
     pub reference_exposure: f64,
+}
+
+impl Merged {
+    /// The report of it, when the radiance has its unit and its colours.
+    pub fn report(self, radiance: Statistics) -> MergeReport {
+        let Merged { frames, all_clipped, all_black, reference_exposure } = self;
+        MergeReport { frames, all_clipped, all_black, reference_exposure, radiance }
+    }
+}
+
+/// What came of merging, for the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MergeReport {
+    /// [`Merged::frames`].
+    pub frames: usize,
+    /// [`Merged::all_clipped`].
+    pub all_clipped: usize,
+    /// [`Merged::all_black`].
+    pub all_black: usize,
+    /// [`Merged::reference_exposure`].
+    pub reference_exposure: f64,
     /// Of the luminance.
     pub radiance: Statistics,
 }
 
 /// The radiance of `options.region`.
 ///
-/// Frames that are rejected take no part, nor does a frame where it does not cover the pixel.
+/// Frames that are rejected take no part, nor does a frame where it does not cover the pixel. What `ghosts` (found over the same region)
+/// leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less than half is kept
+/// decides nothing.
 ///
 /// # Errors
 /// [`Error::Option`] where the region is empty or not within the reference, or where no frame was placed.
@@ -98,22 +119,8 @@ pub fn merge(
     alignment: &Alignment,
     curve: &ResponseCurve,
     options: &MergeOptions,
-) -> Result<(RadianceMap, MergeReport)> {
-    merge_without(bracket, alignment, curve, options, None)
-}
-
-/// As [`merge`], but what `ghosts` (found over the same region) leaves out of a frame takes no part: its weight there is multiplied by
-/// the factor kept, and a frame of which less than half is kept decides nothing.
-///
-/// # Errors
-/// Those of [`merge`].
-pub fn merge_without(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    curve: &ResponseCurve,
-    options: &MergeOptions,
     ghosts: Option<&Ghosts>,
-) -> Result<(RadianceMap, MergeReport)> {
+) -> Result<(RadianceMap, Merged)> {
     let Rect { x0, y0, x1, y1 } = options.region;
     if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
         return Err(Error::Option {
@@ -134,45 +141,43 @@ pub fn merge_without(
     }
     let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let (width, height) = (x1 - x0, y1 - y0);
-    let mut pixels = Plane::filled(width, height, [FLOOR; 3]);
-    pixels.fill_bands(|rows, band| {
-        let (mut clipped, mut black) = (0, 0);
-        let mut means = vec![Mean::default(); width];
-        for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
-            let strip = y0 + strip..y0 + strip + out.len() / width;
-            let strips: Vec<Strip> = layers.iter().map(|layer| layer.strip(x0..x1, strip.clone())).collect();
-            let kept = |i| ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.start - y0..strip.end - y0));
+    let mut pixels = Plane::filled(width, height, [0.0; 3]);
+    let scratch = || (Means::new(), layers.iter().map(|_| Tile::new()).collect::<Vec<_>>());
+    pixels.fill_bands_with(scratch, |(means, tiles), rows, band| {
+        let mut bounds = Bounds::default();
+        for (first, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
+            let rows = first..first + out.len() / width;
+            let kept = |i| ghosts.map_or_else(Vec::new, |g| g.kept(i, rows.clone()));
             let kept: Vec<Vec<f32>> = (0..layers.len()).map(kept).collect();
-            for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                means.fill(Mean::default());
-                for ((layer, strip), kept) in layers.iter().zip(&strips).zip(&kept) {
-                    let kept = kept.get(y * width..).unwrap_or(&[]);
-                    layer.row(strip, y, width, |x, view, share| {
-                        means[x].add(layer, view, share, kept.get(x).copied().unwrap_or(1.0));
-                    });
+            for left in (0..width).step_by(COLUMNS) {
+                let columns = left..(left + COLUMNS).min(width);
+                for (layer, tile) in layers.iter().zip(&mut *tiles) {
+                    tile.read(layer, x0 + columns.start..x0 + columns.end, y0 + rows.start..y0 + rows.end);
                 }
-                for (pixel, mean) in line.iter_mut().zip(&means) {
-                    if let Some(radiance) = mean.radiance() {
-                        *pixel = radiance;
-                        clipped += usize::from(mean.is_clipped());
-                        black += usize::from(mean.is_black());
-                    }
+                for (y, line) in out.chunks_exact_mut(width).enumerate() {
+                    let kept: Vec<&[f32]> = kept
+                        .iter()
+                        .map(|kept| kept.get(y * width + columns.start..y * width + columns.end).unwrap_or(&[]))
+                        .collect();
+                    let line = &mut line[columns.clone()];
+                    let found = vectorised(Merging { layers: &layers, tiles, kept: &kept, y, means, line });
+                    bounds.clipped += found.clipped;
+                    bounds.black += found.black;
                 }
             }
         }
         // Whole numbers add up to the same in any order.
-        all_clipped.fetch_add(clipped, Ordering::Relaxed);
-        all_black.fetch_add(black, Ordering::Relaxed);
+        all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);
+        all_black.fetch_add(bounds.black, Ordering::Relaxed);
     });
-    let report = MergeReport {
+    let merged = Merged {
         frames: layers.len(),
         all_clipped: all_clipped.into_inner(),
         all_black: all_black.into_inner(),
         reference_exposure: bracket.reference().exposure.relative(),
-        radiance: Statistics::of(&pixels),
     };
     let primaries = bracket.reference().primaries();
-    Ok((RadianceMap { pixels, primaries }, report))
+    Ok((RadianceMap { pixels, primaries }, merged))
 }
 
 #[cfg(test)]
@@ -182,9 +187,9 @@ mod tests {
     use crate::align::warp::Warp;
     use crate::response::tests::still;
 
-    fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, MergeReport) {
+    fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, Merged) {
         let options = MergeOptions { weight, region: alignment.overlap };
-        merge(bracket, alignment, &ResponseCurve::srgb(), &options).unwrap()
+        merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap()
     }
 
     /// Twelve stops from left to right.
@@ -253,9 +258,9 @@ mod tests {
         assert_eq!(whole, on(3));
         let region = Rect { x0: 7, y0: 70, x1: 31, y1: 190 };
         let options = MergeOptions { weight: Weight::Gaussian, region };
-        let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap();
+        let (part, _) = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options, None).unwrap();
         assert!((0..120).all(|y| part.pixels.row(y) == &whole.0.pixels.row(y + 70)[7..31]));
         let options = MergeOptions { region: Rect { x1: 51, ..region }, ..options };
-        assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).is_err());
+        assert!(merge(&bracket, &alignment, &ResponseCurve::srgb(), &options, None).is_err());
     }
 }

@@ -5,7 +5,8 @@
 //! a logarithm, and the same on any machine.
 
 use super::calibration::Unit;
-use crate::plane::{Plane, fold_bands};
+use crate::plane::{BAND_ROWS, Plane};
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// Bits of a float that do not count.
@@ -46,39 +47,52 @@ pub(super) fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
     weights[0] * r + weights[1] * g + weights[2] * b
 }
 
-/// What a band contributes.
+/// What some of the pixels contribute.
 struct Part {
     min: f32,
     max: f32,
-    bins: Vec<u64>,
+    bins: Vec<u32>,
+}
+
+impl Part {
+    fn empty() -> Self {
+        Part { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] }
+    }
+
+    fn add(&mut self, pixels: &[[f32; 3]], weights: [f32; 3]) {
+        // As many as fill some vectors, so that the luminances are had at once, and then counted.
+        let mut values = [0.0f32; 64];
+        for pixels in pixels.chunks(values.len()) {
+            let values = &mut values[..pixels.len()];
+            for (value, pixel) in values.iter_mut().zip(pixels) {
+                *value = luminance(*pixel, weights);
+            }
+            for &y in &*values {
+                self.min = if y < self.min { y } else { self.min };
+                self.max = if y > self.max { y } else { self.max };
+                self.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
+            }
+        }
+    }
+
+    fn and(mut self, other: Part) -> Self {
+        (self.min, self.max) = (self.min.min(other.min), self.max.max(other.max));
+        self.bins.iter_mut().zip(other.bins).for_each(|(a, b)| *a += b);
+        self
+    }
 }
 
 impl Statistics {
-    /// Those of `pixels`, all values of which are positive and finite, relative and of BT.709's primaries.
-    pub fn of(pixels: &Plane<[f32; 3]>) -> Self {
-        Self::measured(pixels, BT709, Unit::Relative)
-    }
-
     /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
     /// luminance.
     pub fn measured(pixels: &Plane<[f32; 3]>, weights: [f32; 3], unit: Unit) -> Self {
-        let empty = || Part { min: f32::INFINITY, max: 0.0, bins: vec![0; BINS] };
-        let count = |rows| {
-            let mut part = empty();
-            for &pixel in pixels.rows(rows) {
-                let y = luminance(pixel, weights);
-                part.min = part.min.min(y);
-                part.max = part.max.max(y);
-                part.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
-            }
+        let band = (BAND_ROWS * pixels.width()).max(1);
+        let add = |mut part: Part, pixels| {
+            part.add(pixels, weights);
             part
         };
-        let all = fold_bands(pixels.height(), count, empty(), |mut all, part| {
-            all.min = all.min.min(part.min);
-            all.max = all.max.max(part.max);
-            all.bins.iter_mut().zip(part.bins).for_each(|(a, b)| *a += b);
-            all
-        });
+        // Whole numbers, the least and the greatest are the same in any order: each thread may count what comes to it.
+        let all = pixels.as_slice().par_chunks(band).fold(Part::empty, add).reduce(Part::empty, Part::and);
         let at = |share: f64| percentile(&all.bins, share).clamp(all.min, all.max);
         Statistics {
             unit,
@@ -96,11 +110,11 @@ impl Statistics {
 }
 
 /// The middle of the bin in which the value of this rank lies.
-fn percentile(bins: &[u64], share: f64) -> f32 {
-    let rank = (share * bins.iter().sum::<u64>() as f64) as u64;
+fn percentile(bins: &[u32], share: f64) -> f32 {
+    let rank = (share * bins.iter().map(|&n| u64::from(n)).sum::<u64>() as f64) as u64;
     let mut below = 0;
     let bin = bins.iter().position(|&count| {
-        below += count;
+        below += u64::from(count);
         below > rank
     });
     f32::from_bits(((bin.unwrap_or(BINS - 1) as u32) << DROPPED) | 1 << (DROPPED - 1))
@@ -110,13 +124,17 @@ fn percentile(bins: &[u64], share: f64) -> f32 {
 mod tests {
     use super::*;
 
+    fn of(pixels: &Plane<[f32; 3]>) -> Statistics {
+        Statistics::measured(pixels, BT709, Unit::Relative)
+    }
+
     #[test]
     fn percentiles_are_those_of_the_sorted_values() {
         let value = |i: usize| libm::exp2((i * 7919 % 10_007) as f64 / 700.0 - 7.0) as f32;
         let pixels = Plane::from_vec(100, 100, (0..10_000).map(|i| [value(i); 3]).collect());
         let mut sorted: Vec<f32> = pixels.as_slice().iter().map(|&p| luminance(p, BT709)).collect();
         sorted.sort_by(f32::total_cmp);
-        let s = Statistics::of(&pixels);
+        let s = of(&pixels);
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
         // Half a bin is 2^-8 of the value.
         for (found, rank) in [(s.p1, 100), (s.p50, 5_000), (s.p99, 9_900)] {
@@ -137,7 +155,7 @@ mod tests {
 
     #[test]
     fn a_single_value_is_its_own_percentile() {
-        let s = Statistics::of(&Plane::filled(3, 70, [0.3; 3]));
+        let s = of(&Plane::filled(3, 70, [0.3; 3]));
         assert_eq!((s.p1, s.p50, s.p99), (s.min, s.min, s.min));
         assert_eq!((s.dynamic_range_stops, s.contrast), (0.0, 1.0));
     }

@@ -3,7 +3,7 @@ use crate::align::warp::Warp;
 use crate::bracket::Samples;
 use crate::bracket::exposure::Exposure;
 use crate::merge::weight::Weight;
-use crate::merge::{MergeOptions, merge, merge_without};
+use crate::merge::{MergeOptions, merge};
 use crate::response::tests::still;
 
 const SIZE: (usize, usize) = (240, 180);
@@ -35,7 +35,7 @@ fn seek(bracket: &Bracket, alignment: &Alignment) -> Ghosts {
 
 fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> Plane<[f32; 3]> {
     let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
-    merge_without(bracket, alignment, &ResponseCurve::srgb(), &options, ghosts).unwrap().0.pixels
+    merge(bracket, alignment, &ResponseCurve::srgb(), &options, ghosts).unwrap().0.pixels
 }
 
 #[test]
@@ -46,7 +46,7 @@ fn where_nothing_moved_nothing_is_lost() {
     assert_eq!((report.ghost_fraction, report.frames.len()), (0.0, 2));
     assert!(ghosts.mask().as_slice().iter().all(|&m| m == 0));
     let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
-    let plain = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options).unwrap().0.pixels;
+    let plain = merge(&bracket, &alignment, &ResponseCurve::srgb(), &options, None).unwrap().0.pixels;
     assert_eq!(merged(&bracket, &alignment, Some(&ghosts)), plain);
 }
 
