@@ -17,7 +17,9 @@ use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::threshold::Percentile;
 use hdralign::align::{AlignOptions, Alignment, Model, align, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
+use hdralign::merge::calibration::Unit;
 use hdralign::merge::deghost::{self, Deghost};
+use hdralign::merge::statistics::Statistics;
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
@@ -212,6 +214,9 @@ fn radiance(c: &mut Criterion) {
     group.throughput(Throughput::Elements(all));
     group.bench_function("flare", |b| {
         b.iter_batched(|| map.clone(), |mut map| flare::remove(&mut map), BatchSize::LargeInput)
+    });
+    group.bench_function("statistics", |b| {
+        b.iter(|| Statistics::measured(black_box(&map.pixels), [0.2126, 0.7152, 0.0722], Unit::Relative));
     });
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
     let picture = tonemap(&map, &Operator::default());

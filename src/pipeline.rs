@@ -26,7 +26,7 @@ use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Operator};
 use crate::write::{self, aligned};
-use line::{Line, Merged};
+use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
 
@@ -184,26 +184,27 @@ fn merged(
         let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
-        let merged = line.merge(&bracket, &alignment, &curve, region, options)?;
-        let merged = line.units(merged, options.colour, &calibration)?;
-        let tones = line.tonemap(&merged.radiance, options)?;
-        let (mut files, display) = line.results(bracket.reference(), &merged, &tones, keep, options)?;
+        let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
+        let (radiance, statistics) = line.units(radiance, options.colour, &calibration)?;
+        let tones = line.tonemap(&radiance.slabs, options)?;
+        let (mut files, display) =
+            line.results(bracket.reference(), &radiance.slabs, &statistics, &tones, keep, options)?;
         files.extend(line.others(&bracket, &alignment, region, Some(&curve), options)?);
-        let Merged { radiance, merged, ghosts, flare } = merged;
+        let Radiance { slabs, merged, ghosts, flare } = radiance;
         let mut report = Report::new(&bracket, &alignment, region);
         report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
-        report.radiance = Some(merged);
+        report.radiance = Some(merged.report(statistics));
         report.calibration = calibration;
-        report.colour = Some(radiance.primaries().into());
+        report.colour = Some(slabs.primaries().into());
         report.flare = flare;
         report.ghosts = ghosts.as_ref().map(Ghosts::report);
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);
         }
         line.report(&mut report, files, options)?;
-        Ok((report, Results { radiance, display }))
+        Ok((report, Results { radiance: slabs, display }))
     })
 }
 

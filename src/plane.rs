@@ -102,6 +102,16 @@ impl<T: Copy + Default + Send> Plane<T> {
 
     /// Computes every band anew by `fill(rows, values)`, in parallel.
     pub fn fill_bands(&mut self, fill: impl Fn(Range<usize>, &mut [T]) + Sync) {
+        self.fill_bands_with(|| (), |(), rows, values| fill(rows, values));
+    }
+
+    /// As [`fill_bands`](Self::fill_bands), but that `fill` is lent what `scratch` makes, for one band after the other: buffers whose
+    /// contents must not matter.
+    pub fn fill_bands_with<S>(
+        &mut self,
+        scratch: impl Fn() -> S + Sync + Send,
+        fill: impl Fn(&mut S, Range<usize>, &mut [T]) + Sync,
+    ) {
         if self.data.is_empty() {
             return;
         }
@@ -109,7 +119,7 @@ impl<T: Copy + Default + Send> Plane<T> {
         self.data
             .par_chunks_mut(BAND_ROWS * width)
             .enumerate()
-            .for_each(|(band, values)| fill(band_rows(band, height), values));
+            .for_each_init(scratch, |scratch, (band, values)| fill(scratch, band_rows(band, height), values));
     }
 }
 

@@ -24,6 +24,7 @@ pub mod features;
 pub mod given;
 pub mod homography;
 pub mod intensity_map;
+mod lanczos;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;

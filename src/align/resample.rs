@@ -1,28 +1,35 @@
 //! Resampling: a frame's code values on the reference's grid, in a single step.
 //!
-//! In: a [`Frame`] and a [`Warp`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
-//! Cost: 36 multiply-adds a value; a copy where nothing moves. Source: Lanczos' kernel with three lobes, as Turkowski, "Filters for
-//! Common Resampling Tasks", Graphics Gems I (1990), recommends it for photographs; its weights are normalised to sum to 1.
+//! In: a [`Window`] of a frame and a [`Warp`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
+//! Cost: 36 multiply-adds a value at most; fewer where the warp is near a shift; a copy where nothing moves.
+//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends [Lanczos' kernel](super::lanczos) for
+//! photographs.
+//!
+//! The sum is taken down the columns first, then across them. Work goes by tiles: what a tile sees of the frame is made floats once, the
+//! border repeated beyond it, and neighbours that lie between the same rows at the same phase share the sums of their columns.
 
+use super::lanczos::{BEFORE, LANCZOS3, TAPS, place};
 use super::warp::{Warp, map};
 use crate::bracket::{Codes, Window};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
-use std::f64::consts::PI;
+use std::cell::RefCell;
 use std::ops::Range;
-use std::sync::LazyLock;
 
 /// What [`resample_rows`] puts into all three channels where the frame has no pixel.
 pub const OUTSIDE: f32 = -1.0;
 
-/// Pixels under the kernel, along each axis.
-const TAPS: usize = 6;
-/// Of these, how many lie before the pixel that the place falls behind.
-const BEFORE: usize = 2;
-/// Values of a row that are summed at once: those of the taps' pixels, and of a part of the next, so that they fill whole vectors.
-const LANES: usize = 24;
-/// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the steepest edge.
-const PHASES: usize = 1024;
+/// Columns and rows of a tile, at most: what it needs stays in the nearer caches.
+const TILE: (usize, usize) = (136, 36);
+/// Columns and rows that a tile may see of the frame. Warps that make it smaller by more than a fourth, or turn it by more than some 20
+/// degrees, go pixel by pixel.
+const WINDOW: (usize, usize) = (192, 96);
+/// Values that are summed at once.
+const LANES: usize = 8;
+/// Values from one row of the window to the next: whole vectors can be read from any of its pixels on.
+const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
+/// Sums down the columns that one pixel needs, in whole vectors.
+const SUMS: usize = (3 * TAPS).next_multiple_of(LANES);
 
 /// The rows of a frame of `size` pixels that are read for the reference's pixels `columns` x `rows`.
 pub fn rows_under(warp: &Warp, size: (usize, usize), columns: &Range<usize>, rows: &Range<usize>) -> Range<usize> {
@@ -42,10 +49,10 @@ pub fn rows_under(warp: &Warp, size: (usize, usize), columns: &Range<usize>, row
     }
     let places = corners.iter().map(|&(x, y)| map(&h, x, y).1);
     let (top, bottom) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // The taps, and a row for rounding; a cast from float keeps within the type.
-    let first = (top - (BEFORE + 1) as f64).max(0.0) as usize;
-    let end = (bottom + (TAPS - BEFORE + 1) as f64).max(0.0) as usize;
-    first.min(size.1)..end.min(size.1)
+    // Of places outside the nearest inside is looked at; the taps, and a row for rounding.
+    let last = (size.1 - 1) as f64;
+    let (first, end) = (top.clamp(0.0, last) as usize, bottom.clamp(0.0, last) as usize + 1);
+    first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)
 }
 
 /// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by rows into `out`.
@@ -75,242 +82,325 @@ struct Source<'a, T> {
 
 impl<T: Copy + Into<f32>> Source<'_, T> {
     fn resample(&self, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
-        let lines = rows.zip(out.chunks_exact_mut(columns.len().max(1)));
+        let stride = columns.len();
         if *warp == Warp::Identity {
-            for (y, line) in lines {
-                let from = 3 * ((y - self.first) * self.size.0 + columns.start);
-                for (pixel, code) in line.iter_mut().zip(self.codes[from..].chunks_exact(3)) {
-                    *pixel = [code[0], code[1], code[2]].map(|c| c.into() * self.scale);
-                }
+            for (y, line) in rows.zip(out.chunks_exact_mut(stride.max(1))) {
+                let codes = &self.row(y)[3 * columns.start..3 * columns.end];
+                vectorised(Copied { codes, scale: self.scale, line: line.as_flattened_mut() });
             }
             return;
         }
-        let h = warp.matrix(self.size.0, self.size.1);
-        let kernel = &*LANCZOS3;
-        for (y, line) in lines {
-            vectorised(Line { source: self, kernel, h: &h, first: columns.start, y, line });
-        }
+        let h = &warp.matrix(self.size.0, self.size.1);
+        SCRATCH.with_borrow_mut(|scratch| {
+            for rows_here in parts(rows.clone(), TILE.1) {
+                for columns_here in parts(columns.clone(), TILE.0) {
+                    let from = (rows_here.start - rows.start) * stride + columns_here.start - columns.start;
+                    let out = &mut out[from..];
+                    vectorised(Tile {
+                        source: self,
+                        h,
+                        columns: columns_here,
+                        rows: rows_here.clone(),
+                        out,
+                        stride,
+                        scratch,
+                    });
+                }
+            }
+        });
     }
 
-    /// The value at (u, v), which lies within the rectangle of pixel centres.
     #[inline(always)]
-    fn at(&self, kernel: &Kernel, u: f64, v: f64) -> [f32; 3] {
-        let (left, wx) = kernel.place(u);
-        let (top, wy) = kernel.place(v);
-        let (width, height) = self.size;
-        let mut sum = [0.0f32; LANES];
-        let inside = left >= 0 && top >= 0 && left as usize + TAPS + 2 <= width && top as usize + TAPS <= height;
-        if inside {
-            let first = 3 * ((top as usize - self.first) * width + left as usize);
-            for (j, w) in wy.iter().enumerate() {
-                let from = first + 3 * j * width;
-                if let Some(row) = self.codes.get(from..from + LANES).and_then(|r| r.first_chunk::<LANES>()) {
-                    for k in 0..LANES {
-                        sum[k] += w * row[k].into();
-                    }
-                }
-            }
-        } else {
-            // At the border the outermost pixel stands for those beyond it.
-            let clamp = |i: isize, size: usize| i.clamp(0, size as isize - 1) as usize;
-            for (j, w) in wy.iter().enumerate() {
-                let y = clamp(top + j as isize, height) - self.first;
-                for i in 0..TAPS {
-                    let from = 3 * (y * width + clamp(left + i as isize, width));
-                    for c in 0..3 {
-                        sum[3 * i + c] += w * self.codes[from + c].into();
-                    }
-                }
-            }
-        }
+    fn row(&self, y: usize) -> &[T] {
+        let from = 3 * (y - self.first) * self.size.0;
+        &self.codes[from..from + 3 * self.size.0]
+    }
+
+    /// The value at (u, v), which lies within the rectangle of pixel centres. The outermost pixel stands for those beyond it.
+    #[inline(always)]
+    fn at(&self, u: f64, v: f64) -> [f32; 3] {
+        let ((column, wx), (row, wy)) = (LANCZOS3.place(u), LANCZOS3.place(v));
+        let clamp = |i: usize, size: usize| i.saturating_sub(BEFORE).min(size - 1);
         let mut value = [0.0f32; 3];
-        for (w, column) in wx.iter().zip(sum.chunks_exact(3)) {
+        for (i, wx) in wx.iter().enumerate() {
+            let x = clamp(column + i, self.size.0);
+            let mut sum = [0.0f32; 3];
+            for (j, wy) in wy.iter().enumerate() {
+                let row = self.row(clamp(row + j, self.size.1));
+                for c in 0..3 {
+                    sum[c] += wy * row[3 * x + c].into();
+                }
+            }
             for c in 0..3 {
-                value[c] += w * column[c];
+                value[c] += wx * sum[c];
             }
         }
         value.map(|v| (v * self.scale).clamp(0.0, 255.0))
     }
 }
 
-/// One row of the reference, whose pixels `h` takes into the frame.
-struct Line<'a, 'b, T> {
-    source: &'a Source<'b, T>,
-    kernel: &'a Kernel,
-    h: &'a Matrix3<f64>,
-    first: usize,
-    y: usize,
-    line: &'a mut [[f32; 3]],
+/// `range` in as few parts of at most `most` as there can be, nearly equal.
+fn parts(range: Range<usize>, most: usize) -> impl Iterator<Item = Range<usize>> {
+    let (start, length) = (range.start, range.len());
+    let count = length.div_ceil(most);
+    (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
 }
 
-impl<T: Copy + Into<f32>> Loops for Line<'_, '_, T> {
+/// A row of a frame that did not move.
+struct Copied<'a, T> {
+    codes: &'a [T],
+    scale: f32,
+    line: &'a mut [f32],
+}
+
+impl<T: Copy + Into<f32>> Loops for Copied<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let (width, height) = self.source.size;
-        let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-        for (x, pixel) in (self.first..).zip(self.line) {
-            let (u, v) = map(self.h, x as f64, self.y as f64);
-            // Written so that a place that is no number is outside too.
-            *pixel = if u >= 0.0 && v >= 0.0 && u <= right && v <= bottom {
-                self.source.at(self.kernel, u, v)
-            } else {
-                [OUTSIDE; 3]
-            };
+        for (value, code) in self.line.iter_mut().zip(self.codes) {
+            *value = (*code).into() * self.scale;
         }
     }
 }
 
-/// The kernel's weights at each of its positions between two pixels.
-struct Kernel {
-    weights: Vec<[f32; TAPS]>,
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::default());
 }
 
-static LANCZOS3: LazyLock<Kernel> = LazyLock::new(|| Kernel {
-    weights: (0..=PHASES)
-        .map(|phase| {
-            let fraction = phase as f64 / PHASES as f64;
-            let raw: [f64; TAPS] = std::array::from_fn(|i| lanczos3(i as f64 - BEFORE as f64 - fraction));
-            let sum: f64 = raw.iter().sum();
-            raw.map(|w| (w / sum) as f32)
-        })
-        .collect(),
-});
+/// What a tile is worked out in.
+struct Scratch {
+    /// What the tile sees of the frame, as floats.
+    window: Vec<f32>,
+    /// The sums down the columns of a row of the tile.
+    sums: Vec<f32>,
+    values: Box<[[f32; 4]; TILE.0]>,
+    places: Box<Places>,
+}
 
-impl Kernel {
-    /// The first pixel under the kernel at place `u`, and the weights.
-    #[inline(always)]
-    fn place(&self, u: f64) -> (isize, &[f32; TAPS]) {
-        // u is at least 0: the conversion cuts off as floor does.
-        let whole = u as usize;
-        let phase = ((u - whole as f64) * PHASES as f64 + 0.5) as usize;
-        (whole as isize - BEFORE as isize, &self.weights[phase])
+/// Where the pixels of a row of the tile lie.
+struct Places {
+    /// The first of the window's columns under the kernel, and the phase.
+    left: [u32; TILE.0],
+    across: [u32; TILE.0],
+    /// The first of the window's rows, times 2^16, and the phase.
+    down: [u32; TILE.0],
+    is_inside: [u32; TILE.0],
+    /// Where the sums of a pixel's columns begin.
+    sums: [u32; TILE.0],
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        let none = [0; TILE.0];
+        Scratch {
+            window: vec![0.0; WINDOW.1 * STRIDE],
+            sums: vec![0.0; TILE.0 * SUMS],
+            values: Box::new([[0.0; 4]; TILE.0]),
+            places: Box::new(Places { left: none, across: none, down: none, is_inside: none, sums: none }),
+        }
     }
 }
 
-/// sinc(x) sinc(x / 3) for |x| < 3, otherwise 0.
-fn lanczos3(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else if x.abs() >= 3.0 {
-        0.0
-    } else {
-        let t = PI * x;
-        3.0 * libm::sin(t) * libm::sin(t / 3.0) / (t * t)
+/// A tile of the reference, whose pixels `h` takes into the frame.
+struct Tile<'a, 'b, T> {
+    source: &'a Source<'b, T>,
+    h: &'a Matrix3<f64>,
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// From the tile's first pixel on, and how many pixels there are from one row to the next.
+    out: &'a mut [[f32; 3]],
+    stride: usize,
+    scratch: &'a mut Scratch,
+}
+
+impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Scratch { window, sums, values, places } = self.scratch;
+        let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
+        let seen = match seen(self.h, &self.columns, &self.rows, last) {
+            Seen::Nothing => {
+                let lines = self.out.chunks_mut(self.stride).take(self.rows.len());
+                lines.for_each(|line| line[..self.columns.len()].fill([OUTSIDE; 3]));
+                return;
+            }
+            Seen::Part(across, down) => Some((across, down)),
+            Seen::Much => None,
+        };
+        if let Some((across, down)) = &seen {
+            fill(self.source, across, down, window);
+        }
+        let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
+        for (y, line) in self.rows.zip(self.out.chunks_mut(self.stride)) {
+            let line = &mut line[..self.columns.len()];
+            let Some((across, down)) = &seen else {
+                for (x, pixel) in self.columns.clone().zip(line) {
+                    let (u, v) = map(self.h, x as f64, y as f64);
+                    // Written so that a place that is no number is outside too.
+                    let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
+                    *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+                }
+                continue;
+            };
+            let (first, origin) = ((self.columns.start, y), (across.start, down.start));
+            if is_affine {
+                places.find::<true>(self.h, first, origin, last);
+            } else {
+                places.find::<false>(self.h, first, origin, last);
+            }
+            places.sum(window, sums, line.len());
+            places.across(sums, self.source.scale, values, line);
+        }
+    }
+}
+
+/// What a tile sees of the frame.
+enum Seen {
+    /// None of its pixels lies within.
+    Nothing,
+    /// At most these columns and rows, some of them beyond the border.
+    Part(Range<i32>, Range<i32>),
+    /// More than a window, or nobody knows what.
+    Much,
+}
+
+#[inline(always)]
+fn seen(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Seen {
+    let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
+    for x in [columns.start as f64, (columns.end - 1) as f64] {
+        for y in [rows.start as f64, (rows.end - 1) as f64] {
+            // Where all corners lie before the horizon, all that is between them lies between their places.
+            let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
+            let (u, v) = map(h, x, y);
+            if !(is_before && u.is_finite() && v.is_finite()) {
+                return Seen::Much;
+            }
+            us = (us.0.min(u), us.1.max(u));
+            vs = (vs.0.min(v), vs.1.max(v));
+        }
+    }
+    // A pixel more than there should be, as places are rounded.
+    if us.1 < -1.0 || vs.1 < -1.0 || us.0 > last.0 + 1.0 || vs.0 > last.1 + 1.0 {
+        return Seen::Nothing;
+    }
+    let range = |(least, most): (f64, f64), last: f64| {
+        // Of places outside the nearest inside is looked at, to be left out later.
+        let (first, end) = (least.clamp(0.0, last) as i32 - 1, most.clamp(0.0, last) as i32 + 2);
+        first - BEFORE as i32..end + (TAPS - BEFORE - 1) as i32
+    };
+    let (across, down) = (range(us, last.0), range(vs, last.1));
+    if across.len() <= WINDOW.0 && down.len() <= WINDOW.1 { Seen::Part(across, down) } else { Seen::Much }
+}
+
+/// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for those beyond it.
+#[inline(always)]
+fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Range<i32>, window: &mut [f32]) {
+    let (width, height) = (source.size.0 as i32, source.size.1 as i32);
+    let inside = across.start.clamp(0, width - 1)..across.end.clamp(1, width);
+    let (before, after) = ((inside.start - across.start) as usize, (inside.end - across.start) as usize);
+    for (y, row) in down.clone().zip(window.chunks_exact_mut(STRIDE)) {
+        let codes = &source.row(y.clamp(0, height - 1) as usize)[3 * inside.start as usize..3 * inside.end as usize];
+        let row = &mut row[..3 * across.len()];
+        for (value, code) in row[3 * before..3 * after].iter_mut().zip(codes) {
+            *value = (*code).into();
+        }
+        let pixels = row.as_chunks_mut::<3>().0;
+        let (first, last) = (pixels[before], pixels[after - 1]);
+        pixels[..before].fill(first);
+        pixels[after..].fill(last);
+    }
+}
+
+impl Places {
+    /// Of the pixels from `first` on to the right; `origin` is the window's first pixel, `last` the frame's last.
+    #[inline(always)]
+    fn find<const AFFINE: bool>(
+        &mut self,
+        h: &Matrix3<f64>,
+        first: (usize, usize),
+        origin: (i32, i32),
+        last: (f64, f64),
+    ) {
+        let (start, y) = (first.0 as i32, first.1 as f64);
+        let (a, b, c) = (h[(0, 0)], h[(0, 1)] * y, h[(0, 2)]);
+        let (d, e, f) = (h[(1, 0)], h[(1, 1)] * y, h[(1, 2)]);
+        let (p, q, r) = (h[(2, 0)], h[(2, 1)] * y, h[(2, 2)]);
+        for i in 0..TILE.0 {
+            let x = f64::from(start + i as i32);
+            let (mut u, mut v) = (a * x + b + c, d * x + e + f);
+            // Dividing by 1 changes nothing, and takes as long as all the rest.
+            if !AFFINE {
+                let w = p * x + q + r;
+                (u, v) = (u / w, v / w);
+            }
+            self.is_inside[i] =
+                u32::from(u >= 0.0) & u32::from(v >= 0.0) & u32::from(u <= last.0) & u32::from(v <= last.1);
+            let ((left, across), (top, down)) = (place(u, last.0), place(v, last.1));
+            self.left[i] = (left - origin.0) as u32;
+            self.across[i] = across as u32;
+            self.down[i] = ((top - origin.1) << 16 | down) as u32;
+        }
+    }
+
+    /// The sums down the columns for each of the first `count` pixels, from its left column on.
+    #[inline(always)]
+    fn sum(&mut self, window: &[f32], sums: &mut [f32], count: usize) {
+        let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
+        let (mut next, mut free) = (0, 0);
+        while next < count {
+            // Of neighbours between the same rows at the same phase, and not far apart, the columns are summed once.
+            let (row, first) = (down[next], left[next]);
+            let mut at = first;
+            while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {
+                at = left[next];
+                begins[next] = free as u32 + 3 * (at - first);
+                next += 1;
+            }
+            let end = free + (3 * (at - first) as usize + SUMS).next_multiple_of(LANES);
+            let weights = &LANCZOS3.weights[(row & 0xFFFF) as usize];
+            let mut from = (row >> 16) as usize * STRIDE + 3 * first as usize;
+            for sums in sums[free..end].as_chunks_mut::<LANES>().0 {
+                let codes = &window[from..from + (TAPS - 1) * STRIDE + LANES];
+                let mut sum = [0.0f32; LANES];
+                for (j, w) in weights.iter().enumerate() {
+                    for k in 0..LANES {
+                        sum[k] += w * codes[j * STRIDE + k];
+                    }
+                }
+                *sums = sum;
+                from += LANES;
+            }
+            free = end;
+        }
+    }
+
+    /// The sums across the columns of each pixel of `line`, times `scale`.
+    #[inline(always)]
+    fn across(&self, sums: &[f32], scale: f32, values: &mut [[f32; 4]; TILE.0], line: &mut [[f32; 3]]) {
+        let count = line.len();
+        let (begins, across) = (&self.sums[..count], &self.across[..count]);
+        for (i, value) in values[..count].iter_mut().enumerate() {
+            // Four at a time, as vectors are; the fourth is of the next column, and left out below.
+            let sums = &sums[begins[i] as usize..begins[i] as usize + 3 * TAPS + 1];
+            let mut sum = [0.0f32; 4];
+            for (j, w) in LANCZOS3.weights[across[i] as usize].iter().enumerate() {
+                for c in 0..4 {
+                    sum[c] += w * sums[3 * j + c];
+                }
+            }
+            *value = sum;
+        }
+        for ((pixel, value), is_inside) in line.iter_mut().zip(values).zip(&self.is_inside) {
+            for c in 0..3 {
+                let value = (value[c] * scale).clamp(0.0, 255.0);
+                pixel[c] = if *is_inside != 0 { value } else { OUTSIDE };
+            }
+        }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bracket::exposure::Exposure;
-    use crate::bracket::{Frame, Samples};
-
-    fn frame(width: usize, height: usize, f: impl Fn(f64, f64) -> f64) -> Frame {
-        let codes = (0..width * height)
-            .flat_map(|i| {
-                let v = f((i % width) as f64, (i / width) as f64);
-                [v, v * 0.5, 255.0 - v].map(|v| (v * 257.0).round() as u16)
-            })
-            .collect();
-        Frame::new("f".into(), width, height, Samples::Sixteen(codes), Exposure::given(0.0).unwrap())
-    }
-
-    fn whole(frame: &Frame, warp: &Warp) -> Vec<[f32; 3]> {
-        let mut out = vec![[0.0; 3]; frame.width() * frame.height()];
-        resample_rows(&frame.whole().unwrap(), warp, 0..frame.width(), 0..frame.height(), &mut out);
-        out
-    }
-
-    /// The paper's double sum, pixel by pixel, without tables.
-    fn textbook(frame: &Frame, u: f64, v: f64, channel: usize) -> f64 {
-        let whole = frame.whole().unwrap();
-        let Codes::Sixteen(codes) = whole.codes() else { unreachable!() };
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for y in v.floor() as isize - 2..=v.floor() as isize + 3 {
-            for x in u.floor() as isize - 2..=u.floor() as isize + 3 {
-                let w = lanczos3(x as f64 - u) * lanczos3(y as f64 - v);
-                let cx = x.clamp(0, frame.width() as isize - 1) as usize;
-                let cy = y.clamp(0, frame.height() as isize - 1) as usize;
-                sum += w * f64::from(codes[3 * (cy * frame.width() + cx) + channel]) / 257.0;
-                weight += w;
-            }
-        }
-        (sum / weight).clamp(0.0, 255.0)
-    }
-
-    #[test]
-    fn agrees_with_the_textbook_sum() {
-        let f = frame(40, 30, |x, y| 120.0 + 60.0 * (0.9 * x).sin() + 50.0 * (0.7 * y + 0.2 * x).cos());
-        let warp = Warp::Rigid { dx: 1.37, dy: -0.61, angle: 0.03 };
-        let h = warp.matrix(40, 30);
-        for (i, pixel) in whole(&f, &warp).iter().enumerate() {
-            let (u, v) = map(&h, (i % 40) as f64, (i / 40) as f64);
-            if u < 0.0 || v < 0.0 || u > 39.0 || v > 29.0 {
-                assert_eq!(*pixel, [OUTSIDE; 3]);
-                continue;
-            }
-            for c in 0..3 {
-                // The phase is rounded by at most 1/2048 px on each axis; the kernel's slope times the picture's is under 150 codes/px.
-                assert!((f64::from(pixel[c]) - textbook(&f, u, v, c)).abs() < 2.0 * 150.0 / 2048.0);
-            }
-        }
-    }
-
-    #[test]
-    fn whole_pixel_shifts_and_identity_are_exact() {
-        let f = frame(20, 12, |x, y| (7.0 * x + 3.0 * y) % 256.0);
-        let still = whole(&f, &Warp::Identity);
-        let moved = whole(&f, &Warp::Rigid { dx: 2.0, dy: 1.0, angle: 0.0 });
-        for y in 0..11 {
-            for x in 0..18 {
-                for c in 0..3 {
-                    assert!((moved[y * 20 + x][c] - still[(y + 1) * 20 + x + 2][c]).abs() < 1e-4);
-                }
-            }
-        }
-        assert_eq!(moved[19], [OUTSIDE; 3]);
-    }
-
-    #[test]
-    fn eight_and_sixteen_bit_frames_agree() {
-        let eight: Vec<u8> = (0..3 * 16 * 16).map(|i| (i * 37 % 256) as u8).collect();
-        let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
-        let make = |s| Frame::new("f".into(), 16, 16, s, Exposure::given(0.0).unwrap());
-        let warp = Warp::Rigid { dx: 0.4, dy: 0.3, angle: 0.01 };
-        let (a, b) = (whole(&make(Samples::Eight(eight)), &warp), whole(&make(Samples::Sixteen(sixteen)), &warp));
-        for (p, q) in a.iter().zip(&b) {
-            for c in 0..3 {
-                assert!((p[c] - q[c]).abs() < 1e-3);
-            }
-        }
-    }
-
-    /// A window of no more than the rows said to be read gives what the whole frame does: else the slices would be out of bounds.
-    #[test]
-    fn the_rows_under_a_strip_are_enough() {
-        let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());
-        let perspective = Matrix3::new(1.02, 0.03, -2.0, -0.04, 0.97, 3.0, 2e-4, -3e-4, 1.0);
-        let warps = [
-            Warp::Identity,
-            Warp::Rigid { dx: 3.3, dy: -7.8, angle: 0.2 },
-            Warp::Rigid { dx: 0.0, dy: 80.0, angle: -0.1 },
-            Warp::Homography(perspective),
-        ];
-        for warp in warps {
-            let all = whole(&f, &warp);
-            for rows in [0..1, 5..21, 40..90] {
-                let under = rows_under(&warp, (60, 90), &(4..57), &rows);
-                assert!(warp != Warp::Identity || under == rows);
-                let mut part = vec![[0.0; 3]; 53 * rows.len()];
-                resample_rows(&f.window(under).unwrap(), &warp, 4..57, rows.clone(), &mut part);
-                for (line, y) in part.chunks_exact(53).zip(rows) {
-                    assert_eq!(line, &all[60 * y + 4..60 * y + 57]);
-                }
-            }
-        }
-        let horizon = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.1, 0.0, -2.0);
-        assert_eq!(rows_under(&Warp::Homography(horizon), (60, 90), &(0..60), &(3..4)), 0..90);
-    }
-}
+mod tests;

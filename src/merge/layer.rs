@@ -1,17 +1,25 @@
 //! Layers: the frames that take part in a merge, each with what its codes mean and how far they are trusted.
 //!
-//! In: a bracket, where its frames lie, and the response. Out: for a strip of rows, each frame's codes; for a code, its radiance, weight
-//! and the least that it vouches for. Cost: tables, and resampling where a frame moved.
+//! In: a bracket, where its frames lie, and the response. Out: for a tile of the region, each frame's codes; for a code, its radiance, weight
+//! and the least that it vouches for. Cost: 3 ns a pixel and frame, and resampling where a frame moved.
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
+use crate::align::Alignment;
+use crate::align::resample::{resample_rows, rows_under};
 use crate::align::warp::Warp;
-use crate::align::{Alignment, Status};
-use crate::bracket::{self, Bracket, Frame, Window};
+use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
+use crate::simd::{Loops, vectorised};
 use std::ops::Range;
+
+/// Columns and rows of a tile, at most: what all frames have of it stays in the nearer caches.
+pub(super) const COLUMNS: usize = 128;
+pub(super) const ROWS: usize = 32;
+/// Values from one row of a tile to the next, with a pixel more at both ends, and the most rows.
+const LINE: usize = COLUMNS + 8;
+const LINES: usize = ROWS + 2;
 
 /// Codes by which noise and JPEG may lift a pixel: what a code vouches for is the radiance of one lower by so many.
 const LIFT: usize = 6;
@@ -26,45 +34,6 @@ const GUARD: (f32, f32) = (16.0, 0.25);
 const TOP: f32 = 253.0;
 const RINGING: f32 = 0.5;
 
-/// One frame's codes in a strip of rows of the region, and where clipped pixels are near.
-pub(super) struct Strip<'a> {
-    codes: Codes<'a>,
-    /// Columns and rows of `codes` before the strip's first, and its rows' width: a pixel more to every side, where there is one.
-    before: (usize, usize),
-    width: usize,
-    /// Whether a pixel, its left or its right neighbour is clipped, by rows of `codes`.
-    clipped: Vec<bool>,
-}
-
-enum Codes<'a> {
-    /// As they were decoded, from the strip's first pixel on, and how many there are from one row to the next.
-    Exact(&'a [u8], usize),
-    /// Resampled.
-    Moved(Vec<[f32; 3]>),
-}
-
-impl Codes<'_> {
-    /// Whether a channel is at its top, or as good as, in each of `width` pixels of `rows` rows.
-    fn clipped(&self, width: usize, rows: usize) -> Vec<bool> {
-        let mut clipped = vec![false; width * rows];
-        match self {
-            Codes::Exact(codes, stride) => {
-                for (flags, row) in clipped.chunks_exact_mut(width).zip(codes.chunks(*stride)) {
-                    for (flag, z) in flags.iter_mut().zip(row.chunks_exact(3)) {
-                        *flag = z[0].max(z[1]).max(z[2]) >= TOP as u8;
-                    }
-                }
-            }
-            Codes::Moved(codes) => {
-                for (flag, z) in clipped.iter_mut().zip(codes) {
-                    *flag = z[0].max(z[1]).max(z[2]) >= TOP;
-                }
-            }
-        }
-        clipped
-    }
-}
-
 /// What a channel's code counts for in one frame.
 #[derive(Clone)]
 struct Table {
@@ -75,34 +44,161 @@ struct Table {
     vouched: [f32; CODES],
 }
 
-/// One pixel of one frame, in its three channels.
+/// What a code means, side by side: X / dt, w, and the radiance that the scene has at least (and nothing, to make four).
+pub(super) type Meaning = [f32; 4];
+
+/// What a code means, and what is to be added for each part of the way to the next.
 #[derive(Clone, Copy)]
-pub(super) struct View {
-    /// On the scale 0..=255.
-    pub code: [f32; 3],
-    /// X / dt.
-    pub radiance: [f32; 3],
-    /// w.
-    pub weight: [f32; 3],
-    /// The radiance that the scene has here at least.
-    pub vouched: [f32; 3],
+struct Entry {
+    at: Meaning,
+    slope: Meaning,
+}
+
+impl Table {
+    fn entries(&self) -> Vec<Entry> {
+        let entry = |code: usize| {
+            let slope = |of: &[f32; CODES]| if code + 1 < CODES { of[code + 1] - of[code] } else { 0.0 };
+            Entry {
+                at: [self.radiance[code], self.weight[code], self.vouched[code], 0.0],
+                slope: [slope(&self.radiance), slope(&self.weight), 0.0, 0.0],
+            }
+        };
+        (0..CODES).map(entry).collect()
+    }
+}
+
+/// One frame's codes in a tile of the region, and where clipped pixels are near.
+pub(super) struct Tile {
+    /// As they are resampled, with a pixel more to every side, where there is one.
+    codes: Vec<[f32; 3]>,
+    /// By channel, the tile's first pixel at column and row 1.
+    planes: [Vec<f32>; 3],
+    /// 1 where a channel is at its top, or as good as.
+    clipped: Vec<u8>,
+    /// 1 where a pixel or one of its eight neighbours is clipped, the tile's first pixel at column and row 0.
+    beside: Vec<u8>,
+}
+
+/// A row of a tile; what lies beyond the tile's width means nothing.
+#[derive(Clone, Copy)]
+pub(super) struct Row<'a> {
+    /// R, G and B on the scale 0..=255; below 0 where the frame does not reach.
+    pub codes: [&'a [f32; COLUMNS]; 3],
+    /// 1 where a clipped pixel is near.
+    pub beside: &'a [u8; COLUMNS],
+}
+
+impl Tile {
+    pub fn new() -> Self {
+        Tile {
+            codes: vec![[0.0; 3]; LINES * (COLUMNS + 2)],
+            planes: std::array::from_fn(|_| vec![0.0; LINES * LINE]),
+            clipped: vec![0; LINES * LINE],
+            beside: vec![0; ROWS * LINE],
+        }
+    }
+
+    /// Takes what `layer`, of which `window` is read, has at columns `columns` and rows `rows` of the reference, no more than a tile of
+    /// them.
+    pub fn read(&mut self, layer: &Layer, window: &Window, columns: Range<usize>, rows: Range<usize>) {
+        let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
+        let size = (c.len(), r.len());
+        let at = (1 + c.start - columns.start, 1 + r.start - rows.start);
+        let codes = &mut self.codes[..size.0 * size.1];
+        resample_rows(window, &layer.warp, c, r, codes);
+        vectorised(Apart { size, at, codes, planes: &mut self.planes, clipped: &mut self.clipped });
+        vectorised(Beside { rows: rows.len(), clipped: &self.clipped, beside: &mut self.beside });
+    }
+
+    /// Row `y`; none beyond the last.
+    #[inline(always)]
+    pub fn row(&self, y: usize) -> Option<Row<'_>> {
+        let plane = |c: usize| self.planes[c].get((y + 1) * LINE + 1..)?.first_chunk();
+        Some(Row { codes: [plane(0)?, plane(1)?, plane(2)?], beside: self.beside.get(y * LINE..)?.first_chunk()? })
+    }
+}
+
+/// Takes the channels of a tile apart, and sees where they clip.
+struct Apart<'a> {
+    /// Columns and rows of `codes`.
+    size: (usize, usize),
+    /// Where the first of them lies.
+    at: (usize, usize),
+    codes: &'a [[f32; 3]],
+    planes: &'a mut [Vec<f32>; 3],
+    clipped: &'a mut [u8],
+}
+
+impl Loops for Apart<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let (width, _) = self.size;
+        // Beyond the picture's border there is nothing that could clip.
+        self.clipped.fill(0);
+        let [red, green, blue] = self.planes;
+        for (y, codes) in self.codes.chunks_exact(width).enumerate() {
+            let from = (self.at.1 + y) * LINE + self.at.0;
+            let (red, green) = (&mut red[from..from + width], &mut green[from..from + width]);
+            let (blue, clipped) = (&mut blue[from..from + width], &mut self.clipped[from..from + width]);
+            for x in 0..width {
+                let [r, g, b] = codes[x];
+                (red[x], green[x], blue[x]) = (r, g, b);
+                clipped[x] = u8::from(r >= TOP) | u8::from(g >= TOP) | u8::from(b >= TOP);
+            }
+        }
+    }
+}
+
+/// Sees where clipped pixels are near.
+struct Beside<'a> {
+    rows: usize,
+    clipped: &'a [u8],
+    beside: &'a mut [u8],
+}
+
+impl Loops for Beside<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (y, beside) in self.beside.chunks_exact_mut(LINE).take(self.rows).enumerate() {
+            let clipped = &self.clipped[y * LINE..(y + 3) * LINE];
+            for x in 0..COLUMNS {
+                let three =
+                    |row: usize| clipped[row * LINE + x] | clipped[row * LINE + x + 1] | clipped[row * LINE + x + 2];
+                beside[x] = three(0) | three(1) | three(2);
+            }
+        }
+    }
 }
 
 /// A frame that takes part.
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
     warp: Warp,
-    tables: Box<[Table; 3]>,
+    /// By channel and code.
+    entries: [Vec<Entry>; 3],
+    /// The last code whose entry begins what lies between it and the next: 255 where nothing lies between codes.
+    last: f32,
     /// The weight of the frame's middle code.
     pub say: f32,
     /// For each channel the radiance from which on the frame clips for sure, and the inverse of the range over which it begins to.
     pub clips: [(f32, f32); 3],
-    /// v by the brightest channel's code.
-    pub guard: [f32; CODES],
+    /// What v falls to where the brightest channel is at its top.
+    pub guard: f32,
+    /// The share of its weight that a pixel beside clipped ones keeps.
+    pub ringing: f32,
+}
+
+/// `range` and one more to either side, where there is one.
+fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
+    range.start.saturating_sub(1)..(range.end + 1).min(most)
 }
 
 impl Layer<'_> {
-    /// What is needed of the frame for strips of columns `columns` and rows `rows` of the reference.
+    /// What is needed of the frame for tiles of columns `columns` and rows `rows` of the reference.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
@@ -111,130 +207,90 @@ impl Layer<'_> {
         self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
-    /// What the frame, of which `window` is read, has at columns `columns` and rows `rows` of the reference.
-    pub fn strip<'w>(&self, window: &'w Window, columns: Range<usize>, rows: Range<usize>) -> Strip<'w> {
-        let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
-        let (before, width, height) = ((columns.start - c.start, rows.start - r.start), c.len(), r.len());
-        let codes = match (window.codes(), self.warp) {
-            (bracket::Codes::Eight(codes), Warp::Identity) => {
-                let (stride, first) = (3 * window.width(), window.rows().start);
-                Codes::Exact(
-                    &codes[(r.start - first) * stride + 3 * c.start..(r.end - 1 - first) * stride + 3 * c.end],
-                    stride,
-                )
-            }
-            (_, warp) => {
-                let mut moved = vec![[OUTSIDE; 3]; width * height];
-                resample_rows(window, &warp, c, r, &mut moved);
-                Codes::Moved(moved)
-            }
-        };
-        let at_top = codes.clipped(width, height);
-        let near = |row: &[bool], x: usize| row[x] | row[x.saturating_sub(1)] | row[(x + 1).min(width - 1)];
-        let clipped = at_top.chunks_exact(width).flat_map(|row| (0..width).map(move |x| near(row, x))).collect();
-        Strip { codes, before, width, clipped }
-    }
-
-    /// Calls `add(x, view, share)` for each of `count` pixels of row `y` of a strip that the frame covers: x from 0, and by what share its
-    /// weight counts beside clipped pixels.
+    /// v of pixels whose brightest channel has code `top`.
     #[inline(always)]
-    pub fn row(&self, strip: &Strip, y: usize, count: usize, mut add: impl FnMut(usize, &View, f32)) {
-        let (left, width) = (strip.before.0, strip.width);
-        let y = y + strip.before.1;
-        // Beyond the picture's border there is nothing that could clip.
-        let flags = |row: usize| &strip.clipped[row.min(strip.clipped.len() / width - 1) * width + left..];
-        let (above, at, below) = (flags(y.saturating_sub(1)), flags(y), flags(y + 1));
-        let share = |x: usize| if above[x] | at[x] | below[x] { RINGING } else { 1.0 };
-        match &strip.codes {
-            Codes::Exact(codes, stride) => {
-                let row = codes[y * stride + 3 * left..].chunks_exact(3).take(count);
-                for (x, z) in row.enumerate() {
-                    add(x, &self.exact([z[0], z[1], z[2]]), share(x));
-                }
-            }
-            Codes::Moved(codes) => {
-                for (x, &code) in codes[y * width + left..][..count].iter().enumerate() {
-                    if let Some(view) = self.between(code) {
-                        add(x, &view, share(x));
-                    }
-                }
-            }
-        }
+    pub fn guard(&self, top: f32) -> f32 {
+        let v = (255.0 - floor(top)) * (1.0 / GUARD.0);
+        at_most(at_least(v, self.guard), 1.0)
     }
 
-    /// The view that a pixel with these codes is.
-    #[inline]
-    fn exact(&self, z: [u8; 3]) -> View {
-        let at = |of: fn(&Table) -> &[f32; CODES]| std::array::from_fn(|c| of(&self.tables[c])[usize::from(z[c])]);
-        View {
-            code: z.map(f32::from),
-            radiance: at(|t| &t.radiance),
-            weight: at(|t| &t.weight),
-            vouched: at(|t| &t.vouched),
+    /// What `codes` of a channel mean, into `meanings`: interpolated between codes, but that a code vouches for what the lower does.
+    #[inline(always)]
+    pub fn look_up(&self, channel: usize, codes: &[f32; COLUMNS], meanings: &mut [Meaning; COLUMNS]) {
+        let (mut below, mut part) = ([0u8; COLUMNS], [0.0f32; COLUMNS]);
+        for x in 0..COLUMNS {
+            let code = at_most(at_least(codes[x], 0.0), 255.0);
+            let whole = at_most(floor(code), self.last);
+            (below[x], part[x]) = ((whole + WHOLE).to_bits() as u8, code - whole);
         }
-    }
-
-    /// The view that a pixel between codes is; none where the frame does not reach.
-    #[inline]
-    fn between(&self, code: [f32; 3]) -> Option<View> {
-        if code[0] < 0.0 {
-            return None;
+        // As a slice, whose length the compiler does not know: else it would gather eight pixels' numbers one by one instead of four at once.
+        let entries = self.entries[channel].as_slice();
+        for x in 0..COLUMNS {
+            let entry = &entries[usize::from(below[x])];
+            for k in 0..4 {
+                meanings[x][k] = entry.at[k] + part[x] * entry.slope[k];
+            }
         }
-        let mut view = View { code, radiance: [0.0; 3], weight: [0.0; 3], vouched: [0.0; 3] };
-        for c in 0..3 {
-            let (code, table) = (code[c].clamp(0.0, 255.0), &self.tables[c]);
-            let below = (code as usize).min(CODES - 2);
-            let f = code - below as f32;
-            let mix = |t: &[f32; CODES]| t[below] + f * (t[below + 1] - t[below]);
-            (view.radiance[c], view.weight[c]) = (mix(&table.radiance), mix(&table.weight));
-            view.vouched[c] = table.vouched[below];
-        }
-        Some(view)
     }
 }
 
-/// `range` and one more to either side, where there is one.
-fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
-    range.start.saturating_sub(1)..(range.end + 1).min(most)
+/// 2^23: from here on floats are whole, and the integer is in their low bits. Casts take several times as long.
+const WHOLE: f32 = 8_388_608.0;
+
+/// `value`, which is in -2^22..2^22, rounded down.
+#[inline(always)]
+fn floor(value: f32) -> f32 {
+    let near = (value + WHOLE) - WHOLE;
+    if near > value { near - 1.0 } else { near }
+}
+
+/// The larger, of numbers that are some; what vectors do in one step.
+#[inline(always)]
+pub(super) fn at_least(value: f32, least: f32) -> f32 {
+    if value < least { least } else { value }
+}
+
+/// The smaller.
+#[inline(always)]
+pub(super) fn at_most(value: f32, most: f32) -> f32 {
+    if value > most { most } else { value }
 }
 
 /// The frames that were placed, by rising exposure. Weights are such that the longest exposure's middle code has 1.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
-    alignment: &Alignment,
+    alignment: &'a Alignment,
     curve: &ResponseCurve,
     weight: Weight,
 ) -> Result<Vec<Layer<'a>>> {
     let reference = bracket.reference().exposure.relative();
-    let placed = bracket.frames().iter().zip(&alignment.verdicts);
-    let mut layers: Vec<Layer> = placed
-        .filter(|(_, verdict)| verdict.status != Status::Rejected)
-        .filter_map(|(frame, verdict)| {
-            let warp = verdict.warp?;
-            Some(layer(frame, warp, frame.exposure.relative() / reference, curve, weight))
-        })
-        .collect::<Result<_>>()?;
-    let most = layers.last().map_or(1.0, |layer| layer.say);
-    for layer in &mut layers {
-        layer.say /= most;
-        for table in layer.tables.iter_mut() {
-            table.weight.iter_mut().for_each(|w| *w /= most);
-        }
-    }
-    Ok(layers)
+    let seen = |(_, frame, warp): (usize, &'a Frame, Warp)| {
+        let noise = match weight {
+            Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
+            _ => Noise::least(),
+        };
+        Ok((frame, warp, frame.exposure.relative() / reference, noise))
+    };
+    let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
+    let most = placed.last().map_or(1.0, |(_, _, time, noise)| weight.say(curve, *time, noise));
+    let placed = placed.into_iter();
+    Ok(placed.map(|(frame, warp, time, noise)| layer(frame, warp, (time, &noise), curve, weight, most)).collect())
 }
 
-/// `frame`, exposed `time` times as long as the reference.
-fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, weight: Weight) -> Result<Layer<'a>> {
-    let noise = match weight {
-        Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
-        _ => Noise::least(),
-    };
-    let tables = std::array::from_fn(|c| {
+/// `frame`, exposed `time` times as long as the reference and as noisy as told; weights are divided by `most`.
+fn layer<'a>(
+    frame: &'a Frame,
+    warp: Warp,
+    (time, noise): (f64, &Noise),
+    curve: &ResponseCurve,
+    weight: Weight,
+    most: f32,
+) -> Layer<'a> {
+    let tables: [Table; 3] = std::array::from_fn(|c| {
         let radiance = curve.exposures(c).map(|x| (f64::from(x) / time) as f32);
         Table {
             radiance,
-            weight: weight.table(curve, c, time, &noise),
+            weight: weight.table(curve, c, time, noise).map(|w| w / most),
             vouched: std::array::from_fn(|code| match code.saturating_sub(LIFT) {
                 lower if lower as f64 <= curve.black(c) => 0.0,
                 lower => radiance[lower],
@@ -248,15 +304,15 @@ fn layer<'a>(frame: &'a Frame, warp: Warp, time: f64, curve: &ResponseCurve, wei
             (sure, 1.0 / (sure - begins))
         }
     };
-    Ok(Layer {
+    Layer {
         frame,
         warp,
-        say: weight.say(curve, time, &noise),
+        // A frame of 8 bit that did not move has whole codes alone.
+        last: if frame.max() == u16::from(u8::MAX) && warp == Warp::Identity { 255.0 } else { 254.0 },
+        say: weight.say(curve, time, noise) / most,
         clips: std::array::from_fn(|c| clips(&tables[c])),
-        guard: std::array::from_fn(|code| match weight {
-            Weight::Uniform => 1.0,
-            _ => ((255.0 - code as f32) / GUARD.0).clamp(GUARD.1, 1.0),
-        }),
-        tables: Box::new(tables),
-    })
+        guard: if weight == Weight::Uniform { 1.0 } else { GUARD.1 },
+        ringing: if weight == Weight::Uniform { 1.0 } else { RINGING },
+        entries: std::array::from_fn(|c| tables[c].entries()),
+    }
 }

@@ -1,10 +1,11 @@
-//! The weighted mean of one pixel over the frames, as it grows.
+//! The weighted mean of the pixels of a row over the frames, as it grows.
 //!
-//! In: [`View`]s by rising exposure. Out: radiance, and whether every frame was clipped or black. Cost: a dozen multiplications a view.
-//! The equation and its letters are at the head of [`merge`](super).
+//! In: what each frame has of the row, by rising exposure. Out: radiance, and how many pixels every frame saw clipped or black. Cost: two dozen
+//! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
-use super::layer::{Layer, View};
+use super::layer::{COLUMNS, Layer, Meaning, Row, Tile, at_least, at_most};
+use crate::simd::Loops;
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
 /// on the hat. A smaller one would let a second frame that noise lifts from black by one code outvote the longest; a larger one would
@@ -17,81 +18,178 @@ const LEAST: f32 = 1e-6;
 /// clipped channel down by some codes, one of colour by many, but not all three. A frame far below its top shows something else: what moves.
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
-/// The mean of a pixel so far.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Mean {
-    sum: [f32; 3],
-    weight: [f32; 3],
+/// A value for each channel and pixel of a row.
+type Channels = [[f32; COLUMNS]; 3];
+
+/// The means of a row's pixels so far.
+pub(super) struct Means {
+    sum: Channels,
+    weight: Channels,
     /// The radiance that the scene has here at least, as shorter exposures vouch for it.
-    vouched: [f32; 3],
+    vouched: Channels,
     /// e X / dt and e of the longest exposure so far.
-    longest: ([f32; 3], [f32; 3]),
-    is_seen: bool,
-    is_clipped: bool,
-    is_black: bool,
+    longest_sum: Channels,
+    longest_weight: Channels,
+    /// 1 where a frame was believed; where some channel is at its top code even in the shortest exposure; where all channels are at code 0
+    /// even in the longest.
+    is_seen: [u32; COLUMNS],
+    is_clipped: [u32; COLUMNS],
+    is_black: [u32; COLUMNS],
+    frame: View,
 }
 
-impl Mean {
-    /// Adds a frame's view, of which `trust` (0..=1) is believed; its weight counts by `share`.
+/// What the means take of one frame.
+struct View {
+    meanings: [[Meaning; COLUMNS]; 3],
+    /// How far the frame is believed, 0..=1.
+    trust: [f32; COLUMNS],
+    /// Trust, times the share beside clipped pixels, times v.
+    v: [f32; COLUMNS],
+    /// The least that u can be.
+    below_top: [f32; COLUMNS],
+    /// 1 where this is the first frame that is believed, and 1 where it is believed.
+    is_first: [u32; COLUMNS],
+    is_believed: [u32; COLUMNS],
+}
+
+/// Pixels whose radiance is but a bound.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Bounds {
+    /// Of which some channel is at its top code even in the shortest exposure.
+    pub clipped: usize,
+    /// Of which all channels are at code 0 even in the longest.
+    pub black: usize,
+}
+
+/// Merges row `y` of a tile into `line`.
+pub(super) struct MergedRow<'a, 'b> {
+    pub layers: &'a [Layer<'b>],
+    pub tiles: &'a [Tile],
+    /// How far each frame is believed at each of the pixels, 0..=1; wholly where it does not say.
+    pub kept: &'a [&'a [f32]],
+    pub y: usize,
+    pub means: &'a mut Means,
+    pub line: &'a mut [[f32; 3]],
+}
+
+impl Loops for MergedRow<'_, '_> {
+    type Output = Bounds;
+
     #[inline(always)]
-    pub fn add(&mut self, layer: &Layer, view: &View, share: f32, trust: f32) {
-        let top = view.code[0].max(view.code[1]).max(view.code[2]);
-        let v = trust * share * layer.guard[top as usize & 255];
-        // Beside clipped pixels, between which and their darker neighbours a moved frame is interpolated, any code may be a clipped one's.
-        let beside = share < 1.0;
-        let below_top =
-            if beside { 0.0 } else { ((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0))).clamp(0.0, 1.0) };
-        let mut unclipped = [0.0; 3];
-        for c in 0..3 {
-            let (sure, slope) = layer.clips[c];
-            unclipped[c] = ((sure - self.vouched[c]) * slope).clamp(below_top, 1.0);
-            let w = view.weight[c] * v * unclipped[c];
-            self.sum[c] += w * view.radiance[c];
-            self.weight[c] += w;
-            self.vouched[c] = self.vouched[c].max(trust * view.vouched[c]);
-        }
-        // A frame that is not believed does not decide.
-        if trust < 0.5 {
-            return;
-        }
-        let (say, code) = (trust * layer.say, view.code);
-        if !self.is_seen {
-            self.is_seen = true;
-            self.is_clipped = top >= 254.5;
-            for c in 0..3 {
-                let e = say * (DECIDE * (code[c] / 255.0) + LEAST);
-                self.sum[c] += e * view.radiance[c];
-                self.weight[c] += e;
+    fn run(self) -> Bounds {
+        self.means.clear();
+        for ((layer, tile), kept) in self.layers.iter().zip(self.tiles).zip(self.kept) {
+            if let Some(row) = tile.row(self.y) {
+                self.means.add(layer, &row, kept);
             }
         }
-        self.is_black = top <= 0.5;
-        // Where it clips it does not decide what is dark, whatever its code.
-        let e: [f32; 3] = std::array::from_fn(|c| say * unclipped[c] * (DECIDE * (1.0 - code[c] / 255.0) + LEAST));
-        self.longest = (std::array::from_fn(|c| e[c] * view.radiance[c]), e);
+        self.means.radiance(self.line)
+    }
+}
+
+impl Means {
+    pub fn new() -> Self {
+        let (none, zero, flags) = ([[0.0; COLUMNS]; 3], [0.0; COLUMNS], [0; COLUMNS]);
+        Means {
+            sum: none,
+            weight: none,
+            vouched: none,
+            longest_sum: none,
+            longest_weight: none,
+            is_seen: flags,
+            is_clipped: flags,
+            is_black: flags,
+            frame: View {
+                meanings: [[[0.0; 4]; COLUMNS]; 3],
+                trust: zero,
+                v: zero,
+                below_top: zero,
+                is_first: flags,
+                is_believed: flags,
+            },
+        }
     }
 
-    /// The radiance; none where no frame covers the pixel.
-    #[inline]
-    pub fn radiance(&self) -> Option<[f32; 3]> {
-        let (sum, weight) = &self.longest;
-        let of = |c: usize| ((self.sum[c] + sum[c]) / (self.weight[c] + weight[c])).max(FLOOR);
-        self.is_seen.then(|| [of(0), of(1), of(2)])
+    #[inline(always)]
+    fn clear(&mut self) {
+        for of in [&mut self.sum, &mut self.weight, &mut self.vouched, &mut self.longest_sum, &mut self.longest_weight]
+        {
+            *of = [[0.0; COLUMNS]; 3];
+        }
+        (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// Whether some channel is at its top code even in the shortest exposure.
-    pub fn is_clipped(&self) -> bool {
-        self.is_clipped
+    /// Adds a frame's row, believed as far as `kept` says. A pixel that the frame does not reach is one that is not believed.
+    #[inline(always)]
+    fn add(&mut self, layer: &Layer, row: &Row, kept: &[f32]) {
+        let View { meanings, trust, v, below_top, is_first, is_believed } = &mut self.frame;
+        let kept = &kept[..kept.len().min(COLUMNS)];
+        trust[..kept.len()].copy_from_slice(kept);
+        trust[kept.len()..].fill(1.0);
+        let [red, green, blue] = row.codes;
+        for x in 0..COLUMNS {
+            let top = at_least(at_least(red[x], green[x]), blue[x]);
+            let t = if red[x] < 0.0 { 0.0 } else { trust[x] };
+            let is_beside = row.beside[x] != 0;
+            trust[x] = t;
+            v[x] = t * (if is_beside { layer.ringing } else { 1.0 }) * layer.guard(top);
+            // Beside clipped pixels, between which and their darker neighbours a moved frame is interpolated, any code may be a clipped one's.
+            let below = at_most(at_least((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0)), 0.0), 1.0);
+            below_top[x] = if is_beside { 0.0 } else { below };
+            // A frame that is not believed does not decide.
+            let believed = u32::from(t >= 0.5);
+            let first = believed & (self.is_seen[x] ^ 1);
+            is_believed[x] = believed;
+            is_first[x] = first;
+            self.is_seen[x] |= believed;
+            self.is_clipped[x] |= first & u32::from(top >= 254.5);
+            self.is_black[x] = if believed != 0 { u32::from(top <= 0.5) } else { self.is_black[x] };
+        }
+        for c in 0..3 {
+            layer.look_up(c, row.codes[c], &mut meanings[c]);
+            let (codes, meanings, (sure, slope)) = (row.codes[c], &meanings[c], layer.clips[c]);
+            let (sum, weight, vouched) = (&mut self.sum[c], &mut self.weight[c], &mut self.vouched[c]);
+            let (longest_sum, longest_weight) = (&mut self.longest_sum[c], &mut self.longest_weight[c]);
+            for x in 0..COLUMNS {
+                let [radiance, trusted, vouches, _] = meanings[x];
+                let unclipped = at_most(at_least((sure - vouched[x]) * slope, below_top[x]), 1.0);
+                let w = trusted * v[x] * unclipped;
+                vouched[x] = at_least(trust[x] * vouches, vouched[x]);
+                let (say, code) = (trust[x] * layer.say, codes[x] / 255.0);
+                let e = say * (DECIDE * code + LEAST);
+                let e = if is_first[x] != 0 { e } else { 0.0 };
+                sum[x] = (sum[x] + w * radiance) + e * radiance;
+                weight[x] = (weight[x] + w) + e;
+                // Where it clips it does not decide what is dark, whatever its code.
+                let e = say * unclipped * (DECIDE * (1.0 - code) + LEAST);
+                longest_sum[x] = if is_believed[x] != 0 { e * radiance } else { longest_sum[x] };
+                longest_weight[x] = if is_believed[x] != 0 { e } else { longest_weight[x] };
+            }
+        }
     }
 
-    /// Whether all channels are at code 0 even in the longest exposure.
-    pub fn is_black(&self) -> bool {
-        self.is_black
+    /// The radiance of the first pixels, [`FLOOR`] where no frame covers them.
+    #[inline(always)]
+    fn radiance(&self, line: &mut [[f32; 3]]) -> Bounds {
+        let mut radiance = [[0.0; COLUMNS]; 3];
+        for c in 0..3 {
+            for x in 0..COLUMNS {
+                let mean = (self.sum[c][x] + self.longest_sum[c][x]) / (self.weight[c][x] + self.longest_weight[c][x]);
+                radiance[c][x] = if self.is_seen[x] != 0 { mean.max(FLOOR) } else { FLOOR };
+            }
+        }
+        let [red, green, blue] = &radiance;
+        for (x, pixel) in line.iter_mut().enumerate().take(COLUMNS) {
+            *pixel = [red[x], green[x], blue[x]];
+        }
+        let count = |of: &[u32; COLUMNS]| of.iter().take(line.len()).sum::<u32>() as usize;
+        Bounds { clipped: count(&self.is_clipped), black: count(&self.is_black) }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::layer::layers;
+    use super::super::layer::{Tile, layers};
     use super::super::weight::Weight;
     use super::super::{MergeOptions, merge};
     use crate::align::Alignment;
@@ -199,14 +297,16 @@ mod tests {
         let layers = layers(&bracket, &alignment, &curve, Weight::Hat).unwrap();
         let window = layers[1].window(&(0..SIZE.0), &(0..SIZE.1)).unwrap();
         let mut shares = Vec::new();
+        let mut tile = Tile::new();
         for y in 0..SIZE.1 {
-            let strip = layers[1].strip(&window, 0..SIZE.0, y..y + 1);
-            layers[1].row(&strip, 0, SIZE.0, |x, _, share| shares.push((x, y, share)));
+            tile.read(&layers[1], &window, 0..SIZE.0, y..y + 1);
+            let beside = tile.row(0).unwrap().beside;
+            shares.extend((0..SIZE.0).map(|x| (x, y, beside[x])));
         }
         assert_eq!(shares.len(), SIZE.0 * SIZE.1);
         for (x, y, share) in shares {
             let near = x.abs_diff(4) <= 1 && y.abs_diff(3) <= 1;
-            assert_eq!(share, if near { 0.5 } else { 1.0 }, "{x} {y}");
+            assert_eq!(share, u8::from(near), "{x} {y}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`MergeReport`]. Cost: about 20 ns of one core for each pixel of each frame that did not move; resampling for those that did.
+//! [`Merged`]. Cost: about 10 ns of one core for each pixel of each frame that did not move; resampling for those that did.
 //! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,
@@ -22,7 +22,7 @@
 //!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
-//! inside a half-float's 6e-8..65504. Divide by [`MergeReport::reference_exposure`] to compare brackets of different exposure.
+//! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure.
 
 pub mod calibration;
 pub mod deghost;
@@ -40,9 +40,10 @@ use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
+use crate::simd::vectorised;
 use deghost::Ghosts;
-use layer::{Layer, Strip, layers};
-use mean::Mean;
+use layer::{COLUMNS, Layer, ROWS, Tile, layers};
+use mean::{Bounds, Means, MergedRow};
 use serde::Serialize;
 use statistics::Statistics;
 use std::ops::Range;
@@ -51,9 +52,6 @@ use weight::Weight;
 
 /// The least radiance: below what any curve and exposure give, so that no value is 0.
 pub const FLOOR: f32 = 1e-12;
-
-/// Rows that are resampled at a time: what all frames have of them stays in the cache.
-const STRIP: usize = 16;
 
 /// Linear radiance.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,8 +72,8 @@ pub struct MergeOptions {
 }
 
 /// What came of merging.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct MergeReport {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Merged {
     /// Frames that took part.
     pub frames: usize,
     /// Pixels of which some channel is at its top code even in the shortest exposure that covers them: their radiance is a lower bound.
@@ -83,6 +81,27 @@ pub struct MergeReport {
     /// Pixels of which all channels are at code 0 even in the longest exposure that covers them: their radiance is an upper bound.
     pub all_black: usize,
     /// The reference's relative exposure t * ISO / N^2 in s, by which radiance can be divided to be comparable between brackets.
+    pub reference_exposure: f64,
+}
+
+impl Merged {
+    /// The report of it, when the radiance has its unit and its colours.
+    pub fn report(self, radiance: Statistics) -> MergeReport {
+        let Merged { frames, all_clipped, all_black, reference_exposure } = self;
+        MergeReport { frames, all_clipped, all_black, reference_exposure, radiance }
+    }
+}
+
+/// What came of merging, for the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MergeReport {
+    /// [`Merged::frames`].
+    pub frames: usize,
+    /// [`Merged::all_clipped`].
+    pub all_clipped: usize,
+    /// [`Merged::all_black`].
+    pub all_black: usize,
+    /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
     /// Of the luminance.
     pub radiance: Statistics,
@@ -101,9 +120,9 @@ pub struct Merging<'a> {
 pub struct Slab {
     /// Their radiance.
     pub map: RadianceMap,
-    /// See [`MergeReport::all_clipped`].
+    /// See [`Merged::all_clipped`].
     pub all_clipped: usize,
-    /// See [`MergeReport::all_black`].
+    /// See [`Merged::all_black`].
     pub all_black: usize,
 }
 
@@ -118,7 +137,7 @@ impl<'a> Merging<'a> {
     /// [`Error::Option`] where the region is empty or not within the reference, or where no frame was placed; [`Error::Scratch`].
     pub fn of(
         bracket: &'a Bracket,
-        alignment: &Alignment,
+        alignment: &'a Alignment,
         curve: &ResponseCurve,
         options: &MergeOptions,
         ghosts: Option<&'a Ghosts>,
@@ -150,9 +169,10 @@ impl<'a> Merging<'a> {
         (self.region.width(), self.region.height())
     }
 
-    /// How many frames take part.
-    pub fn frames(&self) -> usize {
-        self.layers.len()
+    /// What came of it, where `bounds` are the [`Slab::all_clipped`] and [`Slab::all_black`] of all slabs together.
+    pub fn merged(&self, (all_clipped, all_black): (usize, usize)) -> Merged {
+        let reference_exposure = self.bracket.reference().exposure.relative();
+        Merged { frames: self.layers.len(), all_clipped, all_black, reference_exposure }
     }
 
     /// The rows `rows` of the result, which do not depend on where the slab begins and ends.
@@ -170,38 +190,35 @@ impl<'a> Merging<'a> {
         let windows = self.layers.iter().map(|layer| layer.window(&columns, &whole)).collect::<Result<Vec<_>>>()?;
         let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let width = self.region.width();
-        let mut pixels = Plane::filled(width, rows.len(), [FLOOR; 3]);
-        pixels.fill_bands(|rows, band| {
-            let (mut clipped, mut black) = (0, 0);
-            let mut means = vec![Mean::default(); width];
-            for (strip, out) in rows.step_by(STRIP).zip(band.chunks_mut(STRIP * width)) {
-                let strip = first + strip..first + strip + out.len() / width;
-                let of_frame = y0 + strip.start..y0 + strip.end;
-                let layers = self.layers.iter().zip(&windows);
-                let strips: Vec<Strip> =
-                    layers.map(|(layer, window)| layer.strip(window, columns.clone(), of_frame.clone())).collect();
-                let kept = |i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, strip.clone()));
+        let mut pixels = Plane::filled(width, rows.len(), [0.0; 3]);
+        let scratch = || (Means::new(), self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>());
+        pixels.fill_bands_with(scratch, |(means, tiles), rows, band| {
+            let mut bounds = Bounds::default();
+            for (strip, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
+                let rows = first + strip..first + strip + out.len() / width;
+                let kept = |i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, rows.clone()));
                 let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(kept).collect();
-                for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                    means.fill(Mean::default());
-                    for ((layer, strip), kept) in self.layers.iter().zip(&strips).zip(&kept) {
-                        let kept = kept.get(y * width..).unwrap_or(&[]);
-                        layer.row(strip, y, width, |x, view, share| {
-                            means[x].add(layer, view, share, kept.get(x).copied().unwrap_or(1.0));
-                        });
+                for left in (0..width).step_by(COLUMNS) {
+                    let columns = left..(left + COLUMNS).min(width);
+                    for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
+                        let columns = x0 + columns.start..x0 + columns.end;
+                        tile.read(layer, window, columns, y0 + rows.start..y0 + rows.end);
                     }
-                    for (pixel, mean) in line.iter_mut().zip(&means) {
-                        if let Some(radiance) = mean.radiance() {
-                            *pixel = radiance;
-                            clipped += usize::from(mean.is_clipped());
-                            black += usize::from(mean.is_black());
-                        }
+                    for (y, line) in out.chunks_exact_mut(width).enumerate() {
+                        let kept: Vec<&[f32]> = kept
+                            .iter()
+                            .map(|kept| kept.get(y * width + columns.start..y * width + columns.end).unwrap_or(&[]))
+                            .collect();
+                        let line = &mut line[columns.clone()];
+                        let found = vectorised(MergedRow { layers: &self.layers, tiles, kept: &kept, y, means, line });
+                        bounds.clipped += found.clipped;
+                        bounds.black += found.black;
                     }
                 }
             }
             // Whole numbers add up to the same in any order.
-            all_clipped.fetch_add(clipped, Ordering::Relaxed);
-            all_black.fetch_add(black, Ordering::Relaxed);
+            all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);
+            all_black.fetch_add(bounds.black, Ordering::Relaxed);
         });
         let map = RadianceMap { pixels, primaries: self.bracket.reference().primaries() };
         Ok(Slab { map, all_clipped: all_clipped.into_inner(), all_black: all_black.into_inner() })
@@ -218,17 +235,11 @@ pub fn merge(
     curve: &ResponseCurve,
     options: &MergeOptions,
     ghosts: Option<&Ghosts>,
-) -> Result<(RadianceMap, MergeReport)> {
+) -> Result<(RadianceMap, Merged)> {
     let merging = Merging::of(bracket, alignment, curve, options, ghosts)?;
-    let Slab { map, all_clipped, all_black } = merging.slab(0..merging.size().1)?;
-    let report = MergeReport {
-        frames: merging.frames(),
-        all_clipped,
-        all_black,
-        reference_exposure: bracket.reference().exposure.relative(),
-        radiance: Statistics::of(&map.pixels),
-    };
-    Ok((map, report))
+    let slab = merging.slab(0..merging.size().1)?;
+    let merged = merging.merged((slab.all_clipped, slab.all_black));
+    Ok((slab.map, merged))
 }
 
 #[cfg(test)]
@@ -238,7 +249,7 @@ mod tests {
     use crate::align::warp::Warp;
     use crate::response::tests::still;
 
-    fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, MergeReport) {
+    fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, Merged) {
         let options = MergeOptions { weight, region: alignment.overlap };
         merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap()
     }

@@ -5,7 +5,8 @@
 //! a logarithm, and the same on any machine.
 
 use super::calibration::Unit;
-use crate::plane::{Plane, fold_bands};
+use crate::plane::{BAND_ROWS, Plane};
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// Bits of a float that do not count.
@@ -63,21 +64,36 @@ impl Default for Tally {
 impl Tally {
     /// Sees `pixels`, all values of which are positive and finite, where red, green and blue contribute `weights` to luminance.
     pub fn see(&mut self, pixels: &Plane<[f32; 3]>, weights: [f32; 3]) {
-        let count = |rows| {
-            let mut part = Tally::default();
-            for &pixel in pixels.rows(rows) {
-                let y = luminance(pixel, weights);
-                part.min = part.min.min(y);
-                part.max = part.max.max(y);
-                part.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
-            }
+        let band = (BAND_ROWS * pixels.width()).max(1);
+        let add = |mut part: Tally, pixels| {
+            part.add(pixels, weights);
             part
         };
-        fold_bands(pixels.height(), count, (), |(), part| {
-            self.min = self.min.min(part.min);
-            self.max = self.max.max(part.max);
-            self.bins.iter_mut().zip(part.bins).for_each(|(a, b)| *a += b);
-        });
+        // Whole numbers, the least and the greatest are the same in any order: each thread may count what comes to it.
+        let all = pixels.as_slice().par_chunks(band).fold(Tally::default, add).reduce(Tally::default, Tally::and);
+        *self = std::mem::take(self).and(all);
+    }
+
+    fn add(&mut self, pixels: &[[f32; 3]], weights: [f32; 3]) {
+        // As many as fill some vectors, so that the luminances are had at once, and then counted.
+        let mut values = [0.0f32; 64];
+        for pixels in pixels.chunks(values.len()) {
+            let values = &mut values[..pixels.len()];
+            for (value, pixel) in values.iter_mut().zip(pixels) {
+                *value = luminance(*pixel, weights);
+            }
+            for &y in &*values {
+                self.min = if y < self.min { y } else { self.min };
+                self.max = if y > self.max { y } else { self.max };
+                self.bins[((y.to_bits() >> DROPPED) as usize).min(BINS - 1)] += 1;
+            }
+        }
+    }
+
+    fn and(mut self, other: Tally) -> Self {
+        (self.min, self.max) = (self.min.min(other.min), self.max.max(other.max));
+        self.bins.iter_mut().zip(other.bins).for_each(|(a, b)| *a += b);
+        self
     }
 
     /// What that amounts to, in `unit`; the same in whatever parts it was seen.
@@ -99,11 +115,6 @@ impl Tally {
 }
 
 impl Statistics {
-    /// Those of `pixels`, all values of which are positive and finite, relative and of BT.709's primaries.
-    pub fn of(pixels: &Plane<[f32; 3]>) -> Self {
-        Self::measured(pixels, BT709, Unit::Relative)
-    }
-
     /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
     /// luminance.
     pub fn measured(pixels: &Plane<[f32; 3]>, weights: [f32; 3], unit: Unit) -> Self {
@@ -128,13 +139,17 @@ fn percentile(bins: &[u64], share: f64) -> f32 {
 mod tests {
     use super::*;
 
+    fn of(pixels: &Plane<[f32; 3]>) -> Statistics {
+        Statistics::measured(pixels, BT709, Unit::Relative)
+    }
+
     #[test]
     fn percentiles_are_those_of_the_sorted_values() {
         let value = |i: usize| libm::exp2((i * 7919 % 10_007) as f64 / 700.0 - 7.0) as f32;
         let pixels = Plane::from_vec(100, 100, (0..10_000).map(|i| [value(i); 3]).collect());
         let mut sorted: Vec<f32> = pixels.as_slice().iter().map(|&p| luminance(p, BT709)).collect();
         sorted.sort_by(f32::total_cmp);
-        let s = Statistics::of(&pixels);
+        let s = of(&pixels);
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
         // Half a bin is 2^-8 of the value.
         for (found, rank) in [(s.p1, 100), (s.p50, 5_000), (s.p99, 9_900)] {
@@ -155,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_single_value_is_its_own_percentile() {
-        let s = Statistics::of(&Plane::filled(3, 70, [0.3; 3]));
+        let s = of(&Plane::filled(3, 70, [0.3; 3]));
         assert_eq!((s.p1, s.p50, s.p99), (s.min, s.min, s.min));
         assert_eq!((s.dynamic_range_stops, s.contrast), (0.0, 1.0));
     }

@@ -13,7 +13,7 @@ use crate::merge::calibration::{self, CalibrationReport, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::statistics::{Statistics, Tally};
-use crate::merge::{MergeOptions, MergeReport, Merging, gamut};
+use crate::merge::{MergeOptions, Merged, Merging, gamut};
 use crate::plane::{BAND_ROWS, Plane, fold_bands};
 use crate::report::{Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
@@ -27,9 +27,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// The radiance, and what was found on the way to it.
-pub(super) struct Merged {
-    pub radiance: Slabs,
-    pub merged: MergeReport,
+pub(super) struct Radiance {
+    pub slabs: Slabs,
+    pub merged: Merged,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
 }
@@ -50,10 +50,10 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
 }
 
 /// What files must know before their first row.
-fn settled(merged: &Merged, options: &Options) -> Result<Settled> {
+fn settled(slabs: &Slabs, statistics: &Statistics, options: &Options) -> Result<Settled> {
     let mut fit = exr::Fit::default();
     if options.write.exr.sample == exr::Sample::Auto {
-        merged.radiance.each(|_, map| {
+        slabs.each(|_, map| {
             let pixels = &map.pixels;
             fit = fit.and(fold_bands(
                 pixels.height(),
@@ -64,7 +64,7 @@ fn settled(merged: &Merged, options: &Options) -> Result<Settled> {
             Ok(())
         })?;
     }
-    Ok(Settled::by(&options.write, fit, merged.merged.radiance.p99_9))
+    Ok(Settled::by(&options.write, fit, statistics.p99_9))
 }
 
 /// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
@@ -161,36 +161,30 @@ impl<'a> Line<'a> {
         curve: &ResponseCurve,
         region: Rect,
         options: &Options,
-    ) -> Result<Merged> {
+    ) -> Result<Radiance> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
-            let (mut radiance, counted) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
-            let merged = MergeReport {
-                frames: merging.frames(),
-                all_clipped: counted.all_clipped,
-                all_black: counted.all_black,
-                reference_exposure: bracket.reference().exposure.relative(),
-                radiance: Statistics::default(),
-            };
+            let (mut slabs, bounds) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
+            let merged = merging.merged(bounds);
             let mut flare = None;
             if options.flare {
-                let mut cells = flare::Cells::new(radiance.size().0, radiance.size().1);
-                radiance.each(|_, map| {
+                let mut cells = flare::Cells::new(slabs.size().0, slabs.size().1);
+                slabs.each(|_, map| {
                     cells.see(&map.pixels);
                     Ok(())
                 })?;
                 let veil = cells.veil();
                 flare = Some(veil.as_ref().map_or_else(FlareReport::default, Veil::report));
                 if let Some(veil) = veil {
-                    radiance = radiance.changed(|first, mut map| {
+                    slabs = slabs.changed(|first, mut map| {
                         veil.take_off(first, &mut map.pixels);
                         map
                     })?;
                 }
             }
-            Ok(Merged { radiance, merged, ghosts, flare })
+            Ok(Radiance { slabs, merged, ghosts, flare })
         });
         self.times.merge = time;
         merged
@@ -199,15 +193,15 @@ impl<'a> Line<'a> {
     /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
     pub fn units(
         &mut self,
-        merged: Merged,
+        radiance: Radiance,
         colour: Option<Space>,
         calibration: &Option<CalibrationReport>,
-    ) -> Result<Merged> {
+    ) -> Result<(Radiance, Statistics)> {
         let began = Instant::now();
-        let Merged { mut radiance, merged, ghosts, flare } = merged;
+        let mut slabs = radiance.slabs;
         let mut outside = 0;
         if colour.is_some() || calibration.is_some() {
-            radiance = radiance.changed(|_, map| {
+            slabs = slabs.changed(|_, map| {
                 let (mut map, drawn) = match colour {
                     Some(space) => gamut::converted(map, space),
                     None => (map, 0),
@@ -221,20 +215,20 @@ impl<'a> Line<'a> {
         }
         self.warnings.extend(gamut::warning(outside));
         let mut tally = Tally::default();
-        radiance.each(|_, map| {
+        slabs.each(|_, map| {
             tally.see(&map.pixels, gamut::weights(&map.primaries));
             Ok(())
         })?;
         let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
         self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
-        Ok(Merged { radiance, merged: MergeReport { radiance: statistics, ..merged }, ghosts, flare })
+        Ok((Radiance { slabs, ..radiance }, statistics))
     }
 
     /// What maps rows of the radiance to the picture.
-    pub fn tonemap(&mut self, radiance: &Slabs, options: &Options) -> Result<Curve> {
+    pub fn tonemap(&mut self, slabs: &Slabs, options: &Options) -> Result<Curve> {
         let (curve, time) = self.timed(Stage::Tonemap, || {
-            let mut scene = Scene::new(radiance.size(), &radiance.primaries());
-            radiance.each(|first, map| {
+            let mut scene = Scene::new(slabs.size(), &slabs.primaries());
+            slabs.each(|first, map| {
                 scene.see(first, &map.pixels);
                 Ok(())
             })?;
@@ -248,21 +242,21 @@ impl<'a> Line<'a> {
     pub fn results(
         &mut self,
         reference: &Frame,
-        merged: &Merged,
+        slabs: &Slabs,
+        statistics: &Statistics,
         tones: &Curve,
         keep: bool,
         options: &Options,
     ) -> Result<(Vec<Written>, Plane<[u8; 3]>)> {
-        let radiance = &merged.radiance;
-        let (width, height) = radiance.size();
-        let metadata = Metadata { primaries: radiance.primaries(), ..metadata(reference, options) };
+        let (width, height) = slabs.size();
+        let metadata = Metadata { primaries: slabs.primaries(), ..metadata(reference, options) };
         let mut mapping = Duration::ZERO;
         let (written, time) = self.timed(Stage::Write, || {
-            let settled = settled(merged, options)?;
-            let mut files = Files::begin(&options.outputs, radiance.size(), &metadata, &options.write, settled)?;
+            let settled = settled(slabs, statistics, options)?;
+            let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
             let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
             let mut picture = Vec::new();
-            radiance.each(|_, map| {
+            slabs.each(|_, map| {
                 for rows in map.pixels.as_slice().chunks(AT_ONCE * width) {
                     if keep || files.hold_display() {
                         let began = Instant::now();

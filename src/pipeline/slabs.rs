@@ -31,22 +31,15 @@ enum Store {
     OnDisk(Vec<Kept<[f32; 3]>>),
 }
 
-/// What was counted on the way.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Counted {
-    pub all_clipped: usize,
-    pub all_black: usize,
-}
-
 impl Slabs {
-    /// All of `merging`.
-    pub fn merged(merging: &Merging, room: &Room) -> Result<(Self, Counted)> {
+    /// All of `merging`, and of how many pixels the radiance is but a bound: clipped in all frames, or black.
+    pub fn merged(merging: &Merging, room: &Room) -> Result<(Self, (usize, usize))> {
         let (width, height) = merging.size();
-        let mut counted = Counted::default();
+        let mut bounds = (0, 0);
         let mut merge = |rows| -> Result<RadianceMap> {
             let slab = merging.slab(rows)?;
-            counted.all_clipped += slab.all_clipped;
-            counted.all_black += slab.all_black;
+            bounds.0 += slab.all_clipped;
+            bounds.1 += slab.all_black;
             Ok(slab.map)
         };
         let (primaries, store) = match room {
@@ -65,7 +58,7 @@ impl Slabs {
                 (primaries, Store::OnDisk(slabs))
             }
         };
-        Ok((Slabs { size: (width, height), primaries, store }, counted))
+        Ok((Slabs { size: (width, height), primaries, store }, bounds))
     }
 
     /// Width and height, in pixels.
