@@ -88,6 +88,6 @@ mod tests {
         // The greatest sums there are; by the definition, byte by byte.
         let most = vec![255; 10_000];
         let (a, b) = most.iter().fold((1u64, 0u64), |(a, b), &v: &u8| (a + u64::from(v), b + a + u64::from(v)));
-        assert_eq!(u64::from(Adler::of(&most).sum()), (b % 65521) << 16 | a % 65521);
+        assert_eq!(u64::from(Adler::of(&most).sum()), ((b % 65521) << 16) | (a % 65521));
     }
 }

@@ -279,7 +279,7 @@ mod tests {
         let mut nodes: Vec<(u64, usize, Vec<usize>)> = counts.iter().map(|(&s, &n)| (n, s, vec![s])).collect();
         let mut lengths: std::collections::BTreeMap<usize, u64> = counts.keys().map(|&s| (s, 0)).collect();
         while nodes.len() > 1 {
-            nodes.sort_by(|a, b| (b.0, b.1).cmp(&(a.0, a.1)));
+            nodes.sort_by_key(|node| std::cmp::Reverse((node.0, node.1)));
             let (rare, second) = (nodes.pop().unwrap(), nodes.pop().unwrap());
             let leaves = [second.2, rare.2].concat();
             leaves.iter().for_each(|s| *lengths.get_mut(s).unwrap() += 1);
