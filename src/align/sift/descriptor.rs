@@ -4,6 +4,7 @@ use super::extrema::Extremum;
 use super::gradient::{Gradients, weights};
 use crate::align::features::Descriptor;
 use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
 use std::f32::consts::PI;
 use std::ops::Range;
 
@@ -37,7 +38,7 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
     let falloff = (0.5 / (f64::from(half) * f64::from(half) * cell * cell)) as f32;
     let (weights_x, weights_y) =
         (weights(columns.clone(), extremum.x, falloff), weights(rows.clone(), extremum.y, falloff));
-    let mut gradients = Gradients::default();
+    let (mut gradients, mut samples) = (Gradients::default(), Samples::default());
     // One cell more on each side and one direction more, so that the spreading below needs no test.
     let mut histogram = [0.0f32; (CELLS + 2) * ROW];
     for (y, weight_y) in rows.zip(weights_y) {
@@ -48,27 +49,51 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
             continue;
         }
         gradients.fill(level, y, first..end);
-        let samples = gradients.length.iter().zip(&gradients.direction).zip(&weights_x[first - columns.start..]);
-        for (x, ((length, direction), weight_x)) in (first..end).zip(samples) {
-            let dx = (x as f64 - extremum.x) as f32;
-            // In cells along the keypoint's direction and across it, from one cell before the first.
-            let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
-            let last = CELLS as f32 + 1.0;
-            if column <= 0.0 || row <= 0.0 || column >= last || row >= last {
-                continue;
-            }
-            let weighted = length * (weight_x * weight_y);
-            let turn = (direction - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
-            // All three are positive: what is cut off is what floor would cut off.
-            let (c, r, o) = (column as usize, row as usize, turn as usize);
-            let (fc, fr, fo) = (column - c as f32, row - r as f32, turn - o as f32);
-            let o = o % BINS;
-            // Two rows, two cells and two directions: the last lies ROW + CELL_BINS + 1 after the first.
-            let at = r * ROW + c * CELL_BINS + o;
+        let weights_x = &weights_x[first - columns.start..];
+        samples.resize(end - first);
+        let from = From { x: extremum.x, dy, sin, cos, angle, weight_y };
+        vectorised(Placing { from, first, gradients: &gradients, weights_x, samples: &mut samples });
+        samples.spread(&mut histogram);
+    }
+    let mut vector = [0.0f32; CELLS * CELLS * BINS];
+    for (i, v) in vector.iter_mut().enumerate() {
+        let cell = (1 + i / (CELLS * BINS)) * ROW + (1 + i / BINS % CELLS) * CELL_BINS;
+        *v = histogram[cell + i % BINS] + if i % BINS == 0 { histogram[cell + BINS] } else { 0.0 };
+    }
+    normalise(&mut vector);
+    vector.iter_mut().for_each(|v| *v = v.min(CLAMP));
+    normalise(&mut vector);
+    vector.map(|v| (v * LENGTH + 0.5) as u8)
+}
+
+/// Samples of a row, each with its place among the histograms: the first number that it adds to, how far it is on the way to the next cell
+/// to the right, the next below and the next direction, and what it weighs. Used again for the next row.
+#[derive(Default)]
+struct Samples {
+    at: Vec<i32>,
+    right: Vec<f32>,
+    down: Vec<f32>,
+    turned: Vec<f32>,
+    weight: Vec<f32>,
+}
+
+impl Samples {
+    fn resize(&mut self, n: usize) {
+        self.at.resize(n, 0);
+        for numbers in [&mut self.right, &mut self.down, &mut self.turned, &mut self.weight] {
+            numbers.resize(n, 0.0);
+        }
+    }
+
+    /// Adds every sample to two rows, two cells and two directions: the last lies ROW + CELL_BINS + 1 after the first.
+    fn spread(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
+        let places = self.at.iter().zip(&self.right).zip(&self.down).zip(&self.turned).zip(&self.weight);
+        for ((((at, fc), fr), fo), weight) in places {
+            let at = *at as usize;
             let Some(near) = histogram.get_mut(at..at + ROW + CELL_BINS + 2) else {
                 continue;
             };
-            let (upper, lower) = (weighted * (1.0 - fr), weighted * fr);
+            let (upper, lower) = (weight * (1.0 - fr), weight * fr);
             for (w, k) in [
                 (upper * (1.0 - fc), 0),
                 (upper * fc, CELL_BINS),
@@ -80,15 +105,56 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
             }
         }
     }
-    let mut vector = [0.0f32; CELLS * CELLS * BINS];
-    for (i, v) in vector.iter_mut().enumerate() {
-        let cell = (1 + i / (CELLS * BINS)) * ROW + (1 + i / BINS % CELLS) * CELL_BINS;
-        *v = histogram[cell + i % BINS] + if i % BINS == 0 { histogram[cell + BINS] } else { 0.0 };
+}
+
+/// From where a row of samples is seen: the centre's column, how far below it the row lies, the sine and cosine of the direction over the
+/// width of a cell, the direction, and what the row weighs.
+struct From {
+    x: f64,
+    dy: f32,
+    sin: f32,
+    cos: f32,
+    angle: f32,
+    weight_y: f32,
+}
+
+/// The places of the samples of a row that begins at column `first`.
+struct Placing<'a> {
+    from: From,
+    first: usize,
+    gradients: &'a Gradients,
+    weights_x: &'a [f32],
+    samples: &'a mut Samples,
+}
+
+impl Loops for Placing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let From { x, dy, sin, cos, angle, weight_y } = self.from;
+        let Samples { at, right, down, turned, weight } = self.samples;
+        let n = at.len();
+        let (length, direction) = (&self.gradients.length[..n], &self.gradients.direction[..n]);
+        let weights_x = &self.weights_x[..n];
+        let (right, down) = (&mut right[..n], &mut down[..n]);
+        let (turned, weight) = (&mut turned[..n], &mut weight[..n]);
+        let (half, last) = (CELLS as f32 / 2.0, CELLS as f32 + 1.0);
+        let first = self.first as i32;
+        for i in 0..n {
+            let dx = (f64::from(first + i as i32) - x) as f32;
+            // In cells along the keypoint's direction and across it, from one cell before the first.
+            let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
+            let is_inside = !((column <= 0.0) | (row <= 0.0) | (column >= last) | (row >= last));
+            let turn = (direction[i] - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
+            // All three are positive: what is cut off is what floor would cut off.
+            let (c, r, o) = (column as i32, row as i32, turn as i32);
+            (right[i], down[i], turned[i]) = (column - c as f32, row - r as f32, turn - o as f32);
+            // What is outside adds nothing to the first numbers.
+            at[i] = if is_inside { r * ROW as i32 + c * CELL_BINS as i32 + o % BINS as i32 } else { 0 };
+            weight[i] = if is_inside { length[i] * (weights_x[i] * weight_y) } else { 0.0 };
+        }
     }
-    normalise(&mut vector);
-    vector.iter_mut().for_each(|v| *v = v.min(CLAMP));
-    normalise(&mut vector);
-    vector.map(|v| (v * LENGTH + 0.5) as u8)
 }
 
 /// The columns, and one more at either end, in which the row `dy` below a centre at column `x` crosses the turned square of which no
