@@ -187,11 +187,12 @@ fn merged(
         let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
         let (radiance, statistics) = line.units(radiance, options.colour, &calibration)?;
         let tones = line.tonemap(&radiance.slabs, options)?;
-        let (mut files, display) =
-            line.results(bracket.reference(), &radiance.slabs, &statistics, &tones, keep, options)?;
-        files.extend(line.others(&bracket, &alignment, region, Some(&curve), options)?);
-        let Radiance { slabs, merged, ghosts, flare } = radiance;
+        let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
+        let metadata = line::metadata(bracket.reference(), options);
         let mut report = Report::new(&bracket, &alignment, region);
+        // The frames make room for what is encoded.
+        drop(bracket);
+        let Radiance { slabs, merged, ghosts, flare } = radiance;
         report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
@@ -200,6 +201,8 @@ fn merged(
         report.colour = Some(slabs.primaries().into());
         report.flare = flare;
         report.ghosts = ghosts.as_ref().map(Ghosts::report);
+        let (results, display) = line.results(&slabs, &statistics, &tones, metadata, keep, options)?;
+        files.splice(0..0, results);
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);
         }

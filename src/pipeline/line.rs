@@ -76,7 +76,7 @@ fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> 
 }
 
 /// What headers say of a result.
-fn metadata(reference: &Frame, options: &Options) -> Metadata {
+pub(super) fn metadata(reference: &Frame, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
     Metadata { cd_m2_per_unit, ..Metadata::of(reference) }
 }
@@ -241,15 +241,15 @@ impl<'a> Line<'a> {
     /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.
     pub fn results(
         &mut self,
-        reference: &Frame,
         slabs: &Slabs,
         statistics: &Statistics,
         tones: &Curve,
+        metadata: Metadata,
         keep: bool,
         options: &Options,
     ) -> Result<(Vec<Written>, Plane<[u8; 3]>)> {
         let (width, height) = slabs.size();
-        let metadata = Metadata { primaries: slabs.primaries(), ..metadata(reference, options) };
+        let metadata = Metadata { primaries: slabs.primaries(), ..metadata };
         let mut mapping = Duration::ZERO;
         let (written, time) = self.timed(Stage::Write, || {
             let settled = settled(slabs, statistics, options)?;
@@ -277,7 +277,7 @@ impl<'a> Line<'a> {
         });
         let mapping = mapping.as_secs_f64();
         self.times.tonemap = self.times.tonemap.map(|time| time + mapping);
-        self.times.write = time.map(|time| time - mapping);
+        self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0) - mapping);
         written
     }
 
