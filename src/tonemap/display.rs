@@ -10,6 +10,7 @@ use std::sync::LazyLock;
 pub const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
 /// The luminance of a linear sRGB colour.
+#[inline(always)]
 pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
     LUMINANCE[0] * r + LUMINANCE[1] * g + LUMINANCE[2] * b
 }
@@ -28,6 +29,7 @@ impl ToSrgb {
     }
 
     /// The colour in linear sRGB: components below 0 are colours that sRGB has not.
+    #[inline(always)]
     pub fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.0 {
             None => rgb,
@@ -41,29 +43,24 @@ const KNEE: f32 = 0.75;
 
 /// `rgb`, of luminance `y` relative to display white, drawn towards the grey of that luminance until it is in 0..=1. Hue and luminance
 /// stay; towards the bright edge it is slowed from `KNEE` on, so that bright saturated parts keep their drawing and fade to white.
+#[inline(always)]
 pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
-    if y.is_nan() || y >= 1.0 {
-        return [1.0; 3];
-    }
     let [r, g, b] = rgb;
     let above = r.max(g).max(b) - y;
     let below = y - r.min(g).min(b);
     let room = 1.0 - y;
-    // Most pixels: nothing to divide.
-    if above <= KNEE * room && below <= y {
-        return rgb;
-    }
-    // The parts of the way to the bright and the dark edge.
+    // The parts of the way to the bright and the dark edge; what comes of a division by nothing is not taken.
     let (bright, dark) = (above / room, below / y.max(f32::MIN_POSITIVE));
-    let mut keep = 1.0f32;
-    if bright > KNEE {
-        let u = (bright - KNEE) / (1.0 - KNEE);
-        keep = (KNEE + (1.0 - KNEE) * (u / (1.0 + u))) * room / above;
-    }
-    if dark > 1.0 {
-        keep = keep.min(1.0 / dark);
-    }
-    [r, g, b].map(|c| y + (c - y) * keep)
+    let u = (bright - KNEE) / (1.0 - KNEE);
+    let slowed = (KNEE + (1.0 - KNEE) * (u / (1.0 + u))) * room / above;
+    let keep = if bright > KNEE { slowed } else { 1.0 };
+    let keep = if dark > 1.0 { keep.min(1.0 / dark) } else { keep };
+    let is_well_within = above <= KNEE * room && below <= y;
+    let is_white = y.is_nan() || y >= 1.0;
+    rgb.map(|c| {
+        let drawn = if is_well_within { c } else { y + (c - y) * keep };
+        if is_white { 1.0 } else { drawn }
+    })
 }
 
 /// Cells of the table over 0..=1: narrower than a code even where the curve is steepest (12.92 * 255 codes per 1, so 0.8 of one).
@@ -99,13 +96,26 @@ impl Encoder {
         Encoder(&CODES)
     }
 
-    /// The code of `linear`.
-    pub fn code(&self, linear: f32) -> u8 {
-        // A cast from float keeps within the type, and the minimum within the table.
-        let cell = ((linear * CELLS as f32) as usize).min(CELLS);
-        let base = self.0.base[cell];
-        // Infinity is at the end of the last code too.
-        base.saturating_add(u8::from(linear >= self.0.next[usize::from(base)]))
+    /// The code of each of `linear`.
+    #[inline(always)]
+    pub fn codes<const N: usize>(&self, linear: &[f32; N]) -> [u8; N] {
+        // 2^23: from here on floats are whole, and the integer is in their low bits; a cast takes several times as long.
+        const WHOLE: f32 = 8_388_608.0;
+        let (mut cells, mut codes) = ([0u16; N], [0u8; N]);
+        for (cell, &v) in cells.iter_mut().zip(linear) {
+            let scaled = v * CELLS as f32;
+            let within = if scaled > 0.0 { scaled } else { 0.0 };
+            let within = if within < CELLS as f32 { within } else { CELLS as f32 };
+            let near = (within + WHOLE) - WHOLE;
+            let whole = if near > within { near - 1.0 } else { near };
+            *cell = (whole + WHOLE).to_bits() as u16;
+        }
+        let (base, next) = (self.0.base.as_slice(), &self.0.next);
+        for ((code, &cell), &v) in codes.iter_mut().zip(&cells).zip(linear) {
+            let below = base[usize::from(cell)];
+            *code = below.saturating_add(u8::from(v >= next[usize::from(below)]));
+        }
+        codes
     }
 }
 
@@ -118,6 +128,18 @@ impl Default for Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl Encoder {
+        /// One by itself, by casts, which keep within the type: what vectors do instead must not show.
+        fn code(&self, linear: f32) -> u8 {
+            let cell = ((linear * CELLS as f32) as usize).min(CELLS);
+            let base = self.0.base[cell];
+            // Infinity is at the end of the last code too.
+            let code = base.saturating_add(u8::from(linear >= self.0.next[usize::from(base)]));
+            assert_eq!(self.codes(&[linear; 3]), [code; 3], "{linear}");
+            code
+        }
+    }
 
     /// The transfer as it is printed, in doubles.
     fn textbook(linear: f64) -> f64 {

@@ -1,6 +1,6 @@
 //! Reinhard's global operator: one curve for all pixels, its parameters from the picture itself.
 //!
-//! In: radiance. Out: a picture. Cost: 50 ns a pixel and core on a busy machine, the statistics of a sample included.
+//! In: radiance. Out: a picture. Cost: COSTHERE ns a pixel and core, the statistics of a sample included.
 //! Source: Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1, equations 1 to 4;
 //! Reinhard, "Parameter Estimation for Photographic Tone Reproduction" (2003), equations 4 and 5; Mantiuk, Tomaszewska, Heidrich,
 //! "Color Correction for Tone Mapping" (2009), equations 3 and 5.
@@ -10,6 +10,7 @@ use super::display::{Encoder, ToSrgb, into_gamut, luminance};
 use crate::bracket::colour::Primaries;
 use crate::merge::RadianceMap;
 use crate::plane::{Plane, map_bands};
+use crate::simd::{Loops, vectorised};
 
 /// What may be set; by default the picture decides.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -130,31 +131,73 @@ impl Curve {
 
     /// Maps `rows` of radiance to codes; both of one length.
     pub fn map(&self, rows: &[[f32; 3]], codes: &mut [[u8; 3]]) {
-        let encoder = Encoder::new();
-        for (rgb, out) in rows.iter().zip(codes) {
-            *out = self.pixel(*rgb).map(|c| encoder.code(c));
-        }
+        vectorised(Mapped { curve: self, encoder: Encoder::new(), rows, codes });
     }
 
-    /// Linear sRGB relative to display white.
-    fn pixel(&self, rgb: [f32; 3]) -> [f32; 3] {
-        let rgb = self.to_srgb.apply(rgb).map(|c| c * self.scale);
-        let l = luminance(rgb);
-        if l.is_nan() || l <= 0.0 {
-            return [0.0; 3];
+    /// Linear sRGB relative to display white, of as many pixels as are worked out side by side.
+    #[inline(always)]
+    fn pixels(&self, rgb: &mut [[f32; BLOCK]; 3]) {
+        let [red, green, blue] = rgb;
+        let (mut light, mut share) = ([0.0; BLOCK], [0.0; BLOCK]);
+        for i in 0..BLOCK {
+            let [r, g, b] = self.to_srgb.apply([red[i], green[i], blue[i]]).map(|c| c * self.scale);
+            (red[i], green[i], blue[i]) = (r, g, b);
+            light[i] = luminance([r, g, b]);
         }
-        // Beyond any display; finite, so that what follows is.
-        let l = l.min(1e12);
-        let display = shoulder(l, self.inverse_white2);
-        let s = self.saturation[saturation_cell(l)];
-        // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
-        let ratio = display / l;
-        let grey = display * (1.0 - s);
-        into_gamut(rgb.map(|c| (c * ratio) * s + grey), display)
+        for i in 0..BLOCK {
+            share[i] = self.saturation[saturation_cell(light[i])];
+        }
+        for i in 0..BLOCK {
+            // Beyond any display; finite, so that what follows is.
+            let l = if light[i] > 1e12 { 1e12 } else { light[i] };
+            let display = shoulder(l, self.inverse_white2);
+            // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
+            let ratio = display / l;
+            let grey = display * (1.0 - share[i]);
+            let toned = [red[i], green[i], blue[i]].map(|c| (c * ratio) * share[i] + grey);
+            let [r, g, b] = into_gamut(toned, display);
+            // Without light, or without a number, it is black.
+            let is_lit = light[i] > 0.0;
+            red[i] = if is_lit { r } else { 0.0 };
+            green[i] = if is_lit { g } else { 0.0 };
+            blue[i] = if is_lit { b } else { 0.0 };
+        }
+    }
+}
+
+/// Pixels that are worked out side by side.
+const BLOCK: usize = 64;
+
+/// Rows that are mapped to codes.
+struct Mapped<'a> {
+    curve: &'a Curve,
+    encoder: Encoder,
+    rows: &'a [[f32; 3]],
+    codes: &'a mut [[u8; 3]],
+}
+
+impl Loops for Mapped<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let mut rgb = [[0.0f32; BLOCK]; 3];
+        for (pixels, codes) in self.rows.chunks(BLOCK).zip(self.codes.chunks_mut(BLOCK)) {
+            let [red, green, blue] = &mut rgb;
+            for (((r, g), b), p) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
+                (*r, *g, *b) = (p[0], p[1], p[2]);
+            }
+            self.curve.pixels(&mut rgb);
+            let encoded = rgb.each_ref().map(|channel| self.encoder.codes(channel));
+            for (i, out) in codes.iter_mut().enumerate() {
+                *out = [encoded[0][i], encoded[1][i], encoded[2][i]];
+            }
+        }
     }
 }
 
 /// Equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
+#[inline(always)]
 fn shoulder(l: f32, inverse_white2: f32) -> f32 {
     l * (1.0 + l * inverse_white2) / (1.0 + l)
 }
@@ -193,7 +236,8 @@ const CELLS_PER_OCTAVE: usize = 64;
 const OCTAVES: usize = 48;
 const FIRST_OCTAVE: i32 = -24;
 
-/// The cell of `l`, which is positive.
+/// The cell of `l`; that of the least where it is not positive.
+#[inline(always)]
 fn saturation_cell(l: f32) -> usize {
     let cell = (l.to_bits() >> 17) as i32 - ((127 + FIRST_OCTAVE) << 6);
     cell.clamp(0, (CELLS_PER_OCTAVE * OCTAVES) as i32 - 1) as usize
@@ -262,7 +306,9 @@ mod tests {
         let options = Options { key: Some(0.18), ..Options::default() };
         let curve = Curve::estimate(&map, &options);
         for x in 0..500 {
-            let ours = curve.pixel(map.pixels.at(x, 5));
+            let mut rgb = map.pixels.at(x, 5).map(|c| [c; BLOCK]);
+            curve.pixels(&mut rgb);
+            let ours = rgb.map(|channel| channel[x % BLOCK]);
             let theirs = textbook(&map, &curve, 0.18, x, 5);
             for c in 0..3 {
                 assert!((f64::from(ours[c]) - theirs[c]).abs() < 0.004, "{x}: {ours:?} {theirs:?}");
