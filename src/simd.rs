@@ -1,7 +1,7 @@
 //! Vector instructions: the one place where the processor is asked what it has.
 //!
 //! In: [`Loops`] over plain slices. Out: what they give, computed by code that the compiler made for the widest vectors this processor has
-//! (AVX2 on x86-64, NEON on 64-bit ARM), or by the scalar arm. Cost: a few nanoseconds a call: give it a row or more.
+//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by the scalar arm. Cost: a few nanoseconds a call: give it a row or more.
 //!
 //! The arms differ in nothing but speed: Rust neither reorders sums of floats nor fuses a product with a sum, whatever instructions it may
 //! use, so the loops give the same bytes on every arm. [`choose`] lets tests and benches hold them side by side.
