@@ -54,6 +54,48 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
+/// 2^23 and 2^52: from there on floats are whole, and what is added to them stands in their last bits. Vectors have no casts that mind
+/// what is out of range, as Rust's do.
+const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);
+
+/// `value`, which is in -2^22..2^22, rounded down.
+#[inline(always)]
+pub fn floor32(value: f32) -> f32 {
+    let near = (value + WHOLE.0) - WHOLE.0;
+    if near > value { near - 1.0 } else { near }
+}
+
+/// `whole`, which is a whole number in 0..2^23, as an integer.
+#[inline(always)]
+pub fn integer32(whole: f32) -> u32 {
+    (whole + WHOLE.0).to_bits() & 0x7f_ffff
+}
+
+/// `value`, which is in -2^51..2^51, rounded down.
+#[inline(always)]
+pub fn floor64(value: f64) -> f64 {
+    let near = (value + WHOLE.1) - WHOLE.1;
+    if near > value { near - 1.0 } else { near }
+}
+
+/// `whole`, which is a whole number in 0..2^52, as an integer.
+#[inline(always)]
+pub fn integer64(whole: f64) -> u64 {
+    (whole + WHOLE.1).to_bits() & ((1 << 52) - 1)
+}
+
+/// The larger, of numbers that are some: vectors do it in one step. Of no number, no number.
+#[inline(always)]
+pub fn at_least(value: f32, least: f32) -> f32 {
+    if value < least { least } else { value }
+}
+
+/// The smaller, as [`at_least`].
+#[inline(always)]
+pub fn at_most(value: f32, most: f32) -> f32 {
+    if value > most { most } else { value }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -77,5 +119,24 @@ mod tests {
         let scalar = vectorised(Polynomial(&values));
         choose(Arm::Native);
         assert_eq!(native, scalar);
+    }
+
+    #[test]
+    fn whole_numbers_are_those_of_the_casts() {
+        for i in 0..200_000u32 {
+            let v = i as f32 * 20.971_51;
+            assert_eq!((floor32(v), integer32(floor32(v))), (v.floor(), v.floor() as u32));
+            let (w, x) = (f64::from(v) * 701.3, -0.25 - f64::from(i));
+            assert_eq!((floor64(w), integer64(floor64(w)), floor64(x)), (w.floor(), w.floor() as u64, x.floor()));
+            assert_eq!(floor32(-v), (-v).floor());
+        }
+        assert_eq!(
+            (floor32(0.999_999_94), floor32(4_194_303.5), integer32(8_388_607.0)),
+            (0.0, 4_194_303.0, 8_388_607)
+        );
+        assert_eq!(
+            (at_least(1.0, 2.0), at_most(1.0, 2.0), at_least(3.0, 2.0), at_most(3.0, 2.0)),
+            (2.0, 1.0, 3.0, 2.0)
+        );
     }
 }

@@ -1,11 +1,11 @@
 //! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure takes the reference's place.
 //!
-//! In: a grey plane and a [`Warp`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: some 3 ns a
-//! pixel, most of it for the two divisions and the four pixels. Source: any textbook's; the border pixel stands for those beyond.
+//! In: a grey plane and a [`Warp`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
+//! divisions and four pixels read for each. Source: any textbook's; the border pixel stands for those beyond.
 
 use super::warp::{Warp, map};
 use crate::plane::Plane;
-use crate::simd::{Loops, vectorised};
+use crate::simd::{Loops, floor64, integer64, vectorised};
 use nalgebra::Matrix3;
 
 /// A grey picture, and where the grid lies in it.
@@ -70,13 +70,13 @@ impl Loops for Row<'_, '_> {
             for i in 0..TOGETHER {
                 let (u, v) = map(h, f64::from(first + i as i32), y);
                 let (u, v) = (within(u, last.0), within(v, last.1));
-                let (left, top) = (least(whole(u), last.0 - 1.0), least(whole(v), last.1 - 1.0));
+                let (left, top) = (least(floor64(u), last.0 - 1.0), least(floor64(v), last.1 - 1.0));
                 fx[i] = (u - left) as f32;
                 fy[i] = (v - top) as f32;
-                places[i] = (top * width + left + TO_WHOLE).to_bits();
+                places[i] = integer64(top * width + left);
             }
             for i in 0..out.len() {
-                let at = (places[i] & MANTISSA) as usize;
+                let at = places[i] as usize;
                 if let (Some(&[a, b]), Some(&[c, d])) = (upper_codes.get(at..at + 2), lower_codes.get(at..at + 2)) {
                     (upper[i], lower[i]) = ([a, b], [c, d]);
                 }
@@ -88,18 +88,6 @@ impl Loops for Row<'_, '_> {
             }
         }
     }
-}
-
-/// Added to a number from 0 to less than itself, it leaves the nearest whole one in the mantissa.
-const TO_WHOLE: f64 = 4_503_599_627_370_496.0;
-/// The bits of the mantissa.
-const MANTISSA: u64 = (1 << 52) - 1;
-
-/// As `floor`, for numbers from 0 to less than [`TO_WHOLE`].
-#[inline(always)]
-fn whole(v: f64) -> f64 {
-    let near = (v + TO_WHOLE) - TO_WHOLE;
-    if near > v { near - 1.0 } else { near }
 }
 
 /// As `clamp` from 0 to `most`, without the test of its bounds.

@@ -3,6 +3,7 @@
 //! In: a place between pixels. Out: the pixels about it and their weights, which sum to 1. Cost: none to speak of.
 //! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990).
 
+use crate::simd::{floor64, integer64};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
@@ -18,24 +19,9 @@ const PHASES: usize = 1024;
 pub(super) fn place(place: f64, last: f64) -> (i32, i32) {
     let place = if place > 0.0 { place } else { 0.0 };
     let place = if place < last { place } else { last };
-    let whole = floor(place);
-    (integer(whole) - BEFORE as i32, integer(floor((place - whole) * PHASES as f64 + 0.5)))
-}
-
-/// 2^52: from here on floats are whole, and the integer is in their low bits. There are no vectors for casts.
-const WHOLE: f64 = 4_503_599_627_370_496.0;
-
-/// `value`, which is in 0..2^31, rounded down.
-#[inline(always)]
-fn floor(value: f64) -> f64 {
-    let near = (value + WHOLE) - WHOLE;
-    if near > value { near - 1.0 } else { near }
-}
-
-/// `whole` in 0..2^31 as an integer.
-#[inline(always)]
-fn integer(whole: f64) -> i32 {
-    (whole + WHOLE).to_bits() as i32
+    let whole = floor64(place);
+    let phase = floor64((place - whole) * PHASES as f64 + 0.5);
+    (integer64(whole) as i32 - BEFORE as i32, integer64(phase) as i32)
 }
 
 /// The kernel's weights at each of its positions between two pixels.

@@ -1,7 +1,7 @@
 //! The normal equations of a step of refinement: what all points together say of the numbers of a motion.
 //!
 //! In: for each point how its level changes with the numbers, by how much the two frames differ there, and how far that can be trusted.
-//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: some 15 ns a point for eight numbers. Source: Baker & Matthews, "Lucas-Kanade 20
+//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight numbers. Source: Baker & Matthews, "Lucas-Kanade 20
 //! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
 use super::comparison::Point;

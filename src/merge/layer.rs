@@ -1,7 +1,7 @@
 //! Layers: the frames that take part in a merge, each with what its codes mean and how far they are trusted.
 //!
 //! In: a bracket, where its frames lie, and the response. Out: for a tile of the region, each frame's codes; for a code, its radiance, weight
-//! and the least that it vouches for. Cost: 3 ns a pixel and frame, and resampling where a frame moved.
+//! and the least that it vouches for. Cost: a few ns a pixel and frame, and resampling where a frame moved.
 
 use super::noise::Noise;
 use super::weight::Weight;
@@ -11,7 +11,7 @@ use crate::align::warp::Warp;
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
-use crate::simd::{Loops, vectorised};
+use crate::simd::{Loops, at_least, at_most, floor32, integer32, vectorised};
 use std::ops::Range;
 
 /// Columns and rows of a tile, at most: what all frames have of it stays in the nearer caches.
@@ -210,7 +210,7 @@ impl Layer<'_> {
     /// v of pixels whose brightest channel has code `top`.
     #[inline(always)]
     pub fn guard(&self, top: f32) -> f32 {
-        let v = (255.0 - floor(top)) * (1.0 / GUARD.0);
+        let v = (255.0 - floor32(top)) * (1.0 / GUARD.0);
         at_most(at_least(v, self.guard), 1.0)
     }
 
@@ -220,8 +220,8 @@ impl Layer<'_> {
         let (mut below, mut part) = ([0u8; COLUMNS], [0.0f32; COLUMNS]);
         for x in 0..COLUMNS {
             let code = at_most(at_least(codes[x], 0.0), 255.0);
-            let whole = at_most(floor(code), self.last);
-            (below[x], part[x]) = ((whole + WHOLE).to_bits() as u8, code - whole);
+            let whole = at_most(floor32(code), self.last);
+            (below[x], part[x]) = (integer32(whole) as u8, code - whole);
         }
         // As a slice, whose length the compiler does not know: else it would gather eight pixels' numbers one by one instead of four at once.
         let entries = self.entries[channel].as_slice();
@@ -232,28 +232,6 @@ impl Layer<'_> {
             }
         }
     }
-}
-
-/// 2^23: from here on floats are whole, and the integer is in their low bits. Casts take several times as long.
-const WHOLE: f32 = 8_388_608.0;
-
-/// `value`, which is in -2^22..2^22, rounded down.
-#[inline(always)]
-fn floor(value: f32) -> f32 {
-    let near = (value + WHOLE) - WHOLE;
-    if near > value { near - 1.0 } else { near }
-}
-
-/// The larger, of numbers that are some; what vectors do in one step.
-#[inline(always)]
-pub(super) fn at_least(value: f32, least: f32) -> f32 {
-    if value < least { least } else { value }
-}
-
-/// The smaller.
-#[inline(always)]
-pub(super) fn at_most(value: f32, most: f32) -> f32 {
-    if value > most { most } else { value }
 }
 
 /// The frames that were placed, by rising exposure. Weights are such that the longest exposure's middle code has 1.

@@ -4,8 +4,8 @@
 //! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
-use super::layer::{COLUMNS, Layer, Meaning, Row, Tile, at_least, at_most};
-use crate::simd::Loops;
+use super::layer::{COLUMNS, Layer, Meaning, Row, Tile};
+use crate::simd::{Loops, at_least, at_most};
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
 /// on the hat. A smaller one would let a second frame that noise lifts from black by one code outvote the longest; a larger one would

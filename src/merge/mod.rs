@@ -1,7 +1,7 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`Merged`]. Cost: about 10 ns of one core for each pixel of each frame that did not move; resampling for those that did.
+//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, and as much again where it moved.
 //! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,
@@ -14,9 +14,9 @@
 //!   curve, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, though an RMS error in stops that is no larger.
 //! - v judges the three channels together: where one is about to clip, the camera's colour processing has spoilt the others, and
 //!   a frame that holds all three has the say. Else a clipped channel would leave a cast.
-//! - u judges the frames together: where a shorter one vouches for more light than this one can hold, and its brightest channel is near the
-//!   top, it clips here whatever its codes. JPEG's ringing beside clipped pixels, and noise, pull codes down from the top, where each stands for the
-//!   most light and would darken the mean most. Under noise weights this alone is worth 17 dB on truth brackets.
+//! - u judges the frames together: where a shorter one vouches for more light than this one can hold, and its brightest channel is near
+//!   the top, it clips here whatever its codes. JPEG's ringing beside clipped pixels, and noise, pull codes down from the top, where each
+//!   stands for the most light and would darken the mean most. Under noise weights this alone is worth 17 dB on truth brackets.
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
 //!

@@ -4,6 +4,7 @@
 //! once. Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
 
 use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
+use crate::simd::{at_most, floor32, integer32};
 use std::sync::LazyLock;
 
 /// Luminance of linear sRGB: the second row of its matrix to XYZ.
@@ -99,16 +100,11 @@ impl Encoder {
     /// The code of each of `linear`.
     #[inline(always)]
     pub fn codes<const N: usize>(&self, linear: &[f32; N]) -> [u8; N] {
-        // 2^23: from here on floats are whole, and the integer is in their low bits; a cast takes several times as long.
-        const WHOLE: f32 = 8_388_608.0;
         let (mut cells, mut codes) = ([0u16; N], [0u8; N]);
         for (cell, &v) in cells.iter_mut().zip(linear) {
             let scaled = v * CELLS as f32;
             let within = if scaled > 0.0 { scaled } else { 0.0 };
-            let within = if within < CELLS as f32 { within } else { CELLS as f32 };
-            let near = (within + WHOLE) - WHOLE;
-            let whole = if near > within { near - 1.0 } else { near };
-            *cell = (whole + WHOLE).to_bits() as u16;
+            *cell = integer32(floor32(at_most(within, CELLS as f32))) as u16;
         }
         let (base, next) = (self.0.base.as_slice(), &self.0.next);
         for ((code, &cell), &v) in codes.iter_mut().zip(&cells).zip(linear) {

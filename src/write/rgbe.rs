@@ -3,7 +3,7 @@
 //! In: linear RGB or the bytes of a scanline. Out: the other. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
 //! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
 
-use crate::simd::{Loops, vectorised};
+use crate::simd::{Loops, floor32, integer32, vectorised};
 
 /// A pixel: the mantissas of red, green and blue, and the exponent + 128.
 pub(crate) type Rgbe = [u8; 4];
@@ -32,18 +32,9 @@ pub(super) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     // 2^(8 - e), which e from -106 to 127 leaves normal; below, it does not matter.
     let scale = f32::from_bits((261u32.wrapping_sub(biased) & 0xff) << 23);
     let is_black = d <= SMALLEST;
-    let mantissa = |c: f32| if is_black { 0 } else { floor(c * scale) as u8 };
+    let mantissa = |c: f32| if is_black { 0 } else { integer32(floor32(c * scale)) as u8 };
     let exponent = if is_black { 0 } else { (biased + 2) as u8 };
     ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
-}
-
-/// The whole part of `v`, of 0 and above and below 2^22. A cast would be no vector instruction: it has to mind what is out of range.
-#[inline(always)]
-fn floor(v: f32) -> u32 {
-    // Beside 2^23 there is no place for less than 1: the last bits are `v` rounded.
-    const BASE: f32 = 8_388_608.0;
-    let sum = v + BASE;
-    (sum.to_bits() & 0x7f_ffff).wrapping_sub(u32::from(sum - BASE > v))
 }
 
 /// The middle of the interval that truncation brought to this pixel: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 at exponent 0.
