@@ -125,7 +125,7 @@ pub enum Error {
     },
     /// What does not fit into the memory allowed could not be put on disk, or had again.
     #[error(
-        "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, or allow more with --max-memory",
+        "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, name another folder with --scratch, or allow more with --max-memory",
         folder.display()
     )]
     Scratch {
