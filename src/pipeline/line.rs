@@ -21,7 +21,7 @@ use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::global::{Curve, Scene};
-use crate::write::{self, Files, Metadata, Settled, Written, aligned, exr};
+use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -52,7 +52,8 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
 /// What files must know before their first row.
 fn settled(slabs: &Slabs, statistics: &Statistics, options: &Options) -> Result<Settled> {
     let mut fit = exr::Fit::default();
-    if options.write.exr.sample == exr::Sample::Auto {
+    let is_exr = |path: &PathBuf| Format::of(path).is_ok_and(|format| format == Format::Exr);
+    if options.write.exr.sample == exr::Sample::Auto && options.outputs.iter().any(is_exr) {
         slabs.each(|_, map| {
             let pixels = &map.pixels;
             fit = fit.and(fold_bands(
