@@ -20,7 +20,8 @@ use crate::response::file::SavedResponse;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
-use crate::tonemap::global::{Curve, Scene};
+use crate::tonemap::overview::Overview;
+use crate::tonemap::tones::Tones;
 use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -226,17 +227,17 @@ impl<'a> Line<'a> {
     }
 
     /// What maps rows of the radiance to the picture.
-    pub fn tonemap(&mut self, slabs: &Slabs, options: &Options) -> Result<Curve> {
-        let (curve, time) = self.timed(Stage::Tonemap, || {
-            let mut scene = Scene::new(slabs.size(), &slabs.primaries());
+    pub fn tonemap(&mut self, slabs: &Slabs, options: &Options) -> Result<Tones> {
+        let (tones, time) = self.timed(Stage::Tonemap, || {
+            let mut overview = Overview::new(slabs.size(), &slabs.primaries());
             slabs.each(|first, map| {
-                scene.see(first, &map.pixels);
+                overview.see(first, &map.pixels);
                 Ok(())
             })?;
-            Ok(options.operator.settled(scene))
+            Ok(options.operator.settled(overview))
         });
         self.times.tonemap = time;
-        curve
+        tones
     }
 
     /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.
@@ -244,7 +245,7 @@ impl<'a> Line<'a> {
         &mut self,
         slabs: &Slabs,
         statistics: &Statistics,
-        tones: &Curve,
+        tones: &Tones,
         metadata: Metadata,
         keep: bool,
         options: &Options,
@@ -257,13 +258,14 @@ impl<'a> Line<'a> {
             let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
             let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
             let mut picture = Vec::new();
-            slabs.each(|_, map| {
-                for rows in map.pixels.as_slice().chunks(AT_ONCE * width) {
+            slabs.each(|first, map| {
+                for (i, rows) in map.pixels.as_slice().chunks(AT_ONCE * width).enumerate() {
                     if keep || files.hold_display() {
                         let began = Instant::now();
                         picture.resize(rows.len(), [0; 3]);
+                        let first = first + i * AT_ONCE;
                         let bands = picture.par_chunks_mut(BAND_ROWS * width).zip(rows.par_chunks(BAND_ROWS * width));
-                        bands.for_each(|(codes, rows)| tones.map(rows, codes));
+                        bands.enumerate().for_each(|(j, (codes, rows))| tones.map(first + j * BAND_ROWS, rows, codes));
                         mapping += began.elapsed();
                     }
                     let shown = if files.hold_display() { &picture[..] } else { &[] };
