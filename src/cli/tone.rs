@@ -28,6 +28,8 @@ pub enum OperatorArg {
     Reinhard02Local,
     /// Global: Drago et al. 2003, adaptive logarithms
     Drago,
+    /// Frequency: Durand & Dorsey 2002, a bilateral base compressed, its detail kept
+    Durand,
 }
 
 impl OperatorArg {
@@ -38,6 +40,7 @@ impl OperatorArg {
             OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
             OperatorArg::Reinhard02Local => Operator::Reinhard02Local(Default::default()),
             OperatorArg::Drago => Operator::Drago(Default::default()),
+            OperatorArg::Durand => Operator::Durand(Default::default()),
         }
     }
 }

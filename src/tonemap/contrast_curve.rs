@@ -18,12 +18,12 @@ pub struct ContrastCurve {
 const PER_STOP: f64 = 8.0;
 
 impl ContrastCurve {
-    /// For the tones `sorted`, rising and at least one, and a display of `range` stops. A part `burnt` of the tones may lie beyond either end.
-    /// `floor` is a share, in parts of an even one, that every tone counts for at least: 0 leaves nothing to tones that do not occur.
-    pub fn new(sorted: &[f32], range: f64, burnt: f64, floor: f64) -> Self {
+    /// For the tones `sorted`, rising and at least one, and a display of `range` stops. A part `black` of the tones may lie below
+    /// the range and a part `burnt` above it. `floor` is a share, in parts of an even one, that every tone counts for at least: 0 leaves nothing to tones that do not occur.
+    pub fn new(sorted: &[f32], range: f64, (black, burnt): (f64, f64), floor: f64) -> Self {
         let last = sorted.len() - 1;
         let at = |p: f64| f64::from(sorted[((p * last as f64).round() as usize).min(last)]);
-        let (low, high) = (at(burnt), at(1.0 - burnt));
+        let (low, high) = (at(black), at(1.0 - burnt));
         let pieces = ((high - low) * PER_STOP).ceil().max(1.0) as usize;
         let step = ((high - low) / pieces as f64).max(1e-3);
         let mut shares = vec![0.0f64; pieces];
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn what_fits_is_left_alone() {
-        let curve = ContrastCurve::new(&even(1000, 4.0), 6.0, 0.0, 0.0);
+        let curve = ContrastCurve::new(&even(1000, 4.0), 6.0, (0.0, 0.0), 0.0);
         assert!((curve.at(1.0) - curve.at(3.0) + 2.0).abs() < 1e-9);
         assert_eq!(curve.at(100.0), 0.0);
         assert!(curve.at(-1.0) < curve.at(0.0));
@@ -97,7 +97,7 @@ mod tests {
     /// Even tones: equation 11 gives every slope r / (N d).
     #[test]
     fn even_tones_are_compressed_evenly() {
-        let curve = ContrastCurve::new(&even(100_000, 12.0), 6.0, 0.0, 0.0);
+        let curve = ContrastCurve::new(&even(100_000, 12.0), 6.0, (0.0, 0.0), 0.0);
         for v in [1.0, 5.0, 9.0] {
             assert!((curve.at(v + 1.0) - curve.at(v) - 0.5).abs() < 0.01, "{v}");
         }

@@ -4,9 +4,11 @@
 //! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
 //! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`] and [`display`]. Cost: see each operator.
 
+mod bilateral;
 mod contrast_curve;
 pub mod display;
 pub mod drago;
+pub mod durand;
 mod guide;
 mod local_laplacian;
 pub mod natural;
@@ -41,6 +43,8 @@ pub enum Operator {
     Reinhard02Local(reinhard::Options),
     /// Drago et al. 2003.
     Drago(drago::Options),
+    /// Durand & Dorsey 2002.
+    Durand(durand::Options),
 }
 
 impl Default for Operator {
@@ -57,6 +61,7 @@ impl Operator {
             Operator::Reinhard02(_) => "reinhard02",
             Operator::Reinhard02Local(_) => "reinhard02-local",
             Operator::Drago(_) => "drago",
+            Operator::Durand(_) => "durand",
         }
     }
 
@@ -66,6 +71,7 @@ impl Operator {
             Operator::Natural(options) => options.settings(),
             Operator::Reinhard02(options) | Operator::Reinhard02Local(options) => options.settings(),
             Operator::Drago(options) => options.settings(),
+            Operator::Durand(options) => options.settings(),
         }
     }
 
@@ -87,6 +93,7 @@ impl Operator {
             Operator::Reinhard02(options) => reinhard::global(&scene, options),
             Operator::Reinhard02Local(options) => reinhard::local(&scene, options),
             Operator::Drago(options) => drago::drago(&scene, options),
+            Operator::Durand(options) => durand::durand(&scene, options),
         }
     }
 }

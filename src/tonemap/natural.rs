@@ -28,7 +28,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { edges: 0.7, detail: 1.1, range_stops: 5.5, brightness: 0.43, saturation: 1.0 }
+        Options { edges: 0.7, detail: 1.25, range_stops: 5.0, brightness: 0.44, saturation: 1.15 }
     }
 }
 
@@ -48,8 +48,11 @@ impl Options {
 /// Cells that edges are held back on.
 pub const CELLS: usize = 1 << 18;
 
-/// The part of the tones at either end that may be black or white.
-const BURNT: f64 = 0.0005;
+/// The parts of the tones that may be black, and white.
+const ENDS: (f64, f64) = (0.002, 0.0005);
+
+/// What of the luminance of the darkest tone is taken for the veil that a display adds, and taken off.
+const VEIL: f64 = 0.7;
 
 /// The share that a tone counts for at least: what hardly occurs keeps some of its drawing.
 const FLOOR: f64 = 0.15;
@@ -66,8 +69,10 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let tones = local_laplacian(&grid.logs, &remapping);
     let mut sorted = tones.as_slice().to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
-    let curve = ContrastCurve::new(&sorted, options.range_stops, BURNT, FLOOR);
-    let power = power(&sorted, &curve, options.brightness);
+    let curve = ContrastCurve::new(&sorted, options.range_stops, ENDS, FLOOR);
+    let veil = VEIL * libm::exp2(-options.range_stops);
+    let shown = |v: f64| ((libm::exp2(curve.at(v)) - veil) / (1.0 - veil)).max(0.0);
+    let power = power(&sorted, shown, options.brightness);
     let scene_range = scene.percentile(0.999) - scene.percentile(0.001);
     let contrast = (options.range_stops / scene_range.max(1.0)).clamp(0.5, 1.0);
     // Tones are about 0, where the curve's table is.
@@ -75,18 +80,18 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let mut about = tones;
     about.as_mut_slice().iter_mut().for_each(|v| *v -= middle);
     let guide = Guide::fitted(&grid.logs, &about, grid.side, options.detail as f32);
-    let display = |v: f64| libm::exp2(power * curve.at(v + f64::from(middle)));
+    let display = |v: f64| libm::pow(shown(v + f64::from(middle)), power);
     Tones::new(scene.to_srgb, guide, Curve::new(display, |_| contrast, options.saturation), scene.size.0)
 }
 
 /// The power of luminance with which the mean code of the tones is `brightness`.
-fn power(sorted: &[f32], curve: &ContrastCurve, brightness: f64) -> f64 {
+fn power(sorted: &[f32], shown: impl Fn(f64) -> f64, brightness: f64) -> f64 {
     let step = (sorted.len() / 4096).max(1);
-    let logs: Vec<f64> = sorted.iter().step_by(step).map(|&v| curve.at(v.into())).collect();
+    let tones: Vec<f64> = sorted.iter().step_by(step).map(|&v| shown(v.into())).collect();
     let (mut low, mut high) = POWERS;
     for _ in 0..30 {
         let power = 0.5 * (low + high);
-        let mean = logs.iter().map(|l| linear_to_srgb(libm::exp2(power * l))).sum::<f64>() / logs.len() as f64;
+        let mean = tones.iter().map(|t| linear_to_srgb(libm::pow(*t, power))).sum::<f64>() / tones.len() as f64;
         if mean > brightness {
             low = power;
         } else {
