@@ -130,7 +130,7 @@ impl Args {
             flare: self.flare,
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
-            operator: self.tone.operator()?,
+            rendering: self.tone.rendering()?,
             save_aligned: self.save_aligned.clone(),
             write: self.radiance.write(common.write.overwrite),
             ..common

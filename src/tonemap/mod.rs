@@ -11,6 +11,7 @@ pub mod drago;
 pub mod durand;
 mod guide;
 mod local_laplacian;
+pub mod mertens;
 pub mod natural;
 pub mod overview;
 pub mod reinhard;
@@ -75,15 +76,6 @@ impl Operator {
         }
     }
 
-    /// Sets `key` to `value`.
-    ///
-    /// # Errors
-    /// [`Error::Option`](crate::error::Error::Option) where there is no such setting, or the value is out of its range.
-    pub fn set(&mut self, key: &str, value: f64) -> Result<()> {
-        let name = self.name();
-        settings::set(self.settings(), name, key, value)
-    }
-
     /// What maps rows of the picture that `overview` has seen all of.
     pub fn settled(&self, overview: Overview) -> Tones {
         let width = overview.width();
@@ -95,6 +87,49 @@ impl Operator {
             Operator::Drago(options) => drago::drago(&scene, options),
             Operator::Durand(options) => durand::durand(&scene, options),
         }
+    }
+}
+
+/// How the picture comes about.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+pub enum Rendering {
+    /// From radiance, by an operator.
+    Toned(Operator),
+    /// From the aligned frames.
+    Fused(mertens::Options),
+}
+
+impl Default for Rendering {
+    fn default() -> Self {
+        Rendering::Toned(Operator::default())
+    }
+}
+
+impl Rendering {
+    /// Its name, as it is typed.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Rendering::Toned(operator) => operator.name(),
+            Rendering::Fused(_) => "mertens",
+        }
+    }
+
+    /// What may be set of it.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        match self {
+            Rendering::Toned(operator) => operator.settings(),
+            Rendering::Fused(options) => options.settings(),
+        }
+    }
+
+    /// Sets `key` to `value`.
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::error::Error::Option) where there is no such setting, or the value is out of its range.
+    pub fn set(&mut self, key: &str, value: f64) -> Result<()> {
+        let name = self.name();
+        settings::set(self.settings(), name, key, value)
     }
 }
 
