@@ -32,7 +32,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { edges: 0.7, detail: 1.25, range_stops: None, brightness: 0.44, saturation: 1.15 }
+        Options { edges: 0.5, detail: 1.25, range_stops: None, brightness: 0.44, saturation: 1.15 }
     }
 }
 
@@ -59,7 +59,7 @@ const ENDS: (f64, f64) = (0.002, 0.0005);
 const VEIL: f64 = 0.7;
 
 /// The share that a tone counts for at least: what hardly occurs keeps some of its drawing.
-const FLOOR: f64 = 0.15;
+const FLOOR: f64 = 0.35;
 
 /// How far the brightness of a picture may be brought to that asked for, as a power of luminance: a night stays darker than a day.
 const POWERS: (f64, f64) = (0.7, 1.5);
