@@ -3,6 +3,7 @@
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
 mod align;
+mod compare;
 mod input;
 mod inspect;
 mod memory;
@@ -12,6 +13,7 @@ mod radiance;
 mod recovery;
 mod response;
 mod summary;
+mod terminal;
 mod tonemap;
 
 use clap::{Parser, Subcommand};
@@ -41,6 +43,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Tone-map a radiance map again, without merging again
     Tonemap(tonemap::Args),
+    /// Are two radiance maps, or two pictures, the same within a tolerance? The exit code says
+    Compare(compare::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -49,6 +53,7 @@ Exit codes:
   1  failed, nothing written
   2  wrong usage
   3  with --strict: written, but a frame was left out or doubtful, or an exposure or the response guessed
+  compare: 0 the same, 1 they differ, 2 trouble
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
@@ -56,7 +61,8 @@ Examples:
   hdralign align *.jpg --save-aligned aligned_
   hdralign response *.jpg -o camera.json --plot camera.svg
   hdralign inspect *.jpg -d look
-  hdralign tonemap room.exr -o room.png";
+  hdralign tonemap room.exr -o room.png
+  hdralign compare golden/room.exr room.exr";
 
 impl Command {
     /// As it is typed.
@@ -67,6 +73,7 @@ impl Command {
             Command::Response(_) => "response",
             Command::Inspect(_) => "inspect",
             Command::Tonemap(_) => "tonemap",
+            Command::Compare(_) => "compare",
         }
     }
 }
@@ -81,6 +88,7 @@ pub fn run() -> ExitCode {
         Command::Response(args) => response::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Tonemap(args) => tonemap::run(&args),
+        Command::Compare(args) => compare::run(&args),
     };
     match outcome {
         Ok(code) => code,
@@ -91,7 +99,8 @@ pub fn run() -> ExitCode {
                 _ => String::new(),
             };
             eprintln!("hdralign: {error}{example}");
-            ExitCode::from(if error.is_usage() { 2 } else { 1 })
+            // 1 is the answer of `compare` that files differ: trouble is something else.
+            ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
     }
 }
