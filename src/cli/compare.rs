@@ -136,9 +136,15 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
 
 /// The verdict and what it rests on, for people.
 fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
-    let verdict = if compared.is_same() { terminal.good("same") } else { terminal.bad("differs") };
     let bytes = if compared.bytes_equal { ", to the byte" } else { "" };
-    let mut lines = vec![format!("{verdict}: {}{bytes}", compared.reason)];
+    let name = if compared.is_same() { "same" } else { "differs" };
+    let verdict = if compared.is_same() { terminal.good(name) } else { terminal.bad(name) };
+    let reason = terminal.wrapped(&format!("{}{bytes}", compared.reason), name.len() + 2);
+    let mut lines: Vec<String> = reason
+        .iter()
+        .enumerate()
+        .map(|(i, line)| if i == 0 { format!("{verdict}: {line}") } else { format!("  {line}") })
+        .collect();
     let mut row = |name: &str, text: String| {
         for (i, line) in terminal.wrapped(&text, 12).iter().enumerate() {
             lines.push(format!("  {:10}{line}", if i == 0 { name } else { "" }));

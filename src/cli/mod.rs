@@ -22,6 +22,7 @@ use hdralign::report::Report;
 use input::Common;
 use std::io::Write;
 use std::process::ExitCode;
+use terminal::Terminal;
 
 /// Aligns a bracket of exposures, recovers the camera's response, merges to linear radiance, and tone-maps.
 #[derive(Debug, Parser)]
@@ -98,7 +99,10 @@ pub fn run() -> ExitCode {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
             };
-            eprintln!("hdralign: {error}{example}");
+            let words = format!("{error}{example}");
+            for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
+                eprintln!("{}{line}", if i == 0 { "hdralign: " } else { "          " });
+            }
             // 1 is the answer of `compare` that files differ: trouble is something else.
             ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }

@@ -1,49 +1,186 @@
-//! What was done, in words for people, on stderr.
+//! What was done, in words for people, on stderr: six lines, and the warnings before them.
 
+use super::terminal::{Terminal, shortened};
 use hdralign::align::Status;
-use hdralign::report::{FrameReport, Report};
+use hdralign::report::{FrameReport, Report, WarningReport};
+use std::path::Path;
+
+/// Columns of the labels.
+const LABEL: usize = 11;
+/// Under this confidence a place is doubtful.
+const DOUBTFUL: f64 = 0.5;
 
 /// Prints the warnings and a summary of `report`; with `verbose`, a line for each frame and the time of each stage.
 pub fn print(report: &Report, verbose: bool) {
-    for warning in &report.warnings {
-        eprintln!("warning: {}", warning.message);
-    }
-    if let Some(path) = &report.transforms_from {
-        eprintln!("transforms taken from {path}");
-    }
+    let terminal = Terminal::of_stderr();
+    warn(&report.warnings, &terminal);
     if verbose {
         for frame in &report.frames {
-            eprintln!("{}", line(frame));
+            terminal.wrapped(&line(frame), 0).iter().for_each(|line| eprintln!("{line}"));
         }
-        let times = &report.time_s;
-        let stages = [
-            ("load", times.load),
-            ("align", times.align),
-            ("response", times.response),
-            ("merge", times.merge),
-            ("tonemap", times.tonemap),
-            ("write", times.write),
-        ];
-        let spent: Vec<String> = stages.iter().filter_map(|(n, t)| t.map(|t| format!("{n} {t:.2} s"))).collect();
-        eprintln!("{}", spent.join(", "));
+        terminal.wrapped(&times(report), 0).iter().for_each(|line| eprintln!("{line}"));
     }
-    let count = |status| report.frames.iter().filter(|f| f.alignment.status == status).count();
-    let (aligned, unmoved, rejected) = (count(Status::Aligned), count(Status::Unmoved), count(Status::Rejected));
-    let mut words = vec![format!("{} frames", report.frames.len())];
-    words.extend((aligned > 0).then(|| format!("{aligned} aligned")));
-    words.extend((unmoved > 0).then(|| format!("{unmoved} unmoved")));
-    words.extend((rejected > 0).then(|| format!("{rejected} left out")));
-    words.push(format!("{} x {} pixels", report.crop.width_px, report.crop.height_px));
-    if let Some(merged) = &report.radiance {
-        let scene = &merged.radiance;
-        words.push(format!("{:.1} stops", scene.dynamic_range_stops));
-        let calibrated = report.calibration.is_some();
-        words.extend(calibrated.then(|| format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9)));
-    }
-    words.push(format!("{:.2} s", report.time_s.total));
-    eprintln!("{}", words.join(", "));
+    lines(report, &terminal).iter().for_each(|line| eprintln!("{line}"));
 }
 
+/// Prints warnings, each in as many lines as the terminal needs.
+pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
+    for warning in warnings {
+        let label = "warning:";
+        for (i, line) in terminal.wrapped(&warning.message, label.len() + 1).iter().enumerate() {
+            if i == 0 {
+                eprintln!("{} {line}", terminal.doubtful(label));
+            } else {
+                eprintln!("{:1$} {line}", "", label.len());
+            }
+        }
+    }
+}
+
+/// The time of each stage.
+fn times(report: &Report) -> String {
+    let times = &report.time_s;
+    let stages = [
+        ("load", times.load),
+        ("align", times.align),
+        ("response", times.response),
+        ("merge", times.merge),
+        ("tonemap", times.tonemap),
+        ("write", times.write),
+    ];
+    let spent: Vec<String> = stages.iter().filter_map(|(n, t)| t.map(|t| format!("{n} {t:.2} s"))).collect();
+    spent.join(", ")
+}
+
+/// The six lines: what was merged, how it was aligned, what is missing, the range, the files, the time.
+fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
+    let merged = if report.radiance.is_some() { "merged" } else { "read" };
+    let doubts = doubts(report);
+    let left_out = if doubts.is_empty() {
+        terminal.good("nothing left out, nothing doubtful")
+    } else {
+        terminal.doubtful(&shortened(&doubts, terminal.room(LABEL)))
+    };
+    let row = |label: &str, text: &str| {
+        let label = terminal.strong(&format!("{label:LABEL$}"));
+        format!("{label}{}", shortened(text, terminal.room(LABEL)))
+    };
+    [
+        row(merged, &size(report)),
+        row("aligned", &aligned(report)),
+        format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "left out"))),
+        row("range", &range(report)),
+        row("files", &files(&report.outputs, terminal.room(LABEL))),
+        row("time", &duration(report.time_s.total)),
+    ]
+}
+
+/// Photographs, and the size of what came of them.
+fn size(report: &Report) -> String {
+    let (width, height) = (report.crop.width_px, report.crop.height_px);
+    let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected).count();
+    let all = report.frames.len();
+    let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
+    let megapixels = (width * height) as f64 / 1e6;
+    let megapixels = if megapixels >= 0.95 { format!(" ({megapixels:.0} megapixels)") } else { String::new() };
+    format!("{count}, {width} x {height} pixels{megapixels}")
+}
+
+/// How far photographs moved.
+fn aligned(report: &Report) -> String {
+    let with = |status| report.frames.iter().filter(move |f| f.alignment.status == status);
+    let (moved, unmoved) = (with(Status::Aligned).count(), with(Status::Unmoved).count());
+    let largest =
+        |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
+    let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
+    let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
+    let error = largest(&|f| f.alignment.error_px);
+    let mut words = Vec::new();
+    if moved > 0 {
+        let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
+        words.push(format!("{moved} moved by up to {shift:.1} px{turn}, to within {error:.1} px"));
+    }
+    if unmoved > 0 {
+        words.push(format!("{unmoved} as {} lay", if unmoved == 1 { "it" } else { "they" }));
+    }
+    if let Some(path) = &report.transforms_from {
+        words.push(format!("places taken from {}", name(path)));
+    }
+    if words.is_empty() { "nothing to the reference".into() } else { words.join("; ") }
+}
+
+/// What is missing or guessed; empty where nothing is.
+fn doubts(report: &Report) -> String {
+    let names = |frames: &[&FrameReport]| {
+        let some: Vec<&str> = frames.iter().take(3).map(|f| name(&f.path)).collect();
+        let more = if frames.len() > 3 { format!(" and {} more", frames.len() - 3) } else { String::new() };
+        format!("{}{more}", some.join(", "))
+    };
+    let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
+    let rejected = which(&|f| f.alignment.status == Status::Rejected);
+    let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
+    let mut words = Vec::new();
+    if !rejected.is_empty() {
+        words.push(format!("{} ({})", rejected.len(), names(&rejected)));
+    }
+    if !doubtful.is_empty() {
+        words.push(format!("{} doubtful ({})", doubtful.len(), names(&doubtful)));
+    }
+    let degrading = report.warnings.iter().filter(|w| w.degrades).count();
+    if degrading > rejected.len() + doubtful.len() {
+        words.push("exposures or response are guessed, see the warnings".into());
+    }
+    words.join("; ")
+}
+
+/// What the exposures span, and what the result holds.
+fn range(report: &Report) -> String {
+    let evs = || {
+        let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected);
+        merged.map(|f| f.relative_exposure.log2())
+    };
+    let span = evs().fold(f64::NEG_INFINITY, f64::max) - evs().fold(f64::INFINITY, f64::min);
+    let mut words = vec![format!("exposures {:.1} stops apart", span.max(0.0))];
+    if let Some(merged) = &report.radiance {
+        let scene = &merged.radiance;
+        words.push(format!("the result holds {:.1} stops", scene.dynamic_range_stops));
+        if report.calibration.is_some() {
+            words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
+        }
+    }
+    words.join(", ")
+}
+
+/// The files, by name where they do not fit; the folder is said once.
+fn files(outputs: &[String], room: usize) -> String {
+    let Some(first) = outputs.first() else { return "none written".into() };
+    let whole = outputs.join(", ");
+    if whole.len() <= room {
+        return whole;
+    }
+    let folder = |path: &str| Path::new(path).parent().map(Path::to_path_buf).unwrap_or_default();
+    let is_in_one = outputs.iter().all(|path| folder(path) == folder(first));
+    let mut names = outputs.iter().map(|path| name(path)).collect::<Vec<_>>().join(", ");
+    if names.len() > room {
+        names = format!("{} files, {}", outputs.len(), name(first));
+    }
+    let place = folder(first).to_string_lossy().into_owned();
+    let left = room.saturating_sub(names.len() + 4);
+    if is_in_one && !place.is_empty() && left >= 12 { format!("{names} in {}", shortened(&place, left)) } else { names }
+}
+
+/// The last part of a path.
+fn name(path: &str) -> &str {
+    Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
+}
+
+fn duration(seconds: f64) -> String {
+    if seconds < 90.0 {
+        format!("{seconds:.1} s")
+    } else {
+        format!("{} min {:02} s", (seconds / 60.0) as u64, (seconds % 60.0) as u64)
+    }
+}
 /// One frame on a line.
 fn line(frame: &FrameReport) -> String {
     let place = &frame.alignment;

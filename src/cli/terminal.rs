@@ -3,8 +3,10 @@
 use console::{Term, measure_text_width};
 use std::io::IsTerminal;
 
-/// Columns where stderr is no terminal, and of one that does not tell.
+/// Columns of a terminal that does not tell.
 const COLUMNS: usize = 80;
+/// A file is as wide as its lines: nothing in it is broken or shortened, so that it can be searched.
+const NO_TERMINAL: usize = 1 << 20;
 /// Less than this is not minded: words need room.
 const LEAST: usize = 40;
 
@@ -14,19 +16,22 @@ pub struct Terminal {
     /// Columns.
     pub width: usize,
     has_colours: bool,
+    /// Whether its cursor can be moved.
+    pub can_redraw: bool,
 }
 
 impl Terminal {
     /// That of this process. Colours are for a terminal alone, and not where NO_COLOR is set, CLICOLOR is 0, or TERM is dumb.
     pub fn of_stderr() -> Terminal {
         if !std::io::stderr().is_terminal() {
-            return Terminal { width: COLUMNS, has_colours: false };
+            return Terminal { width: NO_TERMINAL, has_colours: false, can_redraw: false };
         }
         let told = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
         let is = |name: &str, value: &str| told(name).is_some_and(|found| found == value);
-        let has_colours = told("NO_COLOR").is_none() && !is("CLICOLOR", "0") && !is("TERM", "dumb");
+        let can_redraw = !is("TERM", "dumb");
+        let has_colours = can_redraw && told("NO_COLOR").is_none() && !is("CLICOLOR", "0");
         let width = Term::stderr().size_checked().map_or(COLUMNS, |(_, columns)| usize::from(columns));
-        Terminal { width: width.max(LEAST), has_colours }
+        Terminal { width: width.max(LEAST), has_colours, can_redraw }
     }
 
     /// In green, where there are colours.
@@ -53,11 +58,19 @@ impl Terminal {
         if self.has_colours { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
+    /// Columns beside `indent`. The last one stays free: some terminals go on to the next line when it is written.
+    pub fn room(&self, indent: usize) -> usize {
+        self.width.saturating_sub(indent + 1).max(LEAST / 2)
+    }
+
     /// `text` in lines that leave `indent` columns free, broken at spaces; a word that is wider by itself, as paths are, loses its middle.
     /// Never empty.
     pub fn wrapped(&self, text: &str, indent: usize) -> Vec<String> {
-        // The last column stays free: some terminals go on to the next line when it is written.
-        let room = self.width.saturating_sub(indent + 1).max(LEAST / 2);
+        let room = self.room(indent);
+        let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        if measure_text_width(&text) <= room {
+            return vec![text];
+        }
         let mut lines = vec![String::new()];
         for word in text.split_whitespace() {
             let word = shortened(word, room);
@@ -102,7 +115,7 @@ pub fn shortened(text: &str, room: usize) -> String {
 mod tests {
     use super::*;
 
-    const PLAIN: Terminal = Terminal { width: 60, has_colours: false };
+    const PLAIN: Terminal = Terminal { width: 60, has_colours: false, can_redraw: false };
 
     #[test]
     fn lines_keep_within_the_width_and_lose_no_word() {

@@ -74,7 +74,7 @@ fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
     let (run, json) = compare(&folder, "a.exr shifted.exr");
     assert_eq!((run.code, &json["verdict"]), (1, &"differs".into()));
     assert!(
-        json["differing"]["differing_percent"].as_f64().unwrap() > 90.0 && json["ms_ssim"].as_f64().unwrap() < 0.95
+        json["differing"]["differing_percent"].as_f64().unwrap() > 90.0 && json["ms_ssim"].as_f64().unwrap() < 0.99
     );
 
     let gain = libm::exp2f(0.02);
@@ -117,7 +117,7 @@ fn a_lossless_encoding_passes_and_what_rounds_coarsely_does_not() {
     for other in ["zip.exr", "none.exr", "a.tif", "a.exr"] {
         let (run, json) = compare(&folder, &format!("a.exr {other} --tolerance-stops 0"));
         assert_eq!((run.code, &json["pixels_equal"]), (0, &true.into()), "{other}: {run:?}");
-        assert_eq!(json["bytes_equal"], (other == "a.exr").into());
+        assert_eq!(json["bytes_equal"], Value::from(other == "a.exr"));
         assert_eq!((&json["pu21_psnr_db"], &json["ms_ssim"]), (&Value::Null, &1.0.into()));
     }
     // Halves round by 0.0007 stops at most; RGBE by up to 0.0056 where a channel is the brightest, and by far more where it is not.
