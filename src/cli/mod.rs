@@ -4,8 +4,10 @@
 
 mod align;
 mod compare;
+mod completions;
 mod input;
 mod inspect;
+mod man;
 mod memory;
 mod merge;
 mod progress;
@@ -46,6 +48,10 @@ enum Command {
     Tonemap(tonemap::Args),
     /// Are two radiance maps, or two pictures, the same within a tolerance? The exit code says
     Compare(compare::Args),
+    /// Print what a shell needs to complete commands and options
+    Completions(completions::Args),
+    /// Print the man page, or write those of all commands
+    Man(man::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -75,6 +81,8 @@ impl Command {
             Command::Inspect(_) => "inspect",
             Command::Tonemap(_) => "tonemap",
             Command::Compare(_) => "compare",
+            Command::Completions(_) => "completions",
+            Command::Man(_) => "man",
         }
     }
 }
@@ -90,6 +98,8 @@ pub fn run() -> ExitCode {
         Command::Inspect(args) => inspect::run(&args),
         Command::Tonemap(args) => tonemap::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => man::run(&args),
     };
     match outcome {
         Ok(code) => code,

@@ -207,3 +207,65 @@ fn line(frame: &FrameReport) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hdralign::align::{AlignMode, AlignOptions};
+    use hdralign::pipeline::{self, Options};
+    use std::path::PathBuf;
+
+    /// The report of a real bracket.
+    fn report() -> Report {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
+        let images: Vec<PathBuf> = [2, 3, 4].iter().map(|i| format!("{folder}/window_{i}.jpg").into()).collect();
+        let align = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
+        pipeline::align_only(&images, &Options { align, ..Options::default() }, &|_| ()).unwrap()
+    }
+
+    #[test]
+    fn there_are_six_lines_whatever_happened_and_none_is_wider_than_the_terminal() {
+        let mut report = report();
+        let long = format!("/home/someone/{}", "photographs/".repeat(12));
+        let mut seen = Vec::new();
+        for case in 0..4 {
+            match case {
+                1 => report.outputs = vec!["room.exr".into(), "room.png".into()],
+                2 => {
+                    report.outputs =
+                        ["exr", "png", "hdr"].iter().map(|e| format!("{long}IMG_0001-IMG_0003.{e}")).collect();
+                    report.frames[0].alignment.status = Status::Rejected;
+                    report.frames[0].path = format!("{long}{}.jpg", "IMG_".repeat(30));
+                    report.transforms_from = Some(format!("{long}transforms.json"));
+                }
+                3 => {
+                    report.frames[2].alignment.status = Status::Aligned;
+                    report.frames[2].alignment.confidence = 0.2;
+                    report.frames[2].alignment.shift_px = Some([-3.0, 4.0]);
+                    report.time_s.total = 200.0;
+                }
+                _ => {}
+            }
+            for width in [60, 80, 200] {
+                let lines = lines(&report, &Terminal::plain(width));
+                assert!(lines.iter().all(|line| line.chars().count() < width), "{lines:#?}");
+                if width == 80 {
+                    seen.push(lines);
+                }
+            }
+        }
+        assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels (1 megapixels)");
+        assert_eq!(seen[0][1], "aligned    2 as they lay");
+        assert_eq!(seen[0][2], "left out   nothing left out, nothing doubtful");
+        assert!(
+            seen[0][3].starts_with("range      exposures ") && seen[0][3].ends_with(" stops apart"),
+            "{}",
+            seen[0][3]
+        );
+        assert_eq!([&seen[0][4], &seen[1][4]], ["files      none written", "files      room.exr, room.png"]);
+        assert!(seen[2][0].contains("2 of 3") && seen[2][2].starts_with("left out   1 (IMG_IMG_"), "{:?}", seen[2]);
+        assert!(seen[2][4].contains("3 files, IMG_0001-IMG_0003.exr in /home"), "{}", seen[2][4]);
+        assert!(seen[3][1].contains("1 moved by up to 5.0 px") && seen[3][2].contains("1 doubtful (window_4.jpg)"));
+        assert_eq!(seen[3][5], "time       3 min 20 s");
+    }
+}

@@ -34,6 +34,12 @@ impl Terminal {
         Terminal { width: width.max(LEAST), has_colours, can_redraw }
     }
 
+    /// Of `width` columns, without colours.
+    #[cfg(test)]
+    pub fn plain(width: usize) -> Terminal {
+        Terminal { width, has_colours: false, can_redraw: false }
+    }
+
     /// In green, where there are colours.
     pub fn good(&self, text: &str) -> String {
         self.coloured("32", text)
@@ -115,18 +121,16 @@ pub fn shortened(text: &str, room: usize) -> String {
 mod tests {
     use super::*;
 
-    const PLAIN: Terminal = Terminal { width: 60, has_colours: false, can_redraw: false };
-
     #[test]
     fn lines_keep_within_the_width_and_lose_no_word() {
         let text =
             "the exposures in the files contradict the pixels (estimated from the pixels instead), give -e to set them";
-        let lines = PLAIN.wrapped(text, 9);
+        let lines = Terminal::plain(60).wrapped(text, 9);
         assert!(lines.len() > 1 && lines.iter().all(|l| measure_text_width(l) <= 50));
         assert_eq!(lines.join(" "), text);
-        assert_eq!(PLAIN.wrapped("", 9), [""]);
+        assert_eq!(Terminal::plain(60).wrapped("", 9), [""]);
         let path = format!("/home/someone/{}/IMG_0001.JPG: left out", "photographs/".repeat(12));
-        let lines = PLAIN.wrapped(&path, 9);
+        let lines = Terminal::plain(60).wrapped(&path, 9);
         assert!(lines[0].contains("...") && lines[0].ends_with("IMG_0001.JPG:") && lines[0].len() <= 50, "{lines:?}");
     }
 
@@ -141,8 +145,8 @@ mod tests {
 
     #[test]
     fn colours_are_only_where_there_are_any() {
-        assert_eq!(PLAIN.good("same"), "same");
-        let colourful = Terminal { has_colours: true, ..PLAIN };
+        assert_eq!(Terminal::plain(60).good("same"), "same");
+        let colourful = Terminal { has_colours: true, ..Terminal::plain(60) };
         assert_eq!(colourful.bad("differs"), "\u{1b}[31mdiffers\u{1b}[0m");
         assert_eq!(measure_text_width(&colourful.strong("x")), 1);
     }

@@ -11,6 +11,7 @@ mod places;
 mod refusals;
 mod report;
 mod response;
+mod shell;
 mod streams;
 mod tonemap;
 mod units;
