@@ -193,13 +193,13 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let structure = compared.ms_ssim.map(|s| format!("MS-SSIM {s:.5}"));
         let both: Vec<String> = psnr.into_iter().chain(structure).collect();
         if !both.is_empty() {
-            row("to the eye", both.join(", "));
+            row("to eyes", both.join(", "));
         }
     }
     for changed in &compared.metadata {
-        let words = |text: &Option<String>| text.as_ref().map_or("nothing".into(), |t| one_line(t));
+        let words = |text: &Option<String>| text.as_ref().map_or("none".into(), |t| one_line(t));
         let (expected, actual) = (words(&changed.expected), words(&changed.actual));
-        row("header", format!("{}: {expected}, and there is {actual} (of no matter)", changed.key));
+        row("header", format!("{}: expected {expected}, actual {actual} (does not count)", changed.key));
     }
     for warning in &compared.warnings {
         row("warning", warning.clone());

@@ -39,7 +39,13 @@ impl Input {
             return Ok(Input { path, pixels: Pixels::Radiance(map, Box::new(metadata)), warnings: Vec::new() });
         }
         match Photograph::read(&path) {
-            Ok((photograph, warnings)) => Ok(Input { path, pixels: Pixels::Display(photograph), warnings }),
+            Ok((photograph, mut warnings)) => {
+                if has_alpha(&path) {
+                    let detail = "its alpha is not compared".into();
+                    warnings.push(Warning::Metadata { path: path.clone(), detail });
+                }
+                Ok(Input { path, pixels: Pixels::Display(photograph), warnings })
+            }
             Err(Error::UnknownFormat { path, found }) => Err(Error::NotComparable { path, found }),
             Err(error) => Err(error),
         }
@@ -156,6 +162,13 @@ impl Input {
             ("comments", comments),
         ]
     }
+}
+
+/// Whether a PNG says that it has alpha (PNG, section 11.2.1: colour types 4 and 6).
+fn has_alpha(path: &Path) -> bool {
+    let mut start = [0; 26];
+    let is_read = File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok();
+    is_read && start.starts_with(b"\x89PNG") && matches!(start[25], 4 | 6)
 }
 
 /// Rounded as floats are: a format that keeps them coarser is no other colour space.

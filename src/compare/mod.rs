@@ -318,7 +318,8 @@ pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Compar
     let (verdict, reason) = verdict::judge(&limits, &a, &b, differing.as_ref(), measured.as_ref());
     let bytes_equal = a.bytes_equal(&b)?;
     if let Some(diff) = &options.diff {
-        let words = picture::Words { title: &reason, limits: &limits };
+        let largest = differing.as_ref().and_then(|d| d.largest).map(|l| (l.x_px, l.y_px));
+        let words = picture::Words { title: &reason, limits: &limits, largest };
         picture::write(diff, options.overwrite, (&a, &b), measured.as_ref().map(|m| &m.magnitudes), &words)?;
     }
     let (radiance, display, pu21_psnr_db, ms_ssim) =

@@ -33,20 +33,18 @@ const DECADES: f64 = 3.0;
 
 /// No number, or no pixel, in one of the files.
 const NOTHING: [u8; 3] = [255, 0, 200];
-/// From the least difference to the most: dark blue, violet, red, orange, yellow, white.
-const COLOURS: [[f64; 3]; 6] = [
-    [30.0, 60.0, 160.0],
-    [130.0, 50.0, 170.0],
-    [220.0, 45.0, 60.0],
-    [250.0, 140.0, 20.0],
-    [250.0, 225.0, 60.0],
-    [255.0; 3],
-];
+/// From the least difference to the tolerance: blue, darker to lighter.
+const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
+/// From the tolerance to the most: violet, red, orange, yellow, white.
+const BEYOND: [[f64; 3]; 5] =
+    [[120.0, 20.0, 110.0], [215.0, 40.0, 60.0], [250.0, 140.0, 20.0], [250.0, 225.0, 60.0], [255.0; 3]];
 
 /// What is written on it.
 pub(super) struct Words<'a> {
     pub title: &'a str,
     pub limits: &'a Limits,
+    /// The pixel that is farthest off, to be ringed.
+    pub largest: Option<(usize, usize)>,
 }
 
 /// Whether the picture can be written to `path`, before any work is done.
@@ -142,71 +140,86 @@ fn page(
 
     let (across, down) = fit.size(size);
     let width = (3 * across + 2 * GAP).max(3 * LEAST / 2) + 2 * MARGIN;
-    let height = ABOVE + down + BELOW;
+    // A wide page is looked at from farther away.
+    let zoom = (width as f64 / 1500.0).clamp(1.0, 2.2);
+    let (above, below) = ((ABOVE as f64 * zoom) as usize, (BELOW as f64 * zoom) as usize);
+    let height = above + down + below;
     let mut drawing = Drawing::new(width, height, words.title);
     let room = (width - 2 * MARGIN) as f64;
-    let title = lettering::shorten(words.title, TITLE, room);
-    drawing.text((MARGIN as f64, 36.0), TITLE, Anchor::Start, Colour::INK, &title);
+    let title = lettering::shorten(words.title, TITLE * zoom, room);
+    drawing.text((MARGIN as f64, 36.0 * zoom), TITLE * zoom, Anchor::Start, Colour::INK, &title);
     let headings = [format!("expected: {}", a.name()), "difference".into(), format!("actual: {}", b.name())];
     let corners = [0, 1, 2].map(|i| MARGIN + i * (across + GAP));
     for (x, heading) in corners.iter().zip(&headings) {
-        let heading = lettering::shorten(heading, TEXT, across as f64);
-        drawing.text((*x as f64, ABOVE as f64 - 9.0), TEXT, Anchor::Start, Colour::FAINT, &heading);
+        let heading = lettering::shorten(heading, TEXT * zoom, across as f64);
+        let place = (*x as f64, above as f64 - 9.0 * zoom);
+        drawing.text(place, TEXT * zoom, Anchor::Start, Colour::FAINT, &heading);
     }
-    legend(&mut drawing, (ABOVE + down + 16) as f64, room, scale.as_ref());
+    legend(&mut drawing, (above + down) as f64 + 16.0 * zoom, (room, zoom), scale.as_ref());
     let mut page = rasterise(&drawing.to_svg())?;
     for (x, panel) in corners.iter().zip([shown(a), difference, shown(b)]) {
         for y in 0..panel.height() {
-            page.row_mut(ABOVE + y)[*x..x + panel.width()].copy_from_slice(panel.row(y));
+            page.row_mut(above + y)[*x..x + panel.width()].copy_from_slice(panel.row(y));
         }
+    }
+    if let Some((x, y)) = words.largest {
+        let cell = |i: usize| i / fit.by * fit.times + fit.times / 2;
+        let (left, right) = (corners[1], corners[1] + across);
+        ring(&mut page, (left + cell(x), above + cell(y)), 14.0 * zoom, ((left, above), (right, above + down)));
     }
     Ok(page)
 }
 
 /// The colours, what they stand for, and where the tolerance is.
-fn legend(drawing: &mut Drawing, y: f64, room: f64, scale: Option<&Scale>) {
-    let (left, below) = (MARGIN as f64, y + 54.0);
+fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option<&Scale>) {
+    let text = TEXT * zoom;
+    let (left, below) = (MARGIN as f64, y + 54.0 * zoom);
     let sample = |drawing: &mut Drawing, x: f64, colour: [u8; 3], words: &str| {
-        let area = Area { x, y: below + 4.0, width: 26.0, height: 14.0 };
+        let area = Area { x, y: below + 4.0 * zoom, width: 26.0 * zoom, height: 14.0 * zoom };
         drawing.fill_area(area, Colour(colour[0], colour[1], colour[2]));
-        drawing.text((x + 34.0, below + 16.0), TEXT, Anchor::Start, Colour::FAINT, words);
-        x + 34.0 + lettering::width(words, TEXT) + 24.0
+        drawing.text((x + 34.0 * zoom, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, words);
+        x + 58.0 * zoom + lettering::width(words, text)
     };
     let Some(scale) = scale else {
         sample(drawing, left, NOTHING, "in one of them alone");
         return;
     };
-    let (bar, strip) = (room.min(640.0), 128);
-    for i in 0..strip {
-        let [r, g, b] = scale.at(i as f64 / (strip - 1) as f64);
-        let width = bar / strip as f64;
+    let (bar, strips) = (room.min(640.0 * zoom), 128);
+    for i in 0..strips {
+        let [r, g, b] = scale.at(i as f64 / (strips - 1) as f64);
+        let width = bar / strips as f64;
         // A hair wider, so that no paper shows between.
-        let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 };
+        let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
         drawing.fill_area(area, Colour(r, g, b));
     }
     let ticks = (0..=DECADES as i32).map(|k| scale.top * libm::exp10(f64::from(k) - DECADES));
     for (i, value) in ticks.enumerate() {
-        let x = left + bar * i as f64 / DECADES;
+        let is_last = i as f64 == DECADES;
         let anchor = match i {
             0 => Anchor::Start,
-            i if i as f64 == DECADES => Anchor::End,
+            _ if is_last => Anchor::End,
             _ => Anchor::Middle,
         };
-        let unit = if i as f64 == DECADES { format!(" {}", scale.unit()) } else { String::new() };
-        drawing.text((x, y + 38.0), TEXT, anchor, Colour::INK, &format!("{}{unit}", short(value)));
+        let unit = if is_last { format!(" {}", scale.unit()) } else { String::new() };
+        let place = (left + bar * i as f64 / DECADES, y + 38.0 * zoom);
+        drawing.text(place, text, anchor, Colour::INK, &format!("{}{unit}", short(value)));
     }
     let place = scale.place(scale.tolerance);
     if scale.tolerance > 0.0 && (0.0..=1.0).contains(&place) {
         let mut line = Line::default();
-        line.line((left + bar * place, y - 7.0), (left + bar * place, y + 22.0));
-        drawing.stroke(&line, Pen { colour: Colour::INK, width: 2.0, opacity: 1.0 });
+        line.line((left + bar * place, y - 7.0 * zoom), (left + bar * place, y + 22.0 * zoom));
+        drawing.stroke(&line, Pen { colour: Colour::INK, width: 2.0 * zoom, opacity: 1.0 });
     }
-    let next = sample(drawing, left, [70; 3], "equal");
-    let next = if scale.has_nothing { sample(drawing, next, NOTHING, "no number in one of them") } else { next };
+    let mut next = sample(drawing, left, [70; 3], "equal");
     if scale.tolerance > 0.0 {
-        let words = format!("line: the tolerance, {} {}", short(scale.tolerance), scale.unit());
-        drawing.text((next, below + 16.0), TEXT, Anchor::Start, Colour::FAINT, &words);
+        let words = format!("within {} {}", short(scale.tolerance), scale.unit());
+        next = sample(drawing, next, between(&WITHIN, 0.7), &words);
     }
+    next = sample(drawing, next, between(&BEYOND, 0.5), if scale.tolerance > 0.0 { "beyond" } else { "not equal" });
+    if scale.has_nothing {
+        next = sample(drawing, next, NOTHING, "no number in one of them");
+    }
+    drawing.text((next, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, "ring: the largest");
 }
 
 /// A number of one or two digits that matter.
@@ -254,10 +267,36 @@ impl Scale {
     }
 
     fn at(&self, place: f64) -> [u8; 3] {
-        let at = place.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
-        let line = (at as usize).min(COLOURS.len() - 2);
-        let between = at - line as f64;
-        [0, 1, 2].map(|c| (COLOURS[line][c] + (COLOURS[line + 1][c] - COLOURS[line][c]) * between).round() as u8)
+        // Without a tolerance everything is beyond it.
+        let border = if self.tolerance > 0.0 { self.place(self.tolerance).clamp(0.0, 1.0) } else { 0.0 };
+        if place < border {
+            between(&WITHIN, place / border)
+        } else {
+            between(&BEYOND, (place - border) / (1.0 - border).max(1e-9))
+        }
+    }
+}
+
+/// The colour `place` of the way, 0 to 1, along `colours`.
+fn between(colours: &[[f64; 3]], place: f64) -> [u8; 3] {
+    let at = place.clamp(0.0, 1.0) * (colours.len() - 1) as f64;
+    let line = (at as usize).min(colours.len() - 2);
+    let share = at - line as f64;
+    [0, 1, 2].map(|c| (colours[line][c] + (colours[line + 1][c] - colours[line][c]) * share).round() as u8)
+}
+
+/// A white ring with a black edge around a place of the page, within the area from one corner to the other.
+fn ring(page: &mut Plane<[u8; 3]>, (x, y): (usize, usize), radius: f64, (from, to): ((usize, usize), (usize, usize))) {
+    for row in from.1..to.1 {
+        for column in from.0..to.0 {
+            let away = libm::hypot(column as f64 - x as f64, row as f64 - y as f64) - radius;
+            let colour = match away.abs() / radius * 12.0 {
+                d if d <= 1.2 => [255; 3],
+                d if d <= 2.4 => [0; 3],
+                _ => continue,
+            };
+            page.row_mut(row)[column] = colour;
+        }
     }
 }
 
@@ -330,10 +369,11 @@ mod tests {
         let scale = Scale::of(&magnitudes(1.0), &Limits { tolerance_stops: Some(0.01), ..Limits::default() });
         assert!((scale.place(0.01) - 1.0 / 3.0).abs() < 1e-9 && scale.place(1.0) == 1.0);
         assert_eq!((scale.colour(1.0), scale.colour(f32::INFINITY)), ([255; 3], NOTHING));
-        let light = |place: f64| {
-            scale.at(place).map(f64::from).iter().zip([0.2126, 0.7152, 0.0722]).map(|(v, w)| v * w).sum::<f64>()
-        };
-        assert!((0..50).all(|i| light(f64::from(i) / 50.0) <= light(f64::from(i + 1) / 50.0) + 8.0));
+        // Blue within the tolerance, warm beyond, and the more the brighter.
+        let at = |i: i32| scale.at(f64::from(i) / 100.0).map(u32::from);
+        assert!((0..33).all(|i| at(i)[2] > at(i)[0]) && (34..=100).all(|i| at(i)[0] >= at(i)[2]));
+        let light = |i: i32| at(i).iter().sum::<u32>();
+        assert!((0..32).chain(34..99).all(|i| light(i) <= light(i + 1) + 3));
         assert_eq!([0.001, 0.02, 1.0, 0.5, 200.0].map(short), ["0.001", "0.02", "1", "0.5", "200"]);
     }
 }
