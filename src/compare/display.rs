@@ -195,7 +195,8 @@ mod tests {
         let wide = Samples::Sixteen((0..96 * 24).map(|i| u16::from((i * 7) as u8) * 257).collect());
         let same = measure(&a, &picture(wide, None));
         assert!(same.magnitudes.plane.as_slice().iter().all(|v| *v == 0.0));
-        let off = Samples::Sixteen((0..96 * 24).map(|i| u16::from((i * 7) as u8) * 257 ^ u16::from(i == 50)).collect());
+        let off =
+            Samples::Sixteen((0..96 * 24).map(|i| (u16::from((i * 7) as u8) * 257) ^ u16::from(i == 50)).collect());
         let off = measure(&a, &picture(off, None));
         assert_eq!(off.magnitudes.plane.as_slice().iter().filter(|v| **v > 0.0).count(), 1);
     }

@@ -23,7 +23,7 @@ pub(super) struct Input {
 /// What it holds.
 pub(super) enum Pixels {
     Radiance(RadianceMap, Box<Metadata>),
-    Display(Photograph),
+    Display(Box<Photograph>),
 }
 
 impl Input {
@@ -44,7 +44,7 @@ impl Input {
                     let detail = "its alpha is not compared".into();
                     warnings.push(Warning::Metadata { path: path.clone(), detail });
                 }
-                Ok(Input { path, pixels: Pixels::Display(photograph), warnings })
+                Ok(Input { path, pixels: Pixels::Display(Box::new(photograph)), warnings })
             }
             Err(Error::UnknownFormat { path, found }) => Err(Error::NotComparable { path, found }),
             Err(error) => Err(error),

@@ -87,7 +87,8 @@ impl Table {
 
     /// The code of a luminance; of no number, that of the least.
     fn code(&self, luminance: f32) -> f32 {
-        let luminance = luminance.max(LEAST).min(MOST);
+        // No number is not more than anything.
+        let luminance = if luminance > LEAST { luminance.min(MOST) } else { LEAST };
         let bits = luminance.to_bits();
         let line = (bits >> (23 - FINE)) - Table::first();
         let between = (bits & ((1 << (23 - FINE)) - 1)) as f32 / (1u32 << (23 - FINE)) as f32;
