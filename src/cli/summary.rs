@@ -55,11 +55,11 @@ fn times(report: &Report) -> String {
 /// The six lines: what was merged, how it was aligned, what is missing, the range, the files, the time.
 fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
     let merged = if report.radiance.is_some() { "merged" } else { "read" };
-    let doubts = doubts(report);
+    let doubts = doubts(report, terminal.room(LABEL));
     let left_out = if doubts.is_empty() {
         terminal.good("nothing left out, nothing doubtful")
     } else {
-        terminal.doubtful(&shortened(&doubts, terminal.room(LABEL)))
+        terminal.doubtful(&doubts)
     };
     let row = |label: &str, text: &str| {
         let label = terminal.strong(&format!("{label:LABEL$}"));
@@ -68,7 +68,7 @@ fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
     [
         row(merged, &size(report)),
         row("aligned", &aligned(report)),
-        format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "left out"))),
+        format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts"))),
         row("range", &range(report)),
         row("files", &files(&report.outputs, terminal.room(LABEL))),
         row("time", &duration(report.time_s.total)),
@@ -109,28 +109,25 @@ fn aligned(report: &Report) -> String {
     if words.is_empty() { "nothing to the reference".into() } else { words.join("; ") }
 }
 
-/// What is missing or guessed; empty where nothing is.
-fn doubts(report: &Report) -> String {
-    let names = |frames: &[&FrameReport]| {
-        let some: Vec<&str> = frames.iter().take(3).map(|f| name(&f.path)).collect();
-        let more = if frames.len() > 3 { format!(" and {} more", frames.len() - 3) } else { String::new() };
-        format!("{}{more}", some.join(", "))
-    };
+/// What is missing or guessed, in `room` columns; empty where nothing is.
+fn doubts(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
     let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
-    let mut words = Vec::new();
-    if !rejected.is_empty() {
-        words.push(format!("{} ({})", rejected.len(), names(&rejected)));
-    }
-    if !doubtful.is_empty() {
-        words.push(format!("{} doubtful ({})", doubtful.len(), names(&doubtful)));
-    }
-    let degrading = report.warnings.iter().filter(|w| w.degrades).count();
-    if degrading > rejected.len() + doubtful.len() {
-        words.push("exposures or response are guessed, see the warnings".into());
-    }
-    words.join("; ")
+    let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > rejected.len() + doubtful.len();
+    let told = |most: usize| {
+        let some = |label: &str, frames: &[&FrameReport]| {
+            let names: Vec<&str> = frames.iter().take(most).map(|f| name(&f.path)).collect();
+            let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
+            (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
+        };
+        let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
+        let parts = [some(" left out", &rejected), some(" doubtful", &doubtful), guessed];
+        parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
+    };
+    // By name as far as there is room.
+    let full = [8, 1].map(told).into_iter().find(|words| words.chars().count() <= room);
+    full.unwrap_or_else(|| shortened(&told(0), room))
 }
 
 /// What the exposures span, and what the result holds.
@@ -151,21 +148,27 @@ fn range(report: &Report) -> String {
     words.join(", ")
 }
 
-/// The files, by name where they do not fit; the folder is said once.
+/// The files; where they do not fit, a name that several share is said once, and so is the folder.
 fn files(outputs: &[String], room: usize) -> String {
     let Some(first) = outputs.first() else { return "none written".into() };
     let whole = outputs.join(", ");
-    if whole.len() <= room {
+    if whole.chars().count() <= room {
         return whole;
     }
     let folder = |path: &str| Path::new(path).parent().map(Path::to_path_buf).unwrap_or_default();
     let is_in_one = outputs.iter().all(|path| folder(path) == folder(first));
-    let mut names = outputs.iter().map(|path| name(path)).collect::<Vec<_>>().join(", ");
-    if names.len() > room {
+    let mut names = name(first).to_owned();
+    for pair in outputs.windows(2) {
+        let [before, path] = [&pair[0], &pair[1]].map(|path| Path::new(name(path)));
+        let extension = path.extension().filter(|_| before.file_stem() == path.file_stem());
+        let short = extension.map(|e| format!(".{}", e.to_string_lossy()));
+        names += &format!(", {}", short.unwrap_or_else(|| path.to_string_lossy().into_owned()));
+    }
+    if names.chars().count() > room {
         names = format!("{} files, {}", outputs.len(), name(first));
     }
     let place = folder(first).to_string_lossy().into_owned();
-    let left = room.saturating_sub(names.len() + 4);
+    let left = room.saturating_sub(names.chars().count() + 4);
     if is_in_one && !place.is_empty() && left >= 12 { format!("{names} in {}", shortened(&place, left)) } else { names }
 }
 
@@ -239,6 +242,7 @@ mod tests {
                     report.transforms_from = Some(format!("{long}transforms.json"));
                 }
                 3 => {
+                    report.frames[0].path = "deep/window_2.jpg".into();
                     report.frames[2].alignment.status = Status::Aligned;
                     report.frames[2].alignment.confidence = 0.2;
                     report.frames[2].alignment.shift_px = Some([-3.0, 4.0]);
@@ -256,16 +260,19 @@ mod tests {
         }
         assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels (1 megapixels)");
         assert_eq!(seen[0][1], "aligned    2 as they lay");
-        assert_eq!(seen[0][2], "left out   nothing left out, nothing doubtful");
+        assert_eq!(seen[0][2], "doubts     nothing left out, nothing doubtful");
         assert!(
             seen[0][3].starts_with("range      exposures ") && seen[0][3].ends_with(" stops apart"),
             "{}",
             seen[0][3]
         );
         assert_eq!([&seen[0][4], &seen[1][4]], ["files      none written", "files      room.exr, room.png"]);
-        assert!(seen[2][0].contains("2 of 3") && seen[2][2].starts_with("left out   1 (IMG_IMG_"), "{:?}", seen[2]);
-        assert!(seen[2][4].contains("3 files, IMG_0001-IMG_0003.exr in /home"), "{}", seen[2][4]);
-        assert!(seen[3][1].contains("1 moved by up to 5.0 px") && seen[3][2].contains("1 doubtful (window_4.jpg)"));
+        assert!(seen[2][0].contains("2 of 3") && seen[2][2] == "doubts     1 left out", "{:?}", seen[2]);
+        assert!(seen[2][4].contains("IMG_0001-IMG_0003.exr, .png, .hdr in /home"), "{}", seen[2][4]);
+        assert!(
+            seen[3][1].contains("1 moved by up to 5.0 px")
+                && seen[3][2].ends_with("1 left out: window_2.jpg; 1 doubtful: window_4.jpg")
+        );
         assert_eq!(seen[3][5], "time       3 min 20 s");
     }
 }

@@ -56,7 +56,7 @@ fn six_lines_sum_up_and_a_file_gets_no_control_characters() {
     let run = folder.line("merge w2.jpg w3.jpg w4.jpg --align none -o a.exr -o a.png").done();
     let lines: Vec<&str> = run.stderr.lines().collect();
     let labels: Vec<&str> = lines.iter().rev().take(6).rev().map(|l| &l[..11]).collect();
-    assert_eq!(labels, ["merged     ", "aligned    ", "left out   ", "range      ", "files      ", "time       "]);
+    assert_eq!(labels, ["merged     ", "aligned    ", "doubts     ", "range      ", "files      ", "time       "]);
     assert!(
         run.stderr.contains("3 photographs, 300 x 200 pixels") && run.stderr.contains("a.exr, a.png"),
         "{}",
