@@ -50,6 +50,33 @@ pub enum Error {
         /// What the first bytes look like, in words.
         found: &'static str,
     },
+    /// A file that should be compared is of none of the formats that are read.
+    #[error(
+        "{}: cannot be compared ({found}); give an .exr, .hdr or .tif of radiance, or a .png, .jpg or .tif picture",
+        path.display()
+    )]
+    NotComparable {
+        /// The file.
+        path: PathBuf,
+        /// What the first bytes look like, in words.
+        found: String,
+    },
+    /// A radiance map and a display picture were to be compared.
+    #[error(
+        "{}: holds {kind}, and {} holds {other_kind}; compare radiance with radiance, or pictures with pictures (`hdralign tonemap` makes one)",
+        path.display(),
+        other.display()
+    )]
+    KindsDiffer {
+        /// The file expected.
+        path: PathBuf,
+        /// What it holds, in words.
+        kind: &'static str,
+        /// The file there is.
+        other: PathBuf,
+        /// What it holds, in words.
+        other_kind: &'static str,
+    },
     /// A bracket needs at least two frames.
     #[error("a bracket needs at least two photographs, {given} given; name them all")]
     TooFewFrames {
@@ -165,7 +192,11 @@ impl Error {
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
-            Error::TooFewFrames { .. } | Error::SameFile { .. } | Error::Option { .. } | Error::UnknownExtension { .. }
+            Error::TooFewFrames { .. }
+                | Error::SameFile { .. }
+                | Error::Option { .. }
+                | Error::UnknownExtension { .. }
+                | Error::KindsDiffer { .. }
         )
     }
 }

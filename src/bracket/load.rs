@@ -208,13 +208,7 @@ struct Picture {
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
     fn read(path: &Path, max_pixels: u64, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let unreadable = |source| Error::Read { path: path.into(), source };
-        if path.is_dir() {
-            let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
-            return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
-        }
-        let bytes = std::fs::read(path).map_err(unreadable)?;
-        let Decoded { width, height, samples, exif, icc, mut notes } = decode::decode(path, bytes, max_pixels)?;
+        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, max_pixels)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(capture::read).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
@@ -240,8 +234,19 @@ impl Picture {
     }
 }
 
+/// The file `path`, decoded.
+pub(super) fn decoded(path: &Path, max_pixels: u64) -> Result<Decoded> {
+    let unreadable = |source| Error::Read { path: path.into(), source };
+    if path.is_dir() {
+        let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
+        return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
+    }
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    decode::decode(path, bytes, max_pixels)
+}
+
 /// The profile that a file carries, or that its EXIF means.
-fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -> Option<Profile> {
+pub(super) fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -> Option<Profile> {
     let Some(icc) = icc else {
         // DCF 2.0: "uncalibrated" with the interoperability index R03 is Adobe RGB.
         let exif = exif?;

@@ -12,10 +12,12 @@ pub mod exposure;
 mod grey;
 mod load;
 mod nominal;
+mod photograph;
 mod reference;
 mod window;
 
 pub use load::{LoadOptions, load, load_with_progress};
+pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub use window::{Codes, Window};
 

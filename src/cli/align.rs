@@ -1,7 +1,7 @@
 //! `hdralign align`.
 
 use super::input::Common;
-use super::progress::Bar;
+use super::progress::{Bar, Plan};
 use hdralign::error::Error;
 use hdralign::pipeline::{self, Options};
 use std::path::PathBuf;
@@ -25,7 +25,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
+    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.quiet);
     let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
     let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();

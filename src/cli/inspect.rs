@@ -1,7 +1,9 @@
 //! `hdralign inspect`.
 
 use super::input::Aligned;
-use super::progress::Bar;
+use super::progress::{Bar, Plan};
+use super::summary;
+use super::terminal::Terminal;
 use hdralign::error::Error;
 use hdralign::pipeline;
 use std::path::PathBuf;
@@ -38,14 +40,12 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let Aligned { images, quiet, strict, .. } = &args.aligned;
     let folder = args.folder.clone().unwrap_or_else(|| pipeline::default_folder(images));
-    let bar = Bar::new(images.len(), *quiet);
+    let mut bar = Bar::new(Plan::inspect(images), *quiet);
     let tables = pipeline::inspect(images, &args.aligned.options(), &folder, &|p| bar.show(p));
     bar.clear();
     let tables = tables?;
     if !quiet {
-        for warning in &tables.warnings {
-            eprintln!("warning: {}", warning.message);
-        }
+        summary::warn(&tables.warnings, &Terminal::of_stderr());
         eprint!("{}", tables.to_text());
     }
     let paths = || tables.outputs.iter().map(|path| format!("{path}\n")).collect();

@@ -1,7 +1,7 @@
 //! `hdralign merge`.
 
 use super::input::Common;
-use super::progress::Bar;
+use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
 use super::recovery::Recovery;
 use super::tone::Tone;
@@ -158,7 +158,7 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let bar = Bar::new(args.common.aligned.images.len(), args.common.aligned.quiet);
+    let mut bar = Bar::new(Plan::merge(&args.common.aligned.images, args.deghost.is_some()), args.common.aligned.quiet);
     let report = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
     bar.clear();
     super::finish(&report?, &args.common)

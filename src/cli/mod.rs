@@ -3,8 +3,11 @@
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
 mod align;
+mod compare;
+mod completions;
 mod input;
 mod inspect;
+mod man;
 mod memory;
 mod merge;
 mod progress;
@@ -12,6 +15,7 @@ mod radiance;
 mod recovery;
 mod response;
 mod summary;
+mod terminal;
 mod tone;
 mod tonemap;
 
@@ -21,6 +25,7 @@ use hdralign::report::Report;
 use input::Common;
 use std::io::Write;
 use std::process::ExitCode;
+use terminal::Terminal;
 
 /// Aligns a bracket of exposures, recovers the camera's response, merges to linear radiance, and tone-maps.
 #[derive(Debug, Parser)]
@@ -42,6 +47,12 @@ enum Command {
     Inspect(inspect::Args),
     /// Tone-map a radiance map again, without merging again
     Tonemap(tonemap::Args),
+    /// Are two radiance maps, or two pictures, the same within a tolerance? The exit code says
+    Compare(compare::Args),
+    /// Print what a shell needs to complete commands and options
+    Completions(completions::Args),
+    /// Print the man page, or write those of all commands
+    Man(man::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -50,6 +61,7 @@ Exit codes:
   1  failed, nothing written
   2  wrong usage
   3  with --strict: written, but a frame was left out or doubtful, or an exposure or the response guessed
+  compare: 0 the same, 1 they differ, 2 trouble
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
@@ -57,7 +69,8 @@ Examples:
   hdralign align *.jpg --save-aligned aligned_
   hdralign response *.jpg -o camera.json --plot camera.svg
   hdralign inspect *.jpg -d look
-  hdralign tonemap room.exr -o room.png";
+  hdralign tonemap room.exr -o room.png
+  hdralign compare golden/room.exr room.exr";
 
 impl Command {
     /// As it is typed.
@@ -68,6 +81,9 @@ impl Command {
             Command::Response(_) => "response",
             Command::Inspect(_) => "inspect",
             Command::Tonemap(_) => "tonemap",
+            Command::Compare(_) => "compare",
+            Command::Completions(_) => "completions",
+            Command::Man(_) => "man",
         }
     }
 }
@@ -82,6 +98,9 @@ pub fn run() -> ExitCode {
         Command::Response(args) => response::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Tonemap(args) => tonemap::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => man::run(&args),
     };
     match outcome {
         Ok(code) => code,
@@ -91,8 +110,12 @@ pub fn run() -> ExitCode {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
             };
-            eprintln!("hdralign: {error}{example}");
-            ExitCode::from(if error.is_usage() { 2 } else { 1 })
+            let words = format!("{error}{example}");
+            for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
+                eprintln!("{}{line}", if i == 0 { "hdralign: " } else { "          " });
+            }
+            // 1 is the answer of `compare` that files differ: trouble is something else.
+            ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
     }
 }

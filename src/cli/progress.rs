@@ -1,52 +1,343 @@
 //! The progress bar: on a terminal only, and on stderr.
+//!
+//! In: what the photographs are, and the stages as they begin. Out: a bar, the stage, and the time left. The stages say when they begin,
+//! and not how far they are; so what each takes is estimated from the number of photographs and their size, by the machine's speed as the
+//! stages before have shown it, and a thread moves the bar five times a second. The share done never goes back.
 
+use super::terminal::Terminal;
 use hdralign::pipeline::{Progress, Stage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
-/// A bar over the frames to decode and the stages that follow.
-pub struct Bar {
-    bar: ProgressBar,
-    frames: u64,
+/// Steps of the bar.
+const STEPS: u64 = 1000;
+/// Between two looks at the clock.
+const TICK: Duration = Duration::from_millis(200);
+/// Where the size of a photograph cannot be told before it is read, in megapixels.
+const USUAL_MEGAPIXELS: f64 = 12.0;
+
+/// A stage, and what it takes on two cores, in seconds.
+type Planned = (Stage, f64);
+
+/// The stages of a command and what they take, as far as that is known before.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    frames: usize,
+    stages: Vec<Planned>,
 }
 
-/// Stages after loading.
-const STAGES: u64 = 5;
+impl Plan {
+    /// For `merge`; seeking what moved takes longer.
+    pub fn merge(images: &[PathBuf], seeks_ghosts: bool) -> Plan {
+        let (frames, megapixels) = size(images);
+        let all = frames * megapixels;
+        let plan = Plan::align(images);
+        let merging = if seeks_ghosts { 0.1 } else { 0.035 };
+        let more = [
+            (Stage::Response, 0.07),
+            (Stage::Merge, merging * all),
+            (Stage::Tonemap, 0.03 * megapixels),
+            (Stage::Write, 0.05 + 0.04 * megapixels),
+        ];
+        Plan { stages: plan.stages.into_iter().chain(more).collect(), ..plan }
+    }
+
+    /// For `align`.
+    pub fn align(images: &[PathBuf]) -> Plan {
+        let (frames, megapixels) = size(images);
+        let all = frames * megapixels;
+        let stages = vec![(Stage::Load, 0.01 * all), (Stage::Align, 0.08 * frames + 0.012 * all)];
+        Plan { frames: images.len(), stages }
+    }
+
+    /// For `inspect`.
+    pub fn inspect(images: &[PathBuf]) -> Plan {
+        let mut plan = Plan::align(images);
+        plan.stages.push((Stage::Inspect, 0.8 * images.len() as f64));
+        plan
+    }
+
+    /// For `tonemap`: a radiance map has about four bytes a pixel.
+    pub fn tonemap(input: &Path) -> Plan {
+        let bytes = std::fs::metadata(input).map_or(4e6 * USUAL_MEGAPIXELS, |m| m.len() as f64);
+        let megapixels = bytes / 4e6;
+        let stages = [(Stage::Load, 0.03), (Stage::Tonemap, 0.03), (Stage::Write, 0.04)];
+        Plan { frames: 0, stages: stages.map(|(stage, each)| (stage, each * megapixels)).to_vec() }
+    }
+
+    /// For `response`, where nobody knows how many brackets there are: no time left is told.
+    pub fn unknown() -> Plan {
+        Plan { frames: 0, stages: Vec::new() }
+    }
+}
+
+/// How many photographs there are, and how large they are, in megapixels, as the first one says.
+fn size(images: &[PathBuf]) -> (f64, f64) {
+    let reader = images.first().and_then(|path| image::ImageReader::open(path).ok()?.with_guessed_format().ok());
+    let sides = reader.and_then(|reader| reader.into_dimensions().ok());
+    let megapixels = sides.map_or(USUAL_MEGAPIXELS, |(w, h)| f64::from(w) * f64::from(h) / 1e6);
+    (images.len() as f64, megapixels)
+}
+
+/// What is done, and what is left.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Estimate {
+    /// 0 to 1.
+    done: f64,
+    /// In seconds; none where nothing is known of the machine's speed yet.
+    left_s: Option<f64>,
+}
+
+/// How far a run is, by its clock.
+#[derive(Debug, Clone)]
+struct Course {
+    plan: Plan,
+    /// The stage that is going on, and its place in the plan.
+    stage: Option<(Stage, Option<usize>)>,
+    /// Seconds that the stages before it took, and that they were planned to take.
+    spent: f64,
+    planned: f64,
+    /// When the stage began, in seconds of the run.
+    began: f64,
+    decoded: usize,
+    /// The most that was shown.
+    shown: f64,
+}
+
+impl Course {
+    fn new(plan: Plan) -> Course {
+        Course { plan, stage: None, spent: 0.0, planned: 0.0, began: 0.0, decoded: 0, shown: 0.0 }
+    }
+
+    /// A stage begins, `now` seconds after the run did.
+    fn begins(&mut self, stage: Stage, now: f64) {
+        if self.stage.is_some_and(|(current, _)| current == stage) {
+            return;
+        }
+        let place = self.plan.stages.iter().position(|(planned, _)| *planned == stage);
+        let first = self.stage.and_then(|(_, place)| place).unwrap_or(0);
+        // What lies between was not needed, and says nothing of the speed.
+        if place.is_some_and(|place| place > first) {
+            self.spent += now - self.began;
+            self.planned += self.plan.stages[first].1;
+        }
+        (self.stage, self.began) = (Some((stage, place)), now);
+    }
+
+    /// Seconds of this machine in a planned one; none while nothing was measured.
+    fn speed(&self, in_stage: f64) -> Option<f64> {
+        let loads = matches!(self.stage, Some((Stage::Load, _)));
+        if loads && self.decoded > 0 && self.plan.frames > 0 {
+            let share = self.decoded as f64 / self.plan.frames as f64;
+            return Some(in_stage / (share * self.plan.stages[0].1));
+        }
+        (self.planned > 0.0).then(|| self.spent / self.planned)
+    }
+
+    /// How far it is, `now` seconds after it began.
+    fn estimate(&mut self, now: f64) -> Estimate {
+        let Some((_, Some(place))) = self.stage else { return Estimate { done: self.shown, left_s: None } };
+        let in_stage = now - self.began;
+        let Some(speed) = self.speed(in_stage) else { return Estimate { done: self.shown, left_s: None } };
+        let speed = speed.clamp(0.02, 50.0);
+        let expected = speed * self.plan.stages[place].1;
+        // A stage that takes longer than expected takes a little longer still.
+        let rest = (expected - in_stage).max(0.15 * in_stage);
+        let later: f64 = self.plan.stages[place + 1..].iter().map(|(_, planned)| speed * planned).sum();
+        let left = rest + later;
+        self.shown = self.shown.max(now / (now + left).max(1e-9)).min(0.99);
+        Estimate { done: self.shown, left_s: Some(left) }
+    }
+
+    /// What is going on, and which of how many stages that is.
+    fn words(&self) -> String {
+        let Some((stage, place)) = self.stage else { return String::new() };
+        let doing = match stage {
+            Stage::Load if self.decoded > 0 => {
+                format!("reading {}/{}", self.decoded, self.plan.frames.max(self.decoded))
+            }
+            Stage::Load => "reading".into(),
+            Stage::Align => "aligning".into(),
+            Stage::Response => "response".into(),
+            Stage::Merge => "merging".into(),
+            Stage::Tonemap => "tone mapping".into(),
+            Stage::Inspect => "drawing".into(),
+            Stage::Write => "writing".into(),
+        };
+        match place {
+            Some(place) => format!("{}/{} {doing}", place + 1, self.plan.stages.len()),
+            None => doing,
+        }
+    }
+}
+
+/// Time left, in words; rounded the more the longer it is, as it is known.
+fn left(estimate: &Estimate) -> String {
+    match estimate.left_s {
+        None => String::new(),
+        Some(s) if s < 1.0 => "nearly done".into(),
+        Some(s) if s < 10.0 => format!("{s:.0} s left"),
+        Some(s) if s < 90.0 => format!("{:.0} s left", (s / 5.0).round() * 5.0),
+        Some(s) => format!("{:.0} min left", s / 60.0),
+    }
+}
+
+/// What the thread that moves the bar and the stages share.
+struct Shared {
+    course: Mutex<Course>,
+    is_over: Mutex<bool>,
+    wake: Condvar,
+}
+
+/// A bar over the stages.
+pub struct Bar {
+    bar: ProgressBar,
+    began: Instant,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What is behind a lock is whole even where a thread died: it only draws.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 impl Bar {
-    /// A bar for `frames` frames; nothing is shown when `quiet`, or when stderr is no terminal.
-    pub fn new(frames: usize, quiet: bool) -> Self {
-        let frames = frames as u64;
-        let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        let bar = ProgressBar::with_draw_target(Some(frames + STAGES), target);
-        if let Ok(style) = ProgressStyle::with_template("{msg:12} [{bar:30}] {elapsed}") {
+    /// A bar for `plan`; nothing is shown when `quiet`, when stderr is no terminal, or one that cannot redraw.
+    pub fn new(plan: Plan, quiet: bool) -> Self {
+        let terminal = Terminal::of_stderr();
+        let is_shown = terminal.can_redraw && !quiet;
+        let target = if is_shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(Some(STEPS), target);
+        // 79 columns: 18 + 2 + the bar + 2 + 5 + 2 + 13.
+        let room = terminal.width.min(79).saturating_sub(44).clamp(8, 35);
+        if let Ok(style) =
+            ProgressStyle::with_template(&format!("{{msg:18!}} [{{bar:{room}}}] {{percent:>3}} %  {{prefix}}"))
+        {
             bar.set_style(style.progress_chars("=> "));
         }
-        Bar { bar, frames }
+        let course = Mutex::new(Course::new(plan));
+        let shared = Arc::new(Shared { course, is_over: Mutex::new(false), wake: Condvar::new() });
+        let mut bar = Bar { bar, began: Instant::now(), shared, thread: None };
+        if !bar.bar.is_hidden() {
+            bar.thread = bar.ticker();
+        }
+        bar
+    }
+
+    /// The thread that moves the bar; without one it moves when a stage begins.
+    fn ticker(&self) -> Option<JoinHandle<()>> {
+        let (bar, began, shared) = (self.bar.clone(), self.began, Arc::clone(&self.shared));
+        let tick = move || {
+            let mut is_over = locked(&shared.is_over);
+            while !*is_over {
+                draw(&bar, &mut locked(&shared.course), began);
+                is_over = shared.wake.wait_timeout(is_over, TICK).unwrap_or_else(PoisonError::into_inner).0;
+            }
+        };
+        std::thread::Builder::new().name("hdralign bar".into()).spawn(tick).ok()
     }
 
     /// Shows how far the work is.
     pub fn show(&self, progress: Progress) {
-        let (words, done) = match progress {
-            Progress::Begins(Stage::Load) => ("reading", 0),
-            Progress::Decoded(_) => {
-                self.bar.inc(1);
-                return;
-            }
-            Progress::Begins(Stage::Align) => ("aligning", 0),
-            Progress::Begins(Stage::Response) => ("response", 1),
-            Progress::Begins(Stage::Merge) => ("merging", 2),
-            Progress::Begins(Stage::Tonemap) => ("tone mapping", 3),
-            Progress::Begins(Stage::Inspect) => ("drawing", 1),
-            Progress::Begins(Stage::Write) => ("writing", 4),
-        };
-        self.bar.set_message(words);
-        if words != "reading" {
-            self.bar.set_position(self.frames + done);
+        let mut course = locked(&self.shared.course);
+        match progress {
+            Progress::Begins(stage) => course.begins(stage, self.began.elapsed().as_secs_f64()),
+            Progress::Decoded(frames) => course.decoded = course.decoded.max(frames),
         }
+        draw(&self.bar, &mut course, self.began);
     }
 
     /// Takes the bar off the screen.
-    pub fn clear(&self) {
+    pub fn clear(&mut self) {
+        *locked(&self.shared.is_over) = true;
+        self.shared.wake.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // It only draws; that it died is no loss.
+            let _ = thread.join();
+        }
         self.bar.finish_and_clear();
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
+fn draw(bar: &ProgressBar, course: &mut Course, began: Instant) {
+    let estimate = course.estimate(began.elapsed().as_secs_f64());
+    bar.set_message(course.words());
+    bar.set_prefix(left(&estimate));
+    bar.set_position((estimate.done * STEPS as f64) as u64);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan() -> Plan {
+        let stages = vec![(Stage::Load, 1.0), (Stage::Align, 2.0), (Stage::Merge, 4.0), (Stage::Write, 1.0)];
+        Plan { frames: 4, stages }
+    }
+
+    #[test]
+    fn a_machine_half_as_fast_is_known_as_soon_as_the_first_photograph_is_read() {
+        let mut course = Course::new(plan());
+        course.begins(Stage::Load, 0.0);
+        assert_eq!(course.estimate(0.2), Estimate { done: 0.0, left_s: None });
+        course.decoded = 1;
+        // A quarter of a planned second took half a second: 16 s in all, half a second gone.
+        let estimate = course.estimate(0.5);
+        assert!((estimate.left_s.unwrap() - 15.5).abs() < 1e-9 && (estimate.done - 0.5 / 16.0).abs() < 1e-9);
+        course.begins(Stage::Align, 2.0);
+        course.begins(Stage::Merge, 6.0);
+        let estimate = course.estimate(10.0);
+        assert!((estimate.left_s.unwrap() - 6.0).abs() < 1e-9 && (estimate.done - 10.0 / 16.0).abs() < 1e-9);
+        assert_eq!((course.words().as_str(), left(&estimate).as_str()), ("3/4 merging", "6 s left"));
+    }
+
+    #[test]
+    fn a_stage_that_takes_too_long_never_ends_by_itself_and_nothing_goes_back() {
+        let mut course = Course::new(plan());
+        course.begins(Stage::Load, 0.0);
+        course.begins(Stage::Align, 1.0);
+        let mut last = 0.0;
+        for i in 0..200 {
+            let estimate = course.estimate(1.0 + f64::from(i));
+            assert!(estimate.done >= last && estimate.done < 1.0 && estimate.left_s.unwrap() > 5.0);
+            last = estimate.done;
+        }
+        // The stage after it is planned by the speed that this one showed.
+        course.begins(Stage::Merge, 201.0);
+        assert!(course.estimate(201.0).left_s.unwrap() > 200.0);
+        assert!(course.estimate(201.0).done >= last);
+    }
+
+    #[test]
+    fn stages_may_be_left_out_or_unknown() {
+        let mut course = Course::new(plan());
+        course.begins(Stage::Load, 0.0);
+        course.begins(Stage::Write, 1.0);
+        course.begins(Stage::Write, 1.5);
+        assert!((course.estimate(1.5).left_s.unwrap() - 0.5).abs() < 1e-9);
+        course.begins(Stage::Tonemap, 2.0);
+        assert_eq!((course.estimate(2.0).left_s, course.words().as_str()), (None, "tone mapping"));
+        let mut course = Course::new(Plan::unknown());
+        for stage in [Stage::Load, Stage::Align, Stage::Load, Stage::Response] {
+            course.begins(stage, 1.0);
+            assert_eq!(course.estimate(2.0), Estimate { done: 0.0, left_s: None });
+        }
+    }
+
+    #[test]
+    fn time_left_is_no_more_exact_than_it_is_known() {
+        let words = |s| left(&Estimate { done: 0.0, left_s: Some(s) });
+        assert_eq!([0.3, 4.4, 33.0, 200.0].map(words), ["nearly done", "4 s left", "35 s left", "3 min left"]);
+        assert_eq!(left(&Estimate { done: 0.0, left_s: None }), "");
     }
 }

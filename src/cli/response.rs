@@ -1,8 +1,10 @@
 //! `hdralign response`.
 
 use super::input::Aligned;
-use super::progress::Bar;
+use super::progress::{Bar, Plan};
 use super::recovery::Recovery;
+use super::summary;
+use super::terminal::Terminal;
 use hdralign::error::Error;
 use hdralign::pipeline;
 use hdralign::pipeline::camera::{self, CameraReport};
@@ -55,7 +57,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         curves: args.output.clone(),
         plots: args.plot.clone(),
     };
-    let bar = Bar::new(images.len(), *quiet);
+    let mut bar = Bar::new(Plan::unknown(), *quiet);
     let report = camera::run(images, &options, &|p| bar.show(p));
     bar.clear();
     let report = report?;
@@ -69,9 +71,8 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
 
 /// Warnings, and how well the curve is known, on stderr.
 fn summarise(report: &CameraReport) {
-    for warning in &report.warnings {
-        eprintln!("warning: {}", warning.message);
-    }
+    let terminal = Terminal::of_stderr();
+    summary::warn(&report.warnings, &terminal);
     let frames: usize = report.brackets.iter().map(|b| b.frames.len()).sum();
     let brackets = report.brackets.len();
     let mut words = vec![report.response.model.to_owned(), format!("{frames} frames in {brackets} bracket(s)")];
@@ -82,5 +83,5 @@ fn summarise(report: &CameraReport) {
         }
     }
     words.push(format!("{:.2} s", report.time_s));
-    eprintln!("{}", words.join(", "));
+    terminal.wrapped(&words.join(", "), 0).iter().for_each(|line| eprintln!("{line}"));
 }

@@ -1,49 +1,193 @@
-//! What was done, in words for people, on stderr.
+//! What was done, in words for people, on stderr: six lines, and the warnings before them.
 
+use super::terminal::{Terminal, shortened};
 use hdralign::align::Status;
-use hdralign::report::{FrameReport, Report};
+use hdralign::report::{FrameReport, Report, WarningReport};
+use std::path::Path;
+
+/// Columns of the labels.
+const LABEL: usize = 11;
+/// Under this confidence a place is doubtful.
+const DOUBTFUL: f64 = 0.5;
 
 /// Prints the warnings and a summary of `report`; with `verbose`, a line for each frame and the time of each stage.
 pub fn print(report: &Report, verbose: bool) {
-    for warning in &report.warnings {
-        eprintln!("warning: {}", warning.message);
-    }
-    if let Some(path) = &report.transforms_from {
-        eprintln!("transforms taken from {path}");
-    }
+    let terminal = Terminal::of_stderr();
+    warn(&report.warnings, &terminal);
     if verbose {
         for frame in &report.frames {
-            eprintln!("{}", line(frame));
+            terminal.wrapped(&line(frame), 0).iter().for_each(|line| eprintln!("{line}"));
         }
-        let times = &report.time_s;
-        let stages = [
-            ("load", times.load),
-            ("align", times.align),
-            ("response", times.response),
-            ("merge", times.merge),
-            ("tonemap", times.tonemap),
-            ("write", times.write),
-        ];
-        let spent: Vec<String> = stages.iter().filter_map(|(n, t)| t.map(|t| format!("{n} {t:.2} s"))).collect();
-        eprintln!("{}", spent.join(", "));
+        terminal.wrapped(&times(report), 0).iter().for_each(|line| eprintln!("{line}"));
     }
-    let count = |status| report.frames.iter().filter(|f| f.alignment.status == status).count();
-    let (aligned, unmoved, rejected) = (count(Status::Aligned), count(Status::Unmoved), count(Status::Rejected));
-    let mut words = vec![format!("{} frames", report.frames.len())];
-    words.extend((aligned > 0).then(|| format!("{aligned} aligned")));
-    words.extend((unmoved > 0).then(|| format!("{unmoved} unmoved")));
-    words.extend((rejected > 0).then(|| format!("{rejected} left out")));
-    words.push(format!("{} x {} pixels", report.crop.width_px, report.crop.height_px));
-    if let Some(merged) = &report.radiance {
-        let scene = &merged.radiance;
-        words.push(format!("{:.1} stops", scene.dynamic_range_stops));
-        let calibrated = report.calibration.is_some();
-        words.extend(calibrated.then(|| format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9)));
-    }
-    words.push(format!("{:.2} s", report.time_s.total));
-    eprintln!("{}", words.join(", "));
+    lines(report, &terminal).iter().for_each(|line| eprintln!("{line}"));
 }
 
+/// Prints warnings, each in as many lines as the terminal needs.
+pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
+    for warning in warnings {
+        let label = "warning:";
+        for (i, line) in terminal.wrapped(&warning.message, label.len() + 1).iter().enumerate() {
+            if i == 0 {
+                eprintln!("{} {line}", terminal.doubtful(label));
+            } else {
+                eprintln!("{:1$} {line}", "", label.len());
+            }
+        }
+    }
+}
+
+/// The time of each stage.
+fn times(report: &Report) -> String {
+    let times = &report.time_s;
+    let stages = [
+        ("load", times.load),
+        ("align", times.align),
+        ("response", times.response),
+        ("merge", times.merge),
+        ("tonemap", times.tonemap),
+        ("write", times.write),
+    ];
+    let spent: Vec<String> = stages.iter().filter_map(|(n, t)| t.map(|t| format!("{n} {t:.2} s"))).collect();
+    spent.join(", ")
+}
+
+/// The six lines: what was merged, how it was aligned, what is missing, the range, the files, the time.
+fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
+    let merged = if report.radiance.is_some() { "merged" } else { "read" };
+    let doubts = doubts(report, terminal.room(LABEL));
+    let left_out = if doubts.is_empty() {
+        terminal.good("nothing left out, nothing doubtful")
+    } else {
+        terminal.doubtful(&doubts)
+    };
+    let row = |label: &str, text: &str| {
+        let label = terminal.strong(&format!("{label:LABEL$}"));
+        format!("{label}{}", shortened(text, terminal.room(LABEL)))
+    };
+    [
+        row(merged, &size(report)),
+        row("aligned", &aligned(report, terminal.room(LABEL))),
+        format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts"))),
+        row("range", &range(report)),
+        row("files", &files(&report.outputs, terminal.room(LABEL))),
+        row("time", &duration(report.time_s.total)),
+    ]
+}
+
+/// Photographs, and the size of what came of them.
+fn size(report: &Report) -> String {
+    let (width, height) = (report.crop.width_px, report.crop.height_px);
+    let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected).count();
+    let all = report.frames.len();
+    let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
+    let megapixels = (width * height) as f64 / 1e6;
+    let megapixels = if megapixels >= 0.95 { format!(" ({megapixels:.0} megapixels)") } else { String::new() };
+    format!("{count}, {width} x {height} pixels{megapixels}")
+}
+
+/// How far photographs moved, in `room` columns.
+fn aligned(report: &Report, room: usize) -> String {
+    let with = |status| report.frames.iter().filter(move |f| f.alignment.status == status);
+    let (moved, unmoved) = (with(Status::Aligned).count(), with(Status::Unmoved).count());
+    let largest =
+        |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
+    let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
+    let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
+    let error = largest(&|f| f.alignment.error_px);
+    let mut words = Vec::new();
+    if moved > 0 {
+        let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
+        words.push(format!("{moved} moved by up to {shift:.1} px{turn}, to within {error:.1} px"));
+    }
+    if unmoved > 0 {
+        words.push(format!("{unmoved} as {} lay", if unmoved == 1 { "it" } else { "they" }));
+    }
+    if let Some(path) = &report.transforms_from {
+        words.push(format!("places taken from {}", name(path)));
+    }
+    // What comes last is what matters least.
+    while words.len() > 1 && words.join("; ").chars().count() > room {
+        words.pop();
+    }
+    if words.is_empty() { "nothing to the reference".into() } else { words.join("; ") }
+}
+
+/// What is missing or guessed, in `room` columns; empty where nothing is.
+fn doubts(report: &Report, room: usize) -> String {
+    let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
+    let rejected = which(&|f| f.alignment.status == Status::Rejected);
+    let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
+    let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > rejected.len() + doubtful.len();
+    let told = |most: usize| {
+        let some = |label: &str, frames: &[&FrameReport]| {
+            let names: Vec<&str> = frames.iter().take(most).map(|f| name(&f.path)).collect();
+            let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
+            (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
+        };
+        let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
+        let parts = [some(" left out", &rejected), some(" doubtful", &doubtful), guessed];
+        parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
+    };
+    // By name as far as there is room.
+    let full = [8, 1].map(told).into_iter().find(|words| words.chars().count() <= room);
+    full.unwrap_or_else(|| shortened(&told(0), room))
+}
+
+/// What the exposures span, and what the result holds.
+fn range(report: &Report) -> String {
+    let evs = || {
+        let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected);
+        merged.map(|f| f.relative_exposure.log2())
+    };
+    let span = evs().fold(f64::NEG_INFINITY, f64::max) - evs().fold(f64::INFINITY, f64::min);
+    let mut words = vec![format!("exposures {:.1} stops apart", span.max(0.0))];
+    if let Some(merged) = &report.radiance {
+        let scene = &merged.radiance;
+        words.push(format!("the result holds {:.1} stops", scene.dynamic_range_stops));
+        if report.calibration.is_some() {
+            words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
+        }
+    }
+    words.join(", ")
+}
+
+/// The files; where they do not fit, a name that several share is said once, and so is the folder.
+fn files(outputs: &[String], room: usize) -> String {
+    let Some(first) = outputs.first() else { return "none written".into() };
+    let whole = outputs.join(", ");
+    if whole.chars().count() <= room {
+        return whole;
+    }
+    let folder = |path: &str| Path::new(path).parent().map(Path::to_path_buf).unwrap_or_default();
+    let is_in_one = outputs.iter().all(|path| folder(path) == folder(first));
+    let mut names = name(first).to_owned();
+    for pair in outputs.windows(2) {
+        let [before, path] = [&pair[0], &pair[1]].map(|path| Path::new(name(path)));
+        let extension = path.extension().filter(|_| before.file_stem() == path.file_stem());
+        let short = extension.map(|e| format!(".{}", e.to_string_lossy()));
+        names += &format!(", {}", short.unwrap_or_else(|| path.to_string_lossy().into_owned()));
+    }
+    if names.chars().count() > room {
+        names = format!("{} files, {}", outputs.len(), name(first));
+    }
+    let place = folder(first).to_string_lossy().into_owned();
+    let left = room.saturating_sub(names.chars().count() + 4);
+    if is_in_one && !place.is_empty() && left >= 12 { format!("{names} in {}", shortened(&place, left)) } else { names }
+}
+
+/// The last part of a path.
+fn name(path: &str) -> &str {
+    Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
+}
+
+fn duration(seconds: f64) -> String {
+    if seconds < 90.0 {
+        format!("{seconds:.1} s")
+    } else {
+        format!("{} min {:02} s", (seconds / 60.0) as u64, (seconds % 60.0) as u64)
+    }
+}
 /// One frame on a line.
 fn line(frame: &FrameReport) -> String {
     let place = &frame.alignment;
@@ -69,4 +213,69 @@ fn line(frame: &FrameReport) -> String {
         text += &format!(", confidence {:.2}", place.confidence);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hdralign::align::{AlignMode, AlignOptions};
+    use hdralign::pipeline::{self, Options};
+    use std::path::PathBuf;
+
+    /// The report of a real bracket.
+    fn report() -> Report {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
+        let images: Vec<PathBuf> = [2, 3, 4].iter().map(|i| format!("{folder}/window_{i}.jpg").into()).collect();
+        let align = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
+        pipeline::align_only(&images, &Options { align, ..Options::default() }, &|_| ()).unwrap()
+    }
+
+    #[test]
+    fn there_are_six_lines_whatever_happened_and_none_is_wider_than_the_terminal() {
+        let mut report = report();
+        let long = format!("/home/someone/{}", "photographs/".repeat(12));
+        let mut seen = Vec::new();
+        for case in 0..4 {
+            match case {
+                1 => report.outputs = vec!["room.exr".into(), "room.png".into()],
+                2 => {
+                    report.outputs =
+                        ["exr", "png", "hdr"].iter().map(|e| format!("{long}IMG_0001-IMG_0003.{e}")).collect();
+                    report.frames[0].alignment.status = Status::Rejected;
+                    report.frames[0].path = format!("{long}{}.jpg", "IMG_".repeat(30));
+                    report.transforms_from = Some(format!("{long}transforms.json"));
+                }
+                3 => {
+                    report.frames[0].path = "deep/dark.jpg".into();
+                    report.frames[2].path = "deep/bright.jpg".into();
+                    report.frames[2].alignment.status = Status::Aligned;
+                    report.frames[2].alignment.confidence = 0.2;
+                    report.frames[2].alignment.shift_px = Some([-3.0, 4.0]);
+                    report.time_s.total = 200.0;
+                }
+                _ => {}
+            }
+            for width in [60, 80, 200] {
+                let lines = lines(&report, &Terminal::plain(width));
+                assert!(lines.iter().all(|line| line.chars().count() < width), "{lines:#?}");
+                if width == 80 {
+                    seen.push(lines);
+                }
+            }
+        }
+        assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels (1 megapixels)");
+        assert_eq!(seen[0][1], "aligned    2 as they lay");
+        assert_eq!(seen[0][2], "doubts     nothing left out, nothing doubtful");
+        assert!(
+            seen[0][3].starts_with("range      exposures ") && seen[0][3].ends_with(" stops apart"),
+            "{}",
+            seen[0][3]
+        );
+        assert_eq!([&seen[0][4], &seen[1][4]], ["files      none written", "files      room.exr, room.png"]);
+        assert!(seen[2][0].contains("2 of 3") && seen[2][2] == "doubts     1 left out", "{:?}", seen[2]);
+        assert!(seen[2][4].contains("IMG_0001-IMG_0003.exr, .png, .hdr in /home"), "{}", seen[2][4]);
+        assert!(seen[3][1].contains("1 moved by up to 5.0 px"), "{}", seen[3][1]);
+        assert_eq!(seen[3][2], "doubts     1 left out: dark.jpg; 1 doubtful: bright.jpg");
+        assert_eq!(seen[3][5], "time       3 min 20 s");
+    }
 }

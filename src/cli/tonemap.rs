@@ -1,7 +1,9 @@
 //! `hdralign tonemap`.
 
-use super::progress::Bar;
+use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
+use super::summary;
+use super::terminal::Terminal;
 use super::tone::Tone;
 use hdralign::error::Error;
 use hdralign::pipeline::{self, TonemapOptions};
@@ -65,14 +67,12 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         write: args.radiance.write(args.force),
         threads: args.threads,
     };
-    let bar = Bar::new(0, args.quiet);
+    let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);
     let report = pipeline::tonemap_file(&args.input, &options, &|p| bar.show(p));
     bar.clear();
     let report = report?;
     if !args.quiet {
-        for warning in &report.warnings {
-            eprintln!("warning: {}", warning.message);
-        }
+        summary::warn(&report.warnings, &Terminal::of_stderr());
         let stops = report.radiance.dynamic_range_stops;
         let (width, height, time) = (report.width_px, report.height_px, report.time_s.total);
         eprintln!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s");

@@ -27,7 +27,7 @@ pub(super) fn unit(size: f64) -> f64 {
 }
 
 /// Width of `text` at `size` pixels, in pixels.
-pub(super) fn width(text: &str, size: f64) -> f64 {
+pub(crate) fn width(text: &str, size: f64) -> f64 {
     text.chars().map(advance).sum::<f64>() * unit(size)
 }
 
@@ -61,7 +61,7 @@ pub(super) fn wrap(text: &str, size: f64, most: f64) -> Vec<String> {
 }
 
 /// `text`, its end replaced by dots where it is wider than `most` pixels.
-pub(super) fn shorten(text: &str, size: f64, most: f64) -> String {
+pub(crate) fn shorten(text: &str, size: f64, most: f64) -> String {
     if width(text, size) <= most {
         return text.to_owned();
     }

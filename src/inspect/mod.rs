@@ -10,7 +10,7 @@ pub mod drawing;
 mod edges;
 pub mod files;
 mod keypoints;
-mod lettering;
+pub(crate) mod lettering;
 mod matches;
 mod page;
 mod picture;

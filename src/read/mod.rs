@@ -47,6 +47,19 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
+/// Whether the file `path` is a radiance map, told by its content; a TIFF is one by its floats or its LogLuv.
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::Decode`] for a TIFF whose directory is damaged.
+pub fn holds_radiance(path: &Path) -> Result<bool> {
+    match Kind::of(path) {
+        Ok(Kind::Exr | Kind::Hdr) => Ok(true),
+        Ok(Kind::Tiff) => tiff::holds_radiance(path),
+        Err(Error::NotRadiance { .. }) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 /// The formats that are read.
 enum Kind {
     Exr,
@@ -222,6 +235,10 @@ mod tests {
             assert!(matches!(error, Error::Decode { .. } | Error::Read { .. }), "{error}");
         }
         assert!(matches!(read(dir.path()), Err(Error::Read { .. })));
+        std::fs::write(&path, b"\x89PNG\r\n\x1a\n").unwrap();
+        assert!(!holds_radiance(&path).unwrap());
+        std::fs::write(&path, b"#?RADIANCE\n").unwrap();
+        assert!(holds_radiance(&path).unwrap());
         assert!(matches!(read(&dir.path().join("gone.exr")), Err(Error::Read { .. })));
     }
 }

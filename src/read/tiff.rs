@@ -30,6 +30,22 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     parse(bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
 }
 
+/// Whether a TIFF holds floats or LogLuv; whole numbers are a picture.
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::Decode`] where its directory is damaged.
+pub fn holds_radiance(path: &Path) -> Result<bool> {
+    let mut bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    disguise_logluv(&mut bytes);
+    let look = || -> Parsed<bool> {
+        let mut decoder = Decoder::new(Cursor::new(bytes.as_slice())).map_err(said)?;
+        let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?;
+        let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(said)?.unwrap_or_default();
+        Ok(matches!(compression, Some(34676 | 34677)) || formats.first() == Some(&3))
+    };
+    look().map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
+}
+
 /// What the decoder says, and what to do about it.
 fn said(e: tiff::TiffError) -> String {
     format!("{e}; if it is cut short or damaged, copy it again")

@@ -3,6 +3,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod compare;
 mod ghosts;
 mod inspect;
 mod names;
@@ -10,6 +11,7 @@ mod places;
 mod refusals;
 mod report;
 mod response;
+mod shell;
 mod streams;
 mod tonemap;
 mod units;

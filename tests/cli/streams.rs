@@ -51,6 +51,31 @@ fn no_bar_is_drawn_where_stderr_is_no_terminal() {
 }
 
 #[test]
+fn six_lines_sum_up_and_a_file_gets_no_control_characters() {
+    let folder = Folder::with_bracket();
+    let run = folder.line("merge w2.jpg w3.jpg w4.jpg --align none -o a.exr -o a.png").done();
+    let lines: Vec<&str> = run.stderr.lines().collect();
+    let labels: Vec<&str> = lines.iter().rev().take(6).rev().map(|l| &l[..11]).collect();
+    assert_eq!(labels, ["merged     ", "aligned    ", "doubts     ", "range      ", "files      ", "time       "]);
+    assert!(
+        run.stderr.contains("3 photographs, 300 x 200 pixels") && run.stderr.contains("a.exr, a.png"),
+        "{}",
+        run.stderr
+    );
+    assert!(run.stderr.contains("the result holds "), "{}", run.stderr);
+    // A warning, a line for each frame, a refusal: all of it in print, and in one line each, to be searched.
+    for line in
+        ["merge w2.jpg w3.jpg w4.jpg -e=2,0,-2 -v --force -o a.exr", "align w2.jpg gone.jpg", "compare a.exr a.exr -v"]
+    {
+        let run = folder.line(line);
+        assert!(run.stderr.chars().all(|c| c == '\n' || !c.is_control()), "{:?}", run.stderr);
+    }
+    let run = folder.line("merge w2.jpg w3.jpg w4.jpg -e=2,0,-2 --force -o a.exr").done();
+    let warnings: Vec<&str> = run.stderr.lines().filter(|l| l.starts_with("warning: ")).collect();
+    assert!(warnings.len() == 2 && warnings[0].ends_with("in the order of the files"), "{warnings:?}");
+}
+
+#[test]
 fn verbose_has_a_line_for_each_frame() {
     let folder = Folder::with_bracket();
     let run = folder.line("align w2.jpg w3.jpg w4.jpg -v").done();
@@ -62,7 +87,17 @@ fn verbose_has_a_line_for_each_frame() {
 #[test]
 fn help_and_version_are_results() {
     let folder = Folder::empty();
-    for line in ["--help", "merge --help", "align --help", "inspect --help", "tonemap --help", "--version"] {
+    for line in [
+        "--help",
+        "merge --help",
+        "align --help",
+        "inspect --help",
+        "tonemap --help",
+        "compare --help",
+        "completions --help",
+        "man --help",
+        "--version",
+    ] {
         let run = folder.line(line).done();
         assert!(run.stderr.is_empty() && run.stdout.contains("hdralign"), "{line}: {run:?}");
     }

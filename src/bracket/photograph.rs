@@ -1,0 +1,58 @@
+//! One picture by itself, of no bracket: to be looked at or compared, whatever its exposure.
+//!
+//! In: a JPEG, PNG or TIFF, known by its content. Out: its code values, what they mean, and what the camera noted. Cost: that of the decoder.
+
+use super::colour::Profile;
+use super::exposure::ExposureTags;
+use super::load::{LoadOptions, decoded, profile};
+use super::{Capture, Samples, capture};
+use crate::error::{Result, Warning};
+use std::path::Path;
+
+/// A picture as it is to be seen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photograph {
+    /// Width in pixels, orientation applied.
+    pub width: usize,
+    /// Height in pixels, orientation applied.
+    pub height: usize,
+    /// Its code values, three to a pixel; grey is repeated, alpha left out.
+    pub samples: Samples,
+    /// Its colour profile; none is taken for sRGB.
+    pub profile: Option<Profile>,
+    /// What the camera noted.
+    pub capture: Capture,
+    /// Shutter time in seconds, if it is written.
+    pub time_s: Option<f64>,
+    /// The f-number, if it is written.
+    pub f_number: Option<f64>,
+    /// Sensitivity, if it is written.
+    pub iso: Option<f64>,
+}
+
+impl Photograph {
+    /// Reads the file `path`, and gives what was ignored in it.
+    ///
+    /// # Errors
+    /// [`Error::Read`](crate::error::Error::Read), [`Error::UnknownFormat`](crate::error::Error::UnknownFormat),
+    /// [`Error::Decode`](crate::error::Error::Decode).
+    pub fn read(path: &Path) -> Result<(Photograph, Vec<Warning>)> {
+        let decoded = decoded(path, LoadOptions::default().max_pixels)?;
+        let mut notes = decoded.notes;
+        let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
+        let capture = decoded.exif.as_ref().map(capture::read).unwrap_or_default();
+        let profile = profile(decoded.icc, decoded.exif.as_ref(), &mut notes);
+        let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
+        let photograph = Photograph {
+            width: decoded.width,
+            height: decoded.height,
+            samples: decoded.samples,
+            profile,
+            capture,
+            time_s: tags.time_s.map(|t| t.0),
+            f_number: tags.f_number.map(|n| n.0),
+            iso: tags.iso.map(|s| s.0),
+        };
+        Ok((photograph, warnings))
+    }
+}

@@ -1,0 +1,379 @@
+//! The difference as a picture: what is expected, what differs in false colours, what there is, side by side, with a legend.
+//!
+//! In: both files and what their pixels differ by. Out: a PNG. Cost: some tenths of a second.
+//!
+//! Pictures of more than 1200 pixels a side are shown smaller by a whole number: a cell of the difference is the largest of its pixels, so
+//! that a single one is seen. Small ones are shown larger. Radiance is shown as v / (v + m), m the median of the expected map, the same
+//! for both: a gain shows as one. Where nothing differs, the middle shows the expected picture, dimmed.
+
+use super::input::{Input, Pixels};
+use super::radiance::percentile;
+use super::{Limits, Magnitudes, Unit};
+use crate::bracket::Samples;
+use crate::error::{Error, Result};
+use crate::inspect::drawing::{Anchor, Area, Colour, Drawing, Path as Line, Pen, rasterise};
+use crate::inspect::lettering;
+use crate::plane::Plane;
+use crate::write::{self, Format, Metadata, Pending, display};
+use std::path::{Path, PathBuf};
+
+/// Pixels of a side of a panel, at the most, and that a small one is magnified to.
+const MOST: usize = 1200;
+const LEAST: usize = 360;
+/// Paper around and between the panels, above and below.
+const MARGIN: usize = 20;
+const GAP: usize = 10;
+const ABOVE: usize = 76;
+const BELOW: usize = 104;
+/// Sizes of the text.
+const TITLE: f64 = 22.0;
+const TEXT: f64 = 16.0;
+/// The scale of the false colours goes over so many decades.
+const DECADES: f64 = 3.0;
+
+/// No number, or no pixel, in one of the files.
+const NOTHING: [u8; 3] = [255, 0, 200];
+/// From the least difference to the tolerance: blue, darker to lighter.
+const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
+/// From the tolerance to the most: violet, red, orange, yellow, white.
+const BEYOND: [[f64; 3]; 5] =
+    [[120.0, 20.0, 110.0], [215.0, 40.0, 60.0], [250.0, 140.0, 20.0], [250.0, 225.0, 60.0], [255.0; 3]];
+
+/// What is written on it.
+pub(super) struct Words<'a> {
+    pub title: &'a str,
+    pub limits: &'a Limits,
+    /// The pixel that is farthest off, to be ringed.
+    pub largest: Option<(usize, usize)>,
+}
+
+/// Whether the picture can be written to `path`, before any work is done.
+///
+/// # Errors
+/// [`Error::UnknownExtension`], and those of targets.
+pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<()> {
+    if !matches!(Format::of(path), Ok(Format::Png)) {
+        return Err(Error::UnknownExtension { path: path.to_owned(), known: ".png" });
+    }
+    write::check_targets(&[path.to_owned()], inputs, overwrite)
+}
+
+/// Writes the picture. Without magnitudes the sizes differ, and what one of the files does not have is told apart.
+///
+/// # Errors
+/// [`Error::Write`], [`Error::OutputExists`].
+pub(super) fn write(
+    path: &Path,
+    overwrite: bool,
+    (a, b): (&Input, &Input),
+    magnitudes: Option<&Magnitudes>,
+    words: &Words,
+) -> Result<()> {
+    let failed = |reason: String| Error::Write { path: path.to_owned(), source: std::io::Error::other(reason) };
+    let page = page((a, b), magnitudes, words).map_err(failed)?;
+    let size = (page.width(), page.height());
+    let writer = display::Writer::new(Pending::create(path)?, size, &Metadata::default())?;
+    write::commit(vec![write::push_all(Box::new(writer), &page)?.file], overwrite)
+}
+
+/// How panels are made of pictures: `by` x `by` pixels are one, or one is `times` x `times`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Fit {
+    by: usize,
+    times: usize,
+}
+
+impl Fit {
+    fn of((width, height): (usize, usize)) -> Fit {
+        let side = width.max(height).max(1);
+        Fit { by: side.div_ceil(MOST), times: (LEAST / side).max(1) }
+    }
+
+    fn size(self, (width, height): (usize, usize)) -> (usize, usize) {
+        (width.div_ceil(self.by) * self.times, height.div_ceil(self.by) * self.times)
+    }
+
+    /// A panel whose cells `cell` makes of columns and rows.
+    fn panel(
+        self,
+        (width, height): (usize, usize),
+        cell: impl Fn(std::ops::Range<usize>, std::ops::Range<usize>) -> [u8; 3] + Sync,
+    ) -> Plane<[u8; 3]> {
+        let (across, down) = self.size((width, height));
+        Plane::from_rows(across, down, |y, row| {
+            let pixels = |i: usize, n: usize| {
+                let first = i / self.times * self.by;
+                first..(first + self.by).min(n)
+            };
+            let rows = pixels(y, height);
+            for (x, v) in row.iter_mut().enumerate() {
+                *v = cell(pixels(x, width), rows.clone());
+            }
+        })
+    }
+}
+
+fn page(
+    (a, b): (&Input, &Input),
+    magnitudes: Option<&Magnitudes>,
+    words: &Words,
+) -> std::result::Result<Plane<[u8; 3]>, String> {
+    let ((aw, ah), (bw, bh)) = (a.size(), b.size());
+    let size = (aw.max(bw), ah.max(bh));
+    let fit = Fit::of(size);
+    let middle = middle_of(a);
+    let shown = |input: &Input| fit.panel(size, |columns, rows| mean(input, middle, columns, rows));
+    let scale = magnitudes.map(|m| Scale::of(m, words.limits));
+    let dimmed = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
+        let [r, g, b] = mean(a, middle, columns, rows).map(f64::from);
+        [(0.35 * (0.2126 * r + 0.7152 * g + 0.0722 * b)) as u8; 3]
+    };
+    let is_missing = |x: usize, y: usize| x >= aw.min(bw) || y >= ah.min(bh);
+    let difference = fit.panel(size, |columns, rows| {
+        let (Some(magnitudes), Some(scale)) = (magnitudes, &scale) else {
+            return if is_missing(columns.start, rows.start) { NOTHING } else { dimmed(columns, rows) };
+        };
+        let most =
+            rows.clone().flat_map(|y| &magnitudes.plane.row(y)[columns.clone()]).fold(0.0, |m: f32, v| m.max(*v));
+        if most > 0.0 { scale.colour(most) } else { dimmed(columns, rows) }
+    });
+
+    let (across, down) = fit.size(size);
+    let width = (3 * across + 2 * GAP).max(3 * LEAST / 2) + 2 * MARGIN;
+    // A wide page is looked at from farther away.
+    let zoom = (width as f64 / 1500.0).clamp(1.0, 2.2);
+    let (above, below) = ((ABOVE as f64 * zoom) as usize, (BELOW as f64 * zoom) as usize);
+    let height = above + down + below;
+    let mut drawing = Drawing::new(width, height, words.title);
+    let room = (width - 2 * MARGIN) as f64;
+    let title = lettering::shorten(words.title, TITLE * zoom, room);
+    drawing.text((MARGIN as f64, 36.0 * zoom), TITLE * zoom, Anchor::Start, Colour::INK, &title);
+    let headings = [format!("expected: {}", a.name()), "difference".into(), format!("actual: {}", b.name())];
+    let corners = [0, 1, 2].map(|i| MARGIN + i * (across + GAP));
+    for (x, heading) in corners.iter().zip(&headings) {
+        let heading = lettering::shorten(heading, TEXT * zoom, across as f64);
+        let place = (*x as f64, above as f64 - 9.0 * zoom);
+        drawing.text(place, TEXT * zoom, Anchor::Start, Colour::FAINT, &heading);
+    }
+    legend(&mut drawing, (above + down) as f64 + 16.0 * zoom, (room, zoom), scale.as_ref());
+    let mut page = rasterise(&drawing.to_svg())?;
+    for (x, panel) in corners.iter().zip([shown(a), difference, shown(b)]) {
+        for y in 0..panel.height() {
+            page.row_mut(above + y)[*x..x + panel.width()].copy_from_slice(panel.row(y));
+        }
+    }
+    if let Some((x, y)) = words.largest {
+        let cell = |i: usize| i / fit.by * fit.times + fit.times / 2;
+        let (left, right) = (corners[1], corners[1] + across);
+        ring(&mut page, (left + cell(x), above + cell(y)), 14.0 * zoom, ((left, above), (right, above + down)));
+    }
+    Ok(page)
+}
+
+/// The colours, what they stand for, and where the tolerance is.
+fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option<&Scale>) {
+    let text = TEXT * zoom;
+    let (left, below) = (MARGIN as f64, y + 54.0 * zoom);
+    let sample = |drawing: &mut Drawing, x: f64, colour: [u8; 3], words: &str| {
+        let area = Area { x, y: below + 4.0 * zoom, width: 26.0 * zoom, height: 14.0 * zoom };
+        drawing.fill_area(area, Colour(colour[0], colour[1], colour[2]));
+        drawing.text((x + 34.0 * zoom, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, words);
+        x + 58.0 * zoom + lettering::width(words, text)
+    };
+    let Some(scale) = scale else {
+        sample(drawing, left, NOTHING, "in one of them alone");
+        return;
+    };
+    let (bar, strips) = (room.min(640.0 * zoom), 128);
+    for i in 0..strips {
+        let [r, g, b] = scale.at(i as f64 / (strips - 1) as f64);
+        let width = bar / strips as f64;
+        // A hair wider, so that no paper shows between.
+        let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
+        drawing.fill_area(area, Colour(r, g, b));
+    }
+    let ticks = (0..=DECADES as i32).map(|k| scale.top * libm::exp10(f64::from(k) - DECADES));
+    for (i, value) in ticks.enumerate() {
+        let is_last = i as f64 == DECADES;
+        let anchor = match i {
+            0 => Anchor::Start,
+            _ if is_last => Anchor::End,
+            _ => Anchor::Middle,
+        };
+        let unit = if is_last { format!(" {}", scale.unit()) } else { String::new() };
+        let place = (left + bar * i as f64 / DECADES, y + 38.0 * zoom);
+        drawing.text(place, text, anchor, Colour::INK, &format!("{}{unit}", short(value)));
+    }
+    let place = scale.place(scale.tolerance);
+    if scale.tolerance > 0.0 && (0.0..=1.0).contains(&place) {
+        let mut line = Line::default();
+        line.line((left + bar * place, y - 7.0 * zoom), (left + bar * place, y + 22.0 * zoom));
+        drawing.stroke(&line, Pen { colour: Colour::INK, width: 2.0 * zoom, opacity: 1.0 });
+    }
+    let mut next = sample(drawing, left, [70; 3], "equal");
+    if scale.tolerance > 0.0 {
+        let words = format!("within {} {}", short(scale.tolerance), scale.unit());
+        next = sample(drawing, next, between(&WITHIN, 0.7), &words);
+    }
+    next = sample(drawing, next, between(&BEYOND, 0.5), if scale.tolerance > 0.0 { "beyond" } else { "not equal" });
+    if scale.has_nothing {
+        next = sample(drawing, next, NOTHING, "no number in one of them");
+    }
+    drawing.text((next, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, "ring: the largest");
+}
+
+/// A number of one or two digits that matter.
+fn short(value: f64) -> String {
+    let digits = (1.0 - libm::floor(libm::log10(value.max(1e-9)))).clamp(0.0, 9.0) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
+/// What colours stand for: decades under `top`.
+struct Scale {
+    unit: Unit,
+    top: f64,
+    tolerance: f64,
+    has_nothing: bool,
+}
+
+impl Scale {
+    fn of(magnitudes: &Magnitudes, limits: &Limits) -> Scale {
+        let values = magnitudes.plane.as_slice();
+        let most = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+        let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0);
+        // 1, 2 or 5 times a power of ten that nothing is above.
+        let wanted = f64::from(most).max(tolerance).max(1e-6);
+        let decade = libm::exp10(libm::floor(libm::log10(wanted)));
+        let top = [1.0, 2.0, 5.0, 10.0].map(|k| k * decade).into_iter().find(|top| *top >= wanted * 0.999_999);
+        let has_nothing = values.iter().any(|v| v.is_infinite());
+        Scale { unit: magnitudes.unit, top: top.unwrap_or(wanted), tolerance, has_nothing }
+    }
+
+    fn unit(&self) -> &'static str {
+        match self.unit {
+            Unit::Stops => "stops",
+            Unit::DeltaE => "dE",
+        }
+    }
+
+    /// 0 at the scale's beginning, 1 at its end.
+    fn place(&self, value: f64) -> f64 {
+        1.0 + libm::log10(value.max(1e-12) / self.top) / DECADES
+    }
+
+    fn colour(&self, magnitude: f32) -> [u8; 3] {
+        if magnitude.is_infinite() { NOTHING } else { self.at(self.place(magnitude.into())) }
+    }
+
+    fn at(&self, place: f64) -> [u8; 3] {
+        // Without a tolerance everything is beyond it.
+        let border = if self.tolerance > 0.0 { self.place(self.tolerance).clamp(0.0, 1.0) } else { 0.0 };
+        if place < border {
+            between(&WITHIN, place / border)
+        } else {
+            between(&BEYOND, (place - border) / (1.0 - border).max(1e-9))
+        }
+    }
+}
+
+/// The colour `place` of the way, 0 to 1, along `colours`.
+fn between(colours: &[[f64; 3]], place: f64) -> [u8; 3] {
+    let at = place.clamp(0.0, 1.0) * (colours.len() - 1) as f64;
+    let line = (at as usize).min(colours.len() - 2);
+    let share = at - line as f64;
+    [0, 1, 2].map(|c| (colours[line][c] + (colours[line + 1][c] - colours[line][c]) * share).round() as u8)
+}
+
+/// A white ring with a black edge around a place of the page, within the area from one corner to the other.
+fn ring(page: &mut Plane<[u8; 3]>, (x, y): (usize, usize), radius: f64, (from, to): ((usize, usize), (usize, usize))) {
+    for row in from.1..to.1 {
+        for column in from.0..to.0 {
+            let away = libm::hypot(column as f64 - x as f64, row as f64 - y as f64) - radius;
+            let colour = match away.abs() / radius * 12.0 {
+                d if d <= 1.2 => [255; 3],
+                d if d <= 2.4 => [0; 3],
+                _ => continue,
+            };
+            page.row_mut(row)[column] = colour;
+        }
+    }
+}
+
+/// The radiance that is shown as middle grey; of no use for pictures.
+fn middle_of(input: &Input) -> f32 {
+    let Pixels::Radiance(map, _) = &input.pixels else { return 1.0 };
+    let pixels = map.pixels.as_slice();
+    let step = pixels.len().div_ceil(1_000_000).max(1);
+    let green = pixels.iter().step_by(step).map(|p| p[1]).filter(|v| *v > 0.0 && v.is_finite());
+    percentile(green.collect(), 0.5).unwrap_or(1.0)
+}
+
+/// The mean of some pixels as they are shown; white paper where there are none.
+fn mean(input: &Input, middle: f32, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> [u8; 3] {
+    let (width, height) = input.size();
+    let (columns, rows) = (columns.start..columns.end.min(width), rows.start..rows.end.min(height));
+    let count = columns.len() * rows.len();
+    if count == 0 {
+        return [255; 3];
+    }
+    let mut sum = [0.0f32; 3];
+    for y in rows {
+        for x in columns.clone() {
+            let shown = match &input.pixels {
+                Pixels::Radiance(map, _) => map.pixels.at(x, y).map(|v| {
+                    let v = if v.is_nan() { 0.0 } else { v.clamp(0.0, f32::MAX) };
+                    // The share is encoded about as a display wants it.
+                    255.0 * (v / (v + middle)).sqrt()
+                }),
+                Pixels::Display(photograph) => {
+                    let at = 3 * (y * width + x);
+                    match &photograph.samples {
+                        Samples::Eight(v) => [0, 1, 2].map(|c| f32::from(v[at + c])),
+                        Samples::Sixteen(v) => [0, 1, 2].map(|c| f32::from(v[at + c]) / 257.0),
+                    }
+                }
+            };
+            (0..3).for_each(|c| sum[c] += shown[c]);
+        }
+    }
+    sum.map(|s| (s / count as f32).round() as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn panels_fit_and_lose_no_pixel() {
+        assert_eq!(Fit::of((4000, 3000)), Fit { by: 4, times: 1 });
+        assert_eq!(Fit::of((4000, 3000)).size((4000, 2999)), (1000, 750));
+        assert_eq!(Fit::of((60, 100)).size((60, 100)), (180, 300));
+        // One pixel of 16 in a cell is seen.
+        let fit = Fit { by: 4, times: 1 };
+        let panel = fit.panel((9, 8), |columns, rows| {
+            [u8::from(columns.contains(&8) && rows.contains(&3)), columns.len() as u8, rows.len() as u8]
+        });
+        assert_eq!((panel.width(), panel.height()), (3, 2));
+        assert_eq!((panel.at(2, 0), panel.at(0, 1)), ([1, 1, 4], [0, 4, 4]));
+    }
+
+    #[test]
+    fn the_scale_has_a_round_top_and_its_colours_grow_brighter() {
+        let magnitudes = |most: f32| Magnitudes { plane: Plane::filled(3, 3, most), unit: Unit::Stops };
+        let top = |most: f32| Scale::of(&magnitudes(most), &Limits::default()).top;
+        // Powers of ten are within some 1e-16 of themselves.
+        for (most, expected) in [(0.02f32, 0.02), (0.021, 0.05), (0.9, 1.0), (3.0, 5.0), (700.0, 1000.0)] {
+            assert!((top(most) / expected - 1.0).abs() < 1e-6, "{most}: {}", top(most));
+        }
+        let scale = Scale::of(&magnitudes(1.0), &Limits { tolerance_stops: Some(0.01), ..Limits::default() });
+        assert!((scale.place(0.01) - 1.0 / 3.0).abs() < 1e-9 && scale.place(1.0) == 1.0);
+        assert_eq!((scale.colour(1.0), scale.colour(f32::INFINITY)), ([255; 3], NOTHING));
+        // Blue within the tolerance, warm beyond, and the more the brighter.
+        let at = |i: i32| scale.at(f64::from(i) / 100.0).map(u32::from);
+        assert!((0..33).all(|i| at(i)[2] > at(i)[0]) && (34..=100).all(|i| at(i)[0] >= at(i)[2]));
+        let light = |i: i32| at(i).iter().sum::<u32>();
+        assert!((0..32).chain(34..99).all(|i| light(i) <= light(i + 1) + 3));
+        assert_eq!([0.001, 0.02, 1.0, 0.5, 200.0].map(short), ["0.001", "0.02", "1", "0.5", "200"]);
+    }
+}

@@ -1,0 +1,264 @@
+//! Radiance against radiance, in stops.
+//!
+//! In: two maps of one size. Out: for each pixel the stops that its worst channel is off, and what they sum up to. Cost: 0.1 us a pixel that
+//! differs.
+//!
+//! A difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|; below it a difference is held
+//! against f, so that black against nearly black is little, and a bright pixel against black is much, and never infinite. f is the value
+//! that 0.1 % of the positive values of the expected map are below: what formats round away lies under it, and pictures do not. Negative
+//! values are colours outside of the primaries, and are compared as they are.
+//!
+//! NaN is equal to NaN, and an infinity to itself; against anything else they have no stops, and are always beyond any tolerance.
+
+use super::pu21::{self, Light};
+use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, ms_ssim};
+use crate::bracket::colour::Conversion;
+use crate::merge::RadianceMap;
+use crate::plane::{BAND_ROWS, Plane};
+use crate::write::Metadata;
+use rayon::prelude::*;
+
+/// Share of the positive values that are under the floor.
+const DARK: f64 = 0.001;
+/// The luminance that this share of the pixels is below ...
+const BRIGHT: f64 = 0.999;
+/// ... is taken for this many cd/m2 where a map does not say.
+const BRIGHT_CD_M2: f64 = 1000.0;
+/// Values that a percentile is taken of, at the most; beyond, every n-th pixel.
+const SAMPLED: usize = 4_000_000;
+
+/// The map `b` against the map `a`, both of one size.
+pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Measured {
+    let converted = converted(b, a);
+    let b = converted.as_ref().unwrap_or(b);
+    let floor = floor(a).or_else(|| self::floor(b)).unwrap_or(1.0);
+    let (plane, tallies) = stops(&a.pixels, &b.pixels, floor);
+    let weights = a.primaries.luminance().map(|w| w as f32);
+    let scale = match about.cd_m2_per_unit {
+        Some(unit) => unit,
+        None => BRIGHT_CD_M2 / f64::from(bright(a, weights)),
+    };
+    let light = |pixels| Light { pixels, scale: scale as f32, weights };
+    let (left, right) = (light(&a.pixels), light(&b.pixels));
+    let is_equal = plane.as_slice().iter().all(|v| *v == 0.0);
+    let names = ["red", "green", "blue"];
+    let channels = [0, 1, 2].map(|c| tallies.channels[c].told(names[c]));
+    let all = tallies.channels.iter().fold(Channel::default(), Channel::and).told("");
+    Measured {
+        magnitudes: Magnitudes { plane, unit: Unit::Stops },
+        radiance: Some(RadianceDifference {
+            floor: f64::from(floor),
+            channels,
+            rms_stops: all.rms_stops,
+            mean_stops: all.mean_stops,
+            not_comparable_pixels: tallies.not_comparable,
+            cd_m2_per_unit: scale,
+        }),
+        display: None,
+        pu21_psnr_db: if is_equal { None } else { pu21::psnr(&left, &right) },
+        ms_ssim: if is_equal { ms_ssim::of_equals(left.size()) } else { ms_ssim::ms_ssim(&left, &right) },
+    }
+}
+
+/// `map` in the primaries of `like`; none where it is in them.
+fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
+    if map.primaries.is_close(&like.primaries, 1e-4) {
+        return None;
+    }
+    let conversion = Conversion::between(&map.primaries, &like.primaries)?;
+    let (width, height) = (map.pixels.width(), map.pixels.height());
+    let pixels = Plane::from_rows(width, height, |y, row| {
+        row.iter_mut().zip(map.pixels.row(y)).for_each(|(to, from)| *to = conversion.apply(*from));
+    });
+    Some(RadianceMap { pixels, primaries: like.primaries })
+}
+
+/// See the module; none where nothing is positive.
+fn floor(map: &RadianceMap) -> Option<f32> {
+    let pixels = map.pixels.as_slice();
+    let step = pixels.len().div_ceil(SAMPLED / 3).max(1);
+    let values = pixels.iter().step_by(step).flatten().copied();
+    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), DARK)
+}
+
+/// The luminance that stands for bright; 1 where there is none.
+fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
+    let pixels = map.pixels.as_slice();
+    let luminance = |p: &[f32; 3]| weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2];
+    let values = pixels.iter().step_by(pixels.len().div_ceil(SAMPLED).max(1)).map(luminance);
+    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), BRIGHT).unwrap_or(1.0)
+}
+
+/// The value that `share` of `values` are below.
+pub(super) fn percentile(mut values: Vec<f32>, share: f64) -> Option<f32> {
+    let last = values.len().checked_sub(1)?;
+    let (_, value, _) = values.select_nth_unstable_by((share * last as f64).round() as usize, f32::total_cmp);
+    Some(*value)
+}
+
+/// Sums of one channel.
+#[derive(Debug, Clone, Copy, Default)]
+struct Channel {
+    max: f64,
+    sum: f64,
+    squares: f64,
+    count: usize,
+}
+
+impl Channel {
+    fn see(&mut self, stops: f64) {
+        self.max = self.max.max(stops.abs());
+        self.sum += stops;
+        self.squares += stops * stops;
+        self.count += 1;
+    }
+
+    fn and(self, other: &Channel) -> Channel {
+        Channel {
+            max: self.max.max(other.max),
+            sum: self.sum + other.sum,
+            squares: self.squares + other.squares,
+            count: self.count + other.count,
+        }
+    }
+
+    fn told(&self, channel: &'static str) -> ChannelStops {
+        let count = self.count.max(1) as f64;
+        ChannelStops {
+            channel,
+            max_stops: self.max,
+            rms_stops: (self.squares / count).sqrt(),
+            mean_stops: self.sum / count,
+        }
+    }
+}
+
+#[derive(Debug, Default)]
+struct Tally {
+    channels: [Channel; 3],
+    not_comparable: usize,
+}
+
+/// For each pixel the stops of its worst channel, and the sums.
+fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, Tally) {
+    let (width, height) = (a.width(), a.height());
+    let mut plane = Plane::filled(width, height, 0.0);
+    let band = (BAND_ROWS * width).max(1);
+    let inputs = a.as_slice().par_chunks(band).zip(b.as_slice().par_chunks(band));
+    let tallies: Vec<Tally> = plane
+        .as_mut_slice()
+        .par_chunks_mut(band)
+        .zip(inputs)
+        .map(|(out, (a, b))| {
+            let mut tally = Tally::default();
+            for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
+                let off = [0, 1, 2].map(|c| difference(a[c], b[c], floor));
+                if off.iter().any(Option::is_none) {
+                    tally.not_comparable += 1;
+                    *out = f32::INFINITY;
+                    continue;
+                }
+                for (channel, off) in tally.channels.iter_mut().zip(off.iter().flatten()) {
+                    channel.see(*off);
+                    *out = out.max(off.abs() as f32);
+                }
+            }
+            tally
+        })
+        .collect();
+    let total = tallies.iter().fold(Tally::default(), |sum, tally| Tally {
+        channels: [0, 1, 2].map(|c| sum.channels[c].and(&tally.channels[c])),
+        not_comparable: sum.not_comparable + tally.not_comparable,
+    });
+    (plane, total)
+}
+
+/// The stops from `a` to `b`, above 0 where `b` is more; none where there is no number for it.
+fn difference(a: f32, b: f32, floor: f32) -> Option<f64> {
+    if a == b || a.is_nan() && b.is_nan() {
+        return Some(0.0);
+    }
+    if !a.is_finite() || !b.is_finite() {
+        return None;
+    }
+    let (a, b) = (f64::from(a), f64::from(b));
+    let stops = libm::log2(1.0 + (a - b).abs() / a.min(b).max(f64::from(floor)));
+    Some(if b > a { stops } else { -stops })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+
+    fn map(pixels: Vec<[f32; 3]>, width: usize) -> RadianceMap {
+        RadianceMap { pixels: Plane::from_vec(width, pixels.len() / width, pixels), primaries: Primaries::SRGB }
+    }
+
+    fn ramp(gain: f32) -> RadianceMap {
+        map((0..6400).map(|i| [0.01, 0.02, 0.005].map(|v| gain * v * (1.0 + i as f32))).collect(), 80)
+    }
+
+    #[test]
+    fn above_the_floor_it_is_the_ratio_and_below_it_is_finite() {
+        // Floats are within 6e-8 of what is meant, 9e-8 stops.
+        assert!((difference(3.0, 12.0, 1.0).unwrap() - 2.0).abs() < 1e-6);
+        assert!((difference(12.0, 3.0, 1.0).unwrap() + 2.0).abs() < 1e-6);
+        assert_eq!(difference(0.0, 1.0, 1.0), Some(1.0));
+        assert_eq!(difference(-1.0, 0.0, 1.0), Some(1.0));
+        assert!(difference(0.0, 1e-9, 1.0).unwrap() < 2e-9);
+        assert_eq!(difference(f32::NAN, f32::NAN, 1.0), Some(0.0));
+        assert_eq!(difference(f32::INFINITY, f32::INFINITY, 1.0), Some(0.0));
+        for odd in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert_eq!((difference(odd, 1.0, 1.0), difference(1.0, odd, 1.0)), (None, None));
+        }
+        assert_eq!(difference(f32::INFINITY, f32::NEG_INFINITY, 1.0), None);
+    }
+
+    #[test]
+    fn a_gain_is_told_with_its_sign() {
+        let gain = libm::exp2(-0.02) as f32;
+        let found = measure(&ramp(1.0), &ramp(gain), &Metadata::default());
+        let told = found.radiance.unwrap();
+        // 0.1 % of the values are under the floor, and are told as less.
+        assert!((told.mean_stops + 0.02).abs() < 2e-5 && (told.rms_stops - 0.02).abs() < 2e-5, "{told:?}");
+        assert!(told.channels.iter().all(|c| (c.max_stops - 0.02).abs() < 1e-5));
+        assert!(found.magnitudes.plane.as_slice().iter().filter(|v| **v > 0.019).count() > 6300);
+    }
+
+    #[test]
+    fn a_picture_of_one_value_is_not_taken_for_black() {
+        let flat = |v: f32| map(vec![[v; 3]; 4096], 64);
+        for other in [0.0, 0.5, 2.0] {
+            let found = measure(&flat(1.0), &flat(other), &Metadata::default()).radiance.unwrap();
+            assert!(found.channels.iter().all(|c| c.max_stops > 0.5), "{other}: {found:?}");
+        }
+        // Nothing is positive in what is expected; the other map has the floor.
+        let found = measure(&flat(0.0), &flat(3.0), &Metadata::default()).radiance.unwrap();
+        assert!((found.channels[0].max_stops - 1.0).abs() < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn the_same_light_in_other_primaries_is_the_same() {
+        let a = ramp(1.0);
+        let conversion = Conversion::between(&Primaries::SRGB, &Primaries::BT2020).unwrap();
+        let pixels = a.pixels.as_slice().iter().map(|p| conversion.apply(*p)).collect();
+        let b = RadianceMap { pixels: Plane::from_vec(80, 80, pixels), primaries: Primaries::BT2020 };
+        let there_and_back = measure(&a, &b, &Metadata::default()).radiance.unwrap();
+        assert!(there_and_back.channels.iter().all(|c| c.max_stops < 1e-4), "{there_and_back:?}");
+        let mislabelled = RadianceMap { primaries: Primaries::SRGB, ..b };
+        let wrong = measure(&a, &mislabelled, &Metadata::default()).radiance.unwrap();
+        assert!(wrong.channels.iter().any(|c| c.max_stops > 0.1), "{wrong:?}");
+    }
+
+    #[test]
+    fn what_is_no_number_in_one_alone_is_counted() {
+        let mut odd = ramp(1.0);
+        odd.pixels.as_mut_slice()[7] = [f32::NAN, 1.0, 1.0];
+        let found = measure(&ramp(1.0), &odd, &Metadata::default());
+        assert_eq!(found.radiance.unwrap().not_comparable_pixels, 1);
+        assert_eq!(found.magnitudes.plane.at(7, 0), f32::INFINITY);
+        let both = measure(&odd.clone(), &odd, &Metadata::default());
+        assert!(both.magnitudes.plane.as_slice().iter().all(|v| *v == 0.0));
+    }
+}

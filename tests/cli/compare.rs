@@ -1,0 +1,321 @@
+//! `hdralign compare`: what it must catch, what it must pass, and how it answers.
+
+use crate::support::{Folder, Run};
+use hdralign::bracket::colour::Primaries;
+use hdralign::merge::RadianceMap;
+use hdralign::plane::Plane;
+use hdralign::tonemap::DisplayImage;
+use hdralign::write::{self, Metadata, Options};
+use image::{Rgb, RgbImage};
+use serde_json::Value;
+
+/// A scene with edges and texture, over 12 stops, of three channels that are not alike.
+fn scene() -> Plane<[f32; 3]> {
+    Plane::from_rows(160, 120, |y, row| {
+        for (x, p) in row.iter_mut().enumerate() {
+            let stops = 12.0 * x as f32 / 160.0 - 6.0 + if (x / 9 + y / 7) % 2 == 0 { 0.6 } else { 0.0 };
+            let light = libm::exp2f(stops) * (1.0 + 0.1 * libm::sinf(y as f32 * 0.7));
+            *p = [light, 0.8 * light + 0.01, 0.5 * light + 0.002];
+        }
+    })
+}
+
+/// Writes radiance by our own writers, `options` as the command line says it.
+fn put(folder: &Folder, name: &str, pixels: Plane<[f32; 3]>, options: &Options) {
+    let map = RadianceMap { pixels, primaries: Primaries::SRGB };
+    let display = DisplayImage { pixels: Plane::filled(1, 1, [0; 3]) };
+    let options = Options { overwrite: true, ..options.clone() };
+    let files =
+        write::write(&[folder.at(name)], &map, &display, &Metadata::default(), &options).expect("it is written");
+    write::commit(files.into_iter().map(|w| w.file).collect(), true).expect("it is named");
+}
+
+fn float() -> Options {
+    Options {
+        exr: write::exr::Options { sample: write::exr::Sample::Float, ..Default::default() },
+        ..Options::default()
+    }
+}
+
+fn changed(change: impl Fn(usize, usize, [f32; 3]) -> [f32; 3] + Sync) -> Plane<[f32; 3]> {
+    let scene = scene();
+    Plane::from_rows(160, 120, |y, row| {
+        row.iter_mut().enumerate().for_each(|(x, p)| *p = change(x, y, scene.at(x, y)));
+    })
+}
+
+fn picture() -> RgbImage {
+    RgbImage::from_fn(160, 120, |x, y| {
+        let wave = (128.0 + 100.0 * libm::sin(f64::from(x) * 0.3) * libm::cos(f64::from(y) * 0.2)) as u8;
+        Rgb([wave, (x + y) as u8, 255 - wave / 2])
+    })
+}
+
+fn compare(folder: &Folder, line: &str) -> (Run, Value) {
+    let run = folder.line(&format!("compare {line} --json"));
+    let json = serde_json::from_str(&run.stdout).unwrap_or(Value::Null);
+    (run, json)
+}
+
+/// The exit code, and the verdict with it.
+fn code(folder: &Folder, line: &str) -> i32 {
+    let (run, json) = compare(folder, line);
+    let expected = ["same", "differs"].get(run.code as usize).map_or(Value::Null, |v| (*v).into());
+    assert_eq!(json["verdict"], expected, "{line}: {run:?}");
+    run.code
+}
+
+#[test]
+fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    let scene = scene();
+    put(&folder, "shifted.exr", changed(|x, y, _| scene.at(x.saturating_sub(1), y)), &float());
+    let (run, json) = compare(&folder, "a.exr shifted.exr");
+    assert_eq!((run.code, &json["verdict"]), (1, &"differs".into()));
+    assert!(
+        json["differing"]["differing_percent"].as_f64().unwrap() > 90.0 && json["ms_ssim"].as_f64().unwrap() < 0.99
+    );
+
+    let gain = libm::exp2f(0.02);
+    put(&folder, "gain.exr", changed(|_, _, p| p.map(|v| v * gain)), &float());
+    let (run, json) = compare(&folder, "a.exr gain.exr");
+    assert_eq!(run.code, 1);
+    let mean = json["radiance"]["mean_stops"].as_f64().unwrap();
+    // What is under the floor is told as less, by at most 0.1 % of the values.
+    assert!((mean - 0.02).abs() < 1e-4, "{mean}");
+    assert!(run.stderr.contains("brighter throughout, by 0.020 stops"), "{}", run.stderr);
+    assert_eq!(code(&folder, "a.exr gain.exr --tolerance-stops 0.021"), 0);
+
+    put(&folder, "swapped.exr", changed(|_, _, [r, g, b]| [b, g, r]), &float());
+    let (run, json) = compare(&folder, "a.exr swapped.exr");
+    assert_eq!((run.code, &json["radiance"]["channels"][1]["max_stops"]), (1, &0.0.into()));
+    assert!(json["radiance"]["channels"][0]["rms_stops"].as_f64().unwrap() > 0.5);
+
+    // One pixel of one channel, and the place of it.
+    put(&folder, "one.exr", changed(|x, y, p| if (x, y) == (93, 41) { [p[0], p[1], 1.5 * p[2]] } else { p }), &float());
+    let (run, json) = compare(&folder, "a.exr one.exr");
+    let largest = &json["differing"]["largest"];
+    assert_eq!((run.code, &json["differing"]["differing_pixels"]), (1, &1.into()));
+    assert_eq!((&largest["x_px"], &largest["y_px"]), (&93.into(), &41.into()));
+    assert!((largest["stops"].as_f64().unwrap() - libm::log2(1.5)).abs() < 1e-4);
+    assert_eq!(code(&folder, "a.exr one.exr --max-differing 0.01"), 0);
+    assert_eq!(code(&folder, "a.exr one.exr --max-differing 0.001"), 1);
+}
+
+#[test]
+fn a_lossless_encoding_passes_and_what_rounds_coarsely_does_not() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    let exr = |compression| Options {
+        exr: write::exr::Options { compression, sample: write::exr::Sample::Float },
+        ..Options::default()
+    };
+    put(&folder, "zip.exr", scene(), &exr(write::exr::Compression::Zip16));
+    put(&folder, "none.exr", scene(), &exr(write::exr::Compression::None));
+    put(&folder, "a.tif", scene(), &Options::default());
+    for other in ["zip.exr", "none.exr", "a.tif", "a.exr"] {
+        let (run, json) = compare(&folder, &format!("a.exr {other} --tolerance-stops 0"));
+        assert_eq!((run.code, &json["pixels_equal"]), (0, &true.into()), "{other}: {run:?}");
+        assert_eq!(json["bytes_equal"], Value::from(other == "a.exr"));
+        assert_eq!((&json["pu21_psnr_db"], &json["ms_ssim"]), (&Value::Null, &1.0.into()));
+    }
+    // Halves round by 0.0007 stops at most; RGBE by up to 0.0056 where a channel is the brightest, and by far more where it is not.
+    let half = Options {
+        exr: write::exr::Options { sample: write::exr::Sample::Half, ..Default::default() },
+        ..Options::default()
+    };
+    put(&folder, "half.exr", scene(), &half);
+    put(&folder, "a.hdr", scene(), &Options::default());
+    let (run, json) = compare(&folder, "a.exr half.exr");
+    assert_eq!((run.code, &json["pixels_equal"]), (0, &false.into()));
+    assert!(json["radiance"]["channels"][0]["max_stops"].as_f64().unwrap() < 0.0008);
+    assert_eq!(code(&folder, "a.exr half.exr --tolerance-stops 0"), 1);
+    // Read back and written again, RGBE is the same.
+    let (map, _) = hdralign::read::read(&folder.at("a.hdr")).unwrap();
+    put(&folder, "b.hdr", map.pixels, &Options::default());
+    assert_eq!(code(&folder, "a.hdr b.hdr --tolerance-stops 0"), 0);
+    assert_eq!(code(&folder, "a.exr a.hdr"), 1);
+    assert_eq!(code(&folder, "a.exr a.hdr --min-psnr 40"), 0);
+    assert_eq!(code(&folder, "a.exr a.hdr --min-psnr 90"), 1);
+}
+
+#[test]
+fn pictures_are_the_same_by_their_codes_and_not_by_their_files() {
+    let folder = Folder::empty();
+    let a = picture();
+    a.save(folder.at("a.png")).unwrap();
+    // 16 bit, deflated otherwise, and by another format: the same codes.
+    let wide = image::DynamicImage::ImageRgb8(a.clone());
+    wide.to_rgb16().save(folder.at("wide.png")).unwrap();
+    a.save(folder.at("a.tif")).unwrap();
+    // What is left out is told.
+    wide.to_rgba8().save(folder.at("alpha.png")).unwrap();
+    let (run, json) = compare(&folder, "a.png alpha.png");
+    assert!(run.code == 0 && json["warnings"][0].as_str().unwrap().contains("alpha is not compared"), "{json}");
+    for other in ["a.png", "wide.png", "a.tif"] {
+        let (run, json) = compare(&folder, &format!("a.png {other}"));
+        assert_eq!((run.code, &json["pixels_equal"]), (0, &true.into()), "{other}: {run:?}");
+    }
+    let shifted = RgbImage::from_fn(160, 120, |x, y| *a.get_pixel(x.saturating_sub(1), y));
+    let brighter = RgbImage::from_fn(160, 120, |x, y| Rgb(a.get_pixel(x, y).0.map(|v| v.saturating_add(1))));
+    let swapped = RgbImage::from_fn(160, 120, |x, y| {
+        let [r, g, b] = a.get_pixel(x, y).0;
+        Rgb([b, g, r])
+    });
+    for (name, other, least) in [("shifted", shifted, 50.0), ("brighter", brighter, 99.0), ("swapped", swapped, 90.0)] {
+        let name = format!("{name}.png");
+        other.save(folder.at(&name)).unwrap();
+        let (run, json) = compare(&folder, &format!("a.png {name}"));
+        let share = json["differing"]["differing_percent"].as_f64().unwrap();
+        assert!(run.code == 1 && share > least, "{name}: {share}");
+    }
+    // A code more is seldom a dE of 1, and 48.13 dB.
+    assert_eq!(code(&folder, "a.png brighter.png --tolerance-de 1 --max-differing 5"), 0);
+    let (_, json) = compare(&folder, "a.png brighter.png --min-psnr 48");
+    let psnr = json["display"]["psnr_db"].as_f64().unwrap();
+    assert!(json["verdict"] == "same" && (48.13..48.6).contains(&psnr), "{psnr}");
+    assert_eq!(code(&folder, "a.png brighter.png --min-psnr 49"), 1);
+}
+
+#[test]
+fn sizes_odd_values_and_headers() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    put(&folder, "cut.exr", Plane::from_rows(159, 120, |_, row| row.fill([1.0; 3])), &float());
+    let (run, json) = compare(&folder, "a.exr cut.exr --diff d.png");
+    assert_eq!((run.code, &json["pixels_equal"], &json["differing"]), (1, &Value::Null, &Value::Null));
+    assert!(json["reason"].as_str().unwrap().contains("159 x 120"), "{json}");
+    assert!(folder.at("d.png").is_file());
+
+    // As other programs write them: ours never do.
+    let odd = |name: &str, value: f32| {
+        use exr::prelude::WritableImage;
+        let scene = scene();
+        let layer = exr::prelude::SpecificChannels::rgb(|at: exr::math::Vec2<usize>| {
+            let p = if (at.x(), at.y()) == (5, 6) { [value; 3] } else { scene.at(at.x(), at.y()) };
+            (p[0], p[1], p[2])
+        });
+        exr::prelude::Image::from_channels((160, 120), layer).write().to_file(folder.at(name)).unwrap();
+    };
+    odd("nan.exr", f32::NAN);
+    odd("nan-too.exr", f32::NAN);
+    odd("inf.exr", f32::INFINITY);
+    assert_eq!(code(&folder, "nan.exr nan-too.exr --tolerance-stops 0"), 0);
+    for other in ["nan.exr", "inf.exr"] {
+        // No tolerance is wide enough, but a share of the pixels may be anything.
+        let (run, json) = compare(&folder, &format!("a.exr {other} --tolerance-stops 1000"));
+        assert_eq!((run.code, &json["radiance"]["not_comparable_pixels"]), (1, &1.into()));
+        let largest = &json["differing"]["largest"];
+        assert_eq!((&largest["x_px"], &largest["y_px"], &largest["stops"]), (&5.into(), &6.into(), &Value::Null));
+        assert_eq!(code(&folder, &format!("a.exr {other} --min-psnr 1")), 1);
+        assert_eq!(code(&folder, &format!("a.exr {other} --max-differing 1")), 0);
+    }
+    assert_eq!(code(&folder, "inf.exr nan.exr"), 1);
+    // Headers are told and never fail.
+    let (run, json) = compare(&folder, "nan.exr nan-too.exr");
+    assert!(run.code == 0 && json["metadata"].as_array().is_some_and(Vec::is_empty));
+    let bracket = Folder::with_bracket();
+    bracket.line("merge w2.jpg w3.jpg w4.jpg --align none -q -o a.exr").done();
+    std::fs::copy(bracket.at("a.exr"), folder.at("merged.exr")).unwrap();
+    let (map, _) = hdralign::read::read(&folder.at("merged.exr")).unwrap();
+    put(&folder, "bare.exr", map.pixels, &Options::default());
+    let (run, json) = compare(&folder, "merged.exr bare.exr");
+    assert_eq!(run.code, 0, "{run:?}");
+    let keys: Vec<&str> = json["metadata"].as_array().unwrap().iter().filter_map(|m| m["key"].as_str()).collect();
+    assert!(keys.contains(&"time_s") && run.stderr.contains("header"), "{keys:?}");
+}
+
+#[test]
+fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    picture().save(folder.at("a.png")).unwrap();
+    folder.put("words.txt", b"no picture at all");
+    let whole = folder.bytes("a.exr");
+    folder.put("cut.exr", &whole[..whole.len() / 2]);
+    let before = folder.listing();
+    for (line, said) in [
+        ("a.exr a.png", "a.exr: holds radiance, and a.png holds a display picture"),
+        ("gone.exr a.exr", "gone.exr: cannot be read"),
+        ("a.exr gone.exr", "gone.exr: cannot be read"),
+        ("a.exr words.txt", "words.txt: cannot be compared"),
+        ("a.exr cut.exr", "cut.exr: cannot be decoded"),
+        ("a.exr .", "it is a folder"),
+        ("a.exr a.exr --tolerance-de 1", "--tolerance-stops"),
+        ("a.png a.png --tolerance-stops 1", "--tolerance-de"),
+        ("a.exr a.exr --tolerance-stops -1", "no tolerance"),
+        ("a.exr a.exr --max-differing 101", "percent"),
+        ("a.exr a.exr --diff d.jpg", ".png"),
+        ("a.exr a.exr --diff a.png", "--force"),
+        ("a.png a.png --diff a.png --force", "another name"),
+        ("a.exr", "Usage"),
+    ] {
+        let run = folder.line(&format!("compare {line}"));
+        assert!(run.code == 2 && run.stdout.is_empty() && run.stderr.contains(said), "{line}: {run:?}");
+    }
+    assert_eq!(folder.listing(), before, "nothing is left behind");
+}
+
+#[test]
+fn blessing_copies_and_says_so() {
+    let folder = Folder::empty();
+    put(&folder, "new.exr", scene(), &float());
+    let run = folder.line("compare golden.exr new.exr --bless").done();
+    assert!(run.stderr.contains("golden.exr is new") && run.stdout == "golden.exr\n", "{run:?}");
+    assert_eq!(folder.bytes("golden.exr"), folder.bytes("new.exr"));
+    let run = folder.line("compare golden.exr new.exr --bless").done();
+    assert!(run.stderr.contains("already") && run.stdout.is_empty());
+    put(&folder, "new.exr", changed(|_, _, p| p.map(|v| 2.0 * v)), &float());
+    assert_eq!(folder.line("compare golden.exr new.exr -q").code, 1);
+    let run = folder.line("compare golden.exr new.exr --bless").done();
+    assert!(run.stderr.contains("differs: ") && run.stderr.contains("now a copy"), "{run:?}");
+    assert_eq!(folder.line("compare golden.exr new.exr").done().stdout, "");
+    // What was expected may be of no use; what there is must be.
+    folder.put("golden.exr", b"cut short");
+    folder.line("compare golden.exr new.exr --bless -q").done();
+    assert_eq!(folder.bytes("golden.exr"), folder.bytes("new.exr"));
+    folder.put("new.exr", b"cut short");
+    assert_eq!(folder.line("compare golden.exr new.exr --bless").code, 2);
+    picture().save(folder.at("p.png")).unwrap();
+    let run = folder.line("compare gone.exr p.png --bless");
+    assert!(run.code == 2 && run.stderr.contains("one extension") && !folder.at("gone.exr").exists(), "{run:?}");
+    assert!(folder.listing().iter().all(|(name, _)| !name.contains("part")), "no temporary file is left");
+}
+
+#[test]
+fn the_difference_picture_shows_where() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    put(&folder, "b.exr", changed(|x, y, p| if (x, y) == (20, 100) { p.map(|v| 4.0 * v) } else { p }), &float());
+    let run = folder.line("compare a.exr b.exr --diff d.png");
+    assert_eq!((run.code, run.stdout.as_str()), (1, "d.png\n"));
+    let page = image::open(folder.at("d.png")).unwrap().to_rgb8();
+    // The three panels are 160 x 120 pixels, twice as large, 10 apart, on margins of 20 and 76.
+    let at = |panel: u32, x: u32, y: u32| page.get_pixel(20 + panel * 330 + 2 * x, 76 + 2 * y).0;
+    // 2 stops are the scale's end, which is white; what is equal is grey.
+    assert_eq!(at(1, 20, 100), [255; 3]);
+    let [r, g, b] = at(1, 100, 100);
+    assert!(r == g && g == b && r < 100);
+    assert!(at(2, 20, 100)[0] > at(0, 20, 100)[0] && at(2, 100, 50) == at(0, 100, 50));
+    // The same bytes again, and any number of pixels.
+    let first = folder.bytes("d.png");
+    folder.line("compare a.exr b.exr --diff d.png --force -q");
+    assert!(folder.bytes("d.png") == first);
+}
+
+#[test]
+fn json_has_its_schema_and_stderr_the_words() {
+    let folder = Folder::empty();
+    put(&folder, "a.exr", scene(), &float());
+    put(&folder, "b.exr", changed(|_, _, p| p.map(|v| 1.1 * v)), &float());
+    let (run, json) = compare(&folder, "a.exr b.exr");
+    assert_eq!((&json["schema"], &json["limits"]["tolerance_stops"]), (&"hdralign-compare/1".into(), &0.01.into()));
+    assert_eq!((&json["expected"]["path"], &json["actual"]["width_px"]), (&"a.exr".into(), &160.into()));
+    let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
+    assert!(keys.contains(&&"pu21_psnr_db".to_string()), "{keys:?}");
+    assert!(run.stderr.starts_with("differs: "), "{}", run.stderr);
+    assert!(!run.stderr.contains('\u{1b}'), "stderr is no terminal");
+    let quiet = folder.line("compare a.exr b.exr -q");
+    assert_eq!((quiet.code, quiet.stdout.as_str(), quiet.stderr.as_str()), (1, "", ""));
+}
