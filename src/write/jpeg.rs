@@ -164,3 +164,57 @@ impl Strips {
         Ok([head, data])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plane::Plane;
+
+    fn picture(width: usize, height: usize) -> Plane<[u8; 3]> {
+        Plane::from_rows(width, height, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                *p = [(x * 2) as u8, (y * 3) as u8, ((x * 7919 + y * 104_729) % 61) as u8];
+            }
+        })
+    }
+
+    /// The strips' own pixels are those that a reader of the whole file has: the map is made for these.
+    #[test]
+    fn another_decoder_reads_what_the_strips_say() {
+        for (width, height) in [(1, 1), (9, 64), (50, 65), (131, 64 * 11 + 9)] {
+            let picture = picture(width, height);
+            let (mut strips, mut own) = (Strips::new((width, height), 64), Vec::new());
+            for pixels in picture.as_slice().chunks(64 * width) {
+                let strip = Strip::encode(pixels, width, 90).unwrap();
+                own.extend(strip.decoded().unwrap());
+                strips.push(&strip);
+            }
+            let mut segments = Vec::new();
+            put_jfif(&mut segments).unwrap();
+            let expected = strips.bytes_without_segments() + segments.len();
+            let file = strips.end(&segments).unwrap().concat();
+            assert_eq!(file.len(), expected);
+            let whole = image::load_from_memory(&file).unwrap().to_rgb8();
+            assert_eq!(whole.dimensions(), (width as u32, height as u32));
+            assert!(whole.as_raw() == &own, "{width}x{height}");
+            // Steps at quality 90 are at most 24: far below this on the mean.
+            let far =
+                own.iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+            assert!(far < 12 * own.len() as u64, "{far}");
+        }
+    }
+
+    #[test]
+    fn long_content_is_cut_where_it_can_be_and_refused_where_not() {
+        let profile = |bytes| Profile { icc: vec![1; bytes], description: String::new(), primaries: None };
+        let mut out = Vec::new();
+        put_profile(&profile(65_519 * 2 + 7), &mut out).unwrap();
+        let starts: Vec<usize> =
+            out.windows(13).enumerate().filter(|(_, w)| w.starts_with(b"ICC_PROFILE\0")).map(|(i, _)| i).collect();
+        assert_eq!(starts, [4, 4 + 65_537, 4 + 2 * 65_537]);
+        assert!(starts.iter().enumerate().all(|(i, &at)| out[at + 12..at + 14] == [i as u8 + 1, 3]));
+        assert!(put_segment(APP1, &[&[0; 65_533]], &mut out).is_ok());
+        assert!(put_segment(APP1, &[&[0; 65_534]], &mut out).is_err());
+        assert!(put_profile(&profile(65_519 * 256), &mut out).is_err());
+    }
+}

@@ -47,9 +47,6 @@ impl Options {
     }
 }
 
-/// The quality of the map: its errors are seen as errors of light.
-const MAP_QUALITY: u8 = 95;
-
 /// The `.jpg` writer.
 pub struct Writer {
     file: Pending,
@@ -158,7 +155,7 @@ impl Writer {
                 let decoded = base.decoded()?;
                 let (decoded, _) = decoded.as_chunks::<3>();
                 let codes = map.gains.codes(radiance, decoded, width, map.step);
-                Ok((base, Some(Strip::encode(&codes, width.div_ceil(map.step), MAP_QUALITY)?)))
+                Ok((base, Some(Strip::encode(&codes, width.div_ceil(map.step), map.rendition.map_quality())?)))
             })
             .collect();
         for strips in encoded {
@@ -285,11 +282,12 @@ fn put_xmp(packet: &str, out: &mut Vec<u8>) -> io::Result<()> {
     put_segment(APP1, &[b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()], out)
 }
 
-/// An XMP packet: `description` are attributes and the end of the element that has them.
+/// An XMP packet of the attributes and content `description`. It ends with a line: ImageMagick overwrites the last byte before it reads.
 fn packet(software: &str, description: &str) -> String {
     let software: String = software.chars().filter(|c| !matches!(c, '<' | '>' | '&' | '"')).collect();
     format!(
-        r#"<x:xmpmeta xmlns:x="adobe:ns:meta/" x:xmptk="{software}"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" {description}</rdf:RDF></x:xmpmeta>"#
+        r#"<x:xmpmeta xmlns:x="adobe:ns:meta/" x:xmptk="{software}"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" {description}</rdf:RDF></x:xmpmeta>
+"#
     )
 }
 

@@ -12,4 +12,5 @@ mod report;
 mod response;
 mod streams;
 mod tonemap;
+mod ultra_hdr;
 mod units;
