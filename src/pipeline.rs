@@ -5,6 +5,7 @@
 
 mod asked;
 pub mod camera;
+mod fusion;
 mod line;
 mod names;
 mod slabs;
@@ -24,7 +25,7 @@ use crate::report::Report;
 use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
-use crate::tonemap::{DisplayImage, Operator};
+use crate::tonemap::{DisplayImage, Rendering};
 use crate::write::{self, aligned};
 use line::{Line, Radiance};
 use slabs::Slabs;
@@ -79,8 +80,8 @@ pub struct Options {
     pub colour: Option<Space>,
     /// What takes radiance to cd/m2.
     pub calibration: Calibration,
-    /// How luminance is brought into the range of a display.
-    pub operator: Operator,
+    /// How the picture comes about.
+    pub rendering: Rendering,
     /// How files are encoded, and whether those that exist are replaced.
     pub write: write::Options,
     /// Radiance maps and pictures, by extension.
@@ -186,7 +187,7 @@ fn merged(
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
         let (radiance, statistics) = line.units(radiance, options.colour, &calibration)?;
-        let tones = line.tonemap(&radiance.slabs, options)?;
+        let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
         let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
         let metadata = line::metadata(bracket.reference(), options);
         let mut report = Report::new(&bracket, &alignment, region);
@@ -201,7 +202,7 @@ fn merged(
         report.colour = Some(slabs.primaries().into());
         report.flare = flare;
         report.ghosts = ghosts.as_ref().map(Ghosts::report);
-        let (results, display) = line.results(&slabs, &statistics, &tones, metadata, keep, options)?;
+        let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
         files.splice(0..0, results);
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);

@@ -4,6 +4,8 @@
 //! 2 ceil(4 sigma) + 1 multiply-adds a pixel for the Gaussian. Source: Ward 2003, section 2 (pyramid by averaging); Lowe 2004,
 //! section 3 (the Gaussian scale space is separable).
 
+pub mod burt_adelson;
+
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 

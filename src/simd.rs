@@ -96,6 +96,23 @@ pub fn at_most(value: f32, most: f32) -> f32 {
     if value > most { most } else { value }
 }
 
+/// log2 of `value`, which is positive, normal and finite, within 2e-7 of it or of 1.
+#[inline(always)]
+pub fn log2(value: f32) -> f32 {
+    // value = 2^e m with m between sqrt(1/2) and sqrt(2), so that the series of the area tangent below is short.
+    let bits = value.to_bits().wrapping_sub(ROOT_OF_HALF) as i32;
+    let e = bits >> 23;
+    let m = f32::from_bits(value.to_bits().wrapping_sub((e << 23) as u32));
+    // ln m = 2 (t + t^3/3 + t^5/5 + ..), t = (m - 1) / (m + 1), |t| < 0.172: what is left out is below 4e-8.
+    let t = (m - 1.0) / (m + 1.0);
+    let t2 = t * t;
+    let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (1.0 / 5.0 + t2 * (1.0 / 7.0)));
+    e as f32 + (2.0 * std::f32::consts::LOG2_E) * (t * series)
+}
+
+/// sqrt(1/2), as bits.
+const ROOT_OF_HALF: u32 = 0x3f35_04f3;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,5 +154,15 @@ mod tests {
             (at_least(1.0, 2.0), at_most(1.0, 2.0), at_least(3.0, 2.0), at_most(3.0, 2.0)),
             (2.0, 1.0, 3.0, 2.0)
         );
+    }
+
+    #[test]
+    fn logarithms_are_those_of_the_library() {
+        let values = (0..200_000).map(|i| f32::from_bits(0x0080_0000 + i * 10_600)).filter(|v| v.is_finite());
+        for value in values.chain([1.0, 2.0, 0.5, 1.0f32.next_down(), f32::MIN_POSITIVE, f32::MAX]) {
+            let exact = libm::log2(f64::from(value));
+            assert!((f64::from(log2(value)) - exact).abs() <= 2e-7 * exact.abs().max(1.0), "{value}");
+        }
+        assert_eq!([1.0, 2.0, 0.25].map(log2), [0.0, 1.0, -2.0]);
     }
 }

@@ -4,6 +4,7 @@ use super::input::Common;
 use super::progress::Bar;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
+use super::tone::Tone;
 use clap::ValueEnum;
 use hdralign::bracket::LoadOptions;
 use hdralign::error::Error;
@@ -11,7 +12,6 @@ use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
-use hdralign::tonemap::Operator;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -63,9 +63,8 @@ pub struct Args {
     #[arg(long)]
     flare: bool,
 
-    /// How luminance is brought into the range of a display
-    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
-    tmo: OperatorArg,
+    #[command(flatten)]
+    tone: Tone,
 
     #[command(flatten)]
     radiance: Radiance,
@@ -106,23 +105,6 @@ enum WeightArg {
     Noise,
 }
 
-/// See [`Operator`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-pub enum OperatorArg {
-    /// Reinhard et al. 2002, the global curve
-    #[default]
-    Reinhard02,
-}
-
-impl OperatorArg {
-    /// The operator with its options as by default.
-    pub fn operator(self) -> Operator {
-        match self {
-            OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
-        }
-    }
-}
-
 impl Args {
     fn options(&self) -> Result<Options, Error> {
         self.check_strength()?;
@@ -153,7 +135,7 @@ impl Args {
             flare: self.flare,
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
-            operator: self.tmo.operator(),
+            rendering: self.tone.rendering()?,
             save_aligned: self.save_aligned.clone(),
             write: self.radiance.write(common.write.overwrite),
             ..common

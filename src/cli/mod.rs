@@ -12,6 +12,7 @@ mod radiance;
 mod recovery;
 mod response;
 mod summary;
+mod tone;
 mod tonemap;
 
 use clap::{Parser, Subcommand};

@@ -1,8 +1,8 @@
 //! `hdralign tonemap`.
 
-use super::merge::OperatorArg;
 use super::progress::Bar;
 use super::radiance::Radiance;
+use super::tone::Tone;
 use hdralign::error::Error;
 use hdralign::pipeline::{self, TonemapOptions};
 use std::path::PathBuf;
@@ -31,9 +31,8 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,
 
-    /// How luminance is brought into the range of a display
-    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
-    tmo: OperatorArg,
+    #[command(flatten)]
+    tone: Tone,
 
     #[command(flatten)]
     radiance: Radiance,
@@ -61,7 +60,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         named => named.to_vec(),
     };
     let options = TonemapOptions {
-        operator: args.tmo.operator(),
+        operator: args.tone.operator()?,
         colour: args.radiance.colour(),
         outputs,
         write: args.radiance.write(args.force),

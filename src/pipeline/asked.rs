@@ -23,7 +23,7 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         deghost_strength: options.deghost.filter(|_| merges).map(|deghost| deghost.strength),
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
-        operator: merges.then(|| options.operator.clone()),
+        operator: merges.then(|| options.rendering.clone()),
     }
 }
 

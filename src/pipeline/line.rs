@@ -2,6 +2,7 @@
 //!
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
+use super::fusion;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
@@ -20,7 +21,9 @@ use crate::response::file::SavedResponse;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
-use crate::tonemap::global::{Curve, Scene};
+use crate::tonemap::Rendering;
+use crate::tonemap::overview::Overview;
+use crate::tonemap::tones::Tones;
 use crate::write::gain_map::Survey;
 use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
 use rayon::prelude::*;
@@ -33,6 +36,26 @@ pub(super) struct Radiance {
     pub merged: Merged,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
+}
+
+/// What rows of the picture come from.
+pub(super) enum Picture {
+    /// From the radiance.
+    Toned(Tones),
+    /// They are there.
+    Fused(Plane<[u8; 3]>),
+}
+
+impl Picture {
+    /// The codes of whole rows of radiance, the first of which is row `first`.
+    fn map(&self, first: usize, rows: &[[f32; 3]], codes: &mut [[u8; 3]]) {
+        match self {
+            Picture::Toned(tones) => tones.map(first, rows, codes),
+            Picture::Fused(picture) => {
+                codes.copy_from_slice(&picture.as_slice()[first * picture.width()..][..codes.len()]);
+            }
+        }
+    }
 }
 
 /// Rows that are given to the writers at once: bands enough for all threads, and buffers that stay in the cache.
@@ -51,7 +74,7 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
 }
 
 /// What files must know before their first row.
-fn settled(slabs: &Slabs, statistics: &Statistics, tones: &Curve, options: &Options) -> Result<Settled> {
+fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &Options) -> Result<Settled> {
     let mut fit = exr::Fit::default();
     if options.write.exr.sample == exr::Sample::Auto && write::is_among(&options.outputs, Format::Exr) {
         slabs.each(|_, map| {
@@ -69,7 +92,7 @@ fn settled(slabs: &Slabs, statistics: &Statistics, tones: &Curve, options: &Opti
     if write::is_among(&options.outputs, Format::Jpeg) {
         let mut survey = Survey::new(slabs.size(), &slabs.primaries());
         slabs.each(|first, map| {
-            survey.see(first, &map.pixels, |_, row, codes| tones.map(row, codes));
+            survey.see(first, &map.pixels, |y, row, codes| picture.map(y, row, codes));
             Ok(())
         })?;
         settled.rendition = survey.rendition(None);
@@ -234,18 +257,32 @@ impl<'a> Line<'a> {
         Ok((Radiance { slabs, ..radiance }, statistics))
     }
 
-    /// What maps rows of the radiance to the picture.
-    pub fn tonemap(&mut self, slabs: &Slabs, options: &Options) -> Result<Curve> {
-        let (curve, time) = self.timed(Stage::Tonemap, || {
-            let mut scene = Scene::new(slabs.size(), &slabs.primaries());
+    /// What rows of the picture come from.
+    pub fn tonemap(
+        &mut self,
+        slabs: &Slabs,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        region: Rect,
+        options: &Options,
+    ) -> Result<Picture> {
+        let (picture, time) = self.timed(Stage::Tonemap, || {
+            let operator = match &options.rendering {
+                Rendering::Toned(operator) => operator,
+                Rendering::Fused(fused) => {
+                    let memory = options.load.memory.as_ref().map(|limit| limit.bytes);
+                    return Ok(Picture::Fused(fusion::fused(bracket, alignment, region, fused, memory)?));
+                }
+            };
+            let mut overview = Overview::new(slabs.size(), &slabs.primaries());
             slabs.each(|first, map| {
-                scene.see(first, &map.pixels);
+                overview.see(first, &map.pixels);
                 Ok(())
             })?;
-            Ok(options.operator.settled(scene))
+            Ok(Picture::Toned(operator.settled(overview)))
         });
         self.times.tonemap = time;
-        curve
+        picture
     }
 
     /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.
@@ -253,7 +290,7 @@ impl<'a> Line<'a> {
         &mut self,
         slabs: &Slabs,
         statistics: &Statistics,
-        tones: &Curve,
+        picture: &Picture,
         metadata: Metadata,
         keep: bool,
         options: &Options,
@@ -262,23 +299,26 @@ impl<'a> Line<'a> {
         let metadata = Metadata { primaries: slabs.primaries(), ..metadata };
         let mut mapping = Duration::ZERO;
         let (written, time) = self.timed(Stage::Write, || {
-            let settled = settled(slabs, statistics, tones, options)?;
+            let settled = settled(slabs, statistics, picture, options)?;
             let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
             let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
-            let mut picture = Vec::new();
-            slabs.each(|_, map| {
-                for rows in map.pixels.as_slice().chunks(AT_ONCE * width) {
+            let mut shown = Vec::new();
+            slabs.each(|first, map| {
+                for (i, rows) in map.pixels.as_slice().chunks(AT_ONCE * width).enumerate() {
                     if keep || files.hold_display() {
                         let began = Instant::now();
-                        picture.resize(rows.len(), [0; 3]);
-                        let bands = picture.par_chunks_mut(BAND_ROWS * width).zip(rows.par_chunks(BAND_ROWS * width));
-                        bands.for_each(|(codes, rows)| tones.map(rows, codes));
+                        shown.resize(rows.len(), [0; 3]);
+                        let first = first + i * AT_ONCE;
+                        let bands = shown.par_chunks_mut(BAND_ROWS * width).zip(rows.par_chunks(BAND_ROWS * width));
+                        bands
+                            .enumerate()
+                            .for_each(|(j, (codes, rows))| picture.map(first + j * BAND_ROWS, rows, codes));
                         mapping += began.elapsed();
                     }
-                    let shown = if files.hold_display() { &picture[..] } else { &[] };
-                    files.push(if files.hold_radiance() { rows } else { &[] }, shown)?;
+                    let codes = if files.hold_display() { &shown[..] } else { &[] };
+                    files.push(if files.hold_radiance() { rows } else { &[] }, codes)?;
                     if keep {
-                        kept.extend_from_slice(&picture);
+                        kept.extend_from_slice(&shown);
                     }
                 }
                 Ok(())

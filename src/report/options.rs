@@ -6,7 +6,7 @@ use crate::align::{AlignMode, RobustMethod};
 use crate::bracket::colour::Space;
 use crate::merge::weight::Weight;
 use crate::response::ratios::Exposures;
-use crate::tonemap::Operator;
+use crate::tonemap::Rendering;
 use serde::Serialize;
 
 /// The options of a run; all from `exposures` on are none where frames were only aligned.
@@ -35,5 +35,5 @@ pub struct OptionsReport {
     /// The colour space asked for; none for that of the photographs.
     pub colour: Option<Space>,
     /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
-    pub operator: Option<Operator>,
+    pub operator: Option<Rendering>,
 }

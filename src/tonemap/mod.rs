@@ -1,14 +1,29 @@
 //! Tone mapping: from radiance to a picture.
 //!
-//! In: a [`RadianceMap`], in any unit and primaries. Out: a [`DisplayImage`], 8-bit sRGB. Each [`Operator`] is one paper in one file
-//! and decides luminance; colour, gamut and encoding are the same for all and in [`display`]. Cost: see each operator.
+//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of it. Each
+//! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
+//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`] and [`display`]. Cost: see each operator.
 
+mod bilateral;
+mod contrast_curve;
 pub mod display;
-pub mod global;
+pub mod drago;
+pub mod durand;
+mod guide;
+mod local_laplacian;
+pub mod mertens;
+pub mod natural;
+pub mod overview;
+pub mod reinhard;
+pub mod settings;
+pub mod tones;
 
+use crate::error::Result;
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
-use global::{Curve, Scene};
+use overview::Overview;
+use settings::Setting;
+use tones::Tones;
 
 /// A display-encoded picture: 8-bit, sRGB transfer and primaries.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,28 +36,107 @@ pub struct DisplayImage {
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[serde(tag = "name", rename_all = "kebab-case")]
 pub enum Operator {
+    /// The operator of the house.
+    Natural(natural::Options),
     /// Reinhard et al. 2002, the global curve.
-    Reinhard02(global::Options),
+    Reinhard02(reinhard::Options),
+    /// Reinhard et al. 2002, dodging and burning.
+    Reinhard02Local(reinhard::Options),
+    /// Drago et al. 2003.
+    Drago(drago::Options),
+    /// Durand & Dorsey 2002.
+    Durand(durand::Options),
 }
 
 impl Default for Operator {
     fn default() -> Self {
-        Operator::Reinhard02(global::Options::default())
+        Operator::Natural(natural::Options::default())
     }
 }
 
 impl Operator {
-    /// What maps rows of `scene`, all of which was seen.
-    pub fn settled(&self, scene: Scene) -> Curve {
+    /// Its name, as it is typed.
+    pub fn name(&self) -> &'static str {
         match self {
-            Operator::Reinhard02(options) => Curve::settled(scene, options),
+            Operator::Natural(_) => "natural",
+            Operator::Reinhard02(_) => "reinhard02",
+            Operator::Reinhard02Local(_) => "reinhard02-local",
+            Operator::Drago(_) => "drago",
+            Operator::Durand(_) => "durand",
         }
+    }
+
+    /// What may be set of it.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        match self {
+            Operator::Natural(options) => options.settings(),
+            Operator::Reinhard02(options) | Operator::Reinhard02Local(options) => options.settings(),
+            Operator::Drago(options) => options.settings(),
+            Operator::Durand(options) => options.settings(),
+        }
+    }
+
+    /// What maps rows of the picture that `overview` has seen all of.
+    pub fn settled(&self, overview: Overview) -> Tones {
+        let width = overview.width();
+        let Some(scene) = overview.scene() else { return Tones::black(width) };
+        match self {
+            Operator::Natural(options) => natural::natural(&scene, options),
+            Operator::Reinhard02(options) => reinhard::global(&scene, options),
+            Operator::Reinhard02Local(options) => reinhard::local(&scene, options),
+            Operator::Drago(options) => drago::drago(&scene, options),
+            Operator::Durand(options) => durand::durand(&scene, options),
+        }
+    }
+}
+
+/// How the picture comes about.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+pub enum Rendering {
+    /// From radiance, by an operator.
+    Toned(Operator),
+    /// From the aligned frames.
+    Fused(mertens::Options),
+}
+
+impl Default for Rendering {
+    fn default() -> Self {
+        Rendering::Toned(Operator::default())
+    }
+}
+
+impl Rendering {
+    /// Its name, as it is typed.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Rendering::Toned(operator) => operator.name(),
+            Rendering::Fused(_) => "mertens",
+        }
+    }
+
+    /// What may be set of it.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        match self {
+            Rendering::Toned(operator) => operator.settings(),
+            Rendering::Fused(options) => options.settings(),
+        }
+    }
+
+    /// Sets `key` to `value`.
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::error::Error::Option) where there is no such setting, or the value is out of its range.
+    pub fn set(&mut self, key: &str, value: f64) -> Result<()> {
+        let name = self.name();
+        settings::set(self.settings(), name, key, value)
     }
 }
 
 /// The picture of `radiance` by `operator`. Same radiance but for a factor, same picture, unless options fix the scale.
 pub fn tonemap(radiance: &RadianceMap, operator: &Operator) -> DisplayImage {
-    match operator {
-        Operator::Reinhard02(options) => global::reinhard(radiance, options),
-    }
+    let pixels = &radiance.pixels;
+    let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries);
+    overview.see(0, pixels);
+    DisplayImage { pixels: operator.settled(overview).picture(pixels) }
 }

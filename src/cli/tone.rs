@@ -1,0 +1,88 @@
+//! Arguments of the commands that tone-map.
+
+use clap::{Args, ValueEnum};
+use hdralign::error::Error;
+use hdralign::tonemap::{Operator, Rendering};
+
+/// How luminance is brought into the range of a display.
+#[derive(Debug, Args)]
+pub struct Tone {
+    /// How luminance is brought into the range of a display
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    tmo: OperatorArg,
+
+    /// Set something of the tone mapping, as `brightness=0.5`; may be repeated. `--tmo-set help` lists what there is
+    #[arg(long, value_name = "KEY=VALUE", value_delimiter = ',')]
+    tmo_set: Vec<String>,
+}
+
+/// See [`Operator`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+pub enum OperatorArg {
+    /// Edges held back without halos, contrasts distorted least, the brightness of a photograph
+    #[default]
+    Natural,
+    /// Global: Reinhard et al. 2002, the photographic curve
+    Reinhard02,
+    /// Local: Reinhard et al. 2002, dodging and burning
+    Reinhard02Local,
+    /// Global: Drago et al. 2003, adaptive logarithms
+    Drago,
+    /// Frequency: Durand & Dorsey 2002, a bilateral base compressed, its detail kept
+    Durand,
+    /// Fusion of the aligned frames, without radiance: Mertens et al. 2007
+    Mertens,
+}
+
+impl OperatorArg {
+    /// The rendering with its options as by default.
+    fn rendering(self) -> Rendering {
+        Rendering::Toned(match self {
+            OperatorArg::Mertens => return Rendering::Fused(Default::default()),
+            OperatorArg::Natural => Operator::Natural(Default::default()),
+            OperatorArg::Reinhard02 => Operator::Reinhard02(Default::default()),
+            OperatorArg::Reinhard02Local => Operator::Reinhard02Local(Default::default()),
+            OperatorArg::Drago => Operator::Drago(Default::default()),
+            OperatorArg::Durand => Operator::Durand(Default::default()),
+        })
+    }
+}
+
+impl Tone {
+    /// The operator with what was set of it, for radiance alone.
+    pub fn operator(&self) -> Result<Operator, Error> {
+        match self.rendering()? {
+            Rendering::Toned(operator) => Ok(operator),
+            Rendering::Fused(_) => {
+                let reason =
+                    "`mertens` fuses photographs, not radiance; give the bracket to `hdralign merge --tmo mertens`";
+                Err(Error::Option { option: "--tmo", reason: reason.into() })
+            }
+        }
+    }
+
+    /// The rendering with what was set of it.
+    pub fn rendering(&self) -> Result<Rendering, Error> {
+        let mut rendering = self.tmo.rendering();
+        for text in &self.tmo_set {
+            let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
+            if text == "help" {
+                return Err(refused(listed(&mut rendering)));
+            }
+            let typed = || refused(format!("{text:?} is not KEY=VALUE, as in `brightness=0.5`"));
+            let (key, value) = text.split_once('=').ok_or_else(typed)?;
+            rendering.set(key.trim(), value.trim().parse().map_err(|_| typed())?)?;
+        }
+        Ok(rendering)
+    }
+}
+
+/// What there is to be set of `rendering`.
+fn listed(rendering: &mut Rendering) -> String {
+    let mut text = format!("of `{}` may be set", rendering.name());
+    for setting in rendering.settings() {
+        let (least, most) = setting.range;
+        text += &format!("\n  {}={}: {}, {least} to {most}", setting.key, setting.value(), setting.about);
+    }
+    text
+}

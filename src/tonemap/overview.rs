@@ -1,0 +1,230 @@
+//! The picture from afar: what an operator must know of all of it before the first row is mapped.
+//!
+//! In: radiance by rows, from top to bottom, in portions of any height. Out: a [`Scene`]: luminance on a grid of square cells, and how often
+//! which luminance occurs. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`] cells, however large the picture is.
+
+use super::display::{ToSrgb, luminance};
+use crate::bracket::colour::Primaries;
+use crate::plane::Plane;
+use crate::simd::{Loops, log2, vectorised};
+use rayon::prelude::*;
+
+/// Cells that are enough: smaller pictures have a cell for each pixel, and every operator sees them as they are.
+pub const MOST_CELLS: usize = 1 << 20;
+
+/// Samples that are enough: percentiles within a tenth of a percent.
+const SAMPLES: usize = 1 << 18;
+
+/// A scene of which rows are still to come.
+#[derive(Debug, Clone)]
+pub struct Overview {
+    to_srgb: ToSrgb,
+    size: (usize, usize),
+    side: usize,
+    /// Of every cell the sum of log2 luminance, and of how many pixels.
+    cells: Plane<[f32; 2]>,
+    step: usize,
+    /// log2 of the luminances of every `step`-th pixel of every `step`-th row.
+    sample: Vec<f32>,
+}
+
+impl Overview {
+    /// A picture of `width` x `height` pixels of which nothing was seen yet.
+    pub fn new((width, height): (usize, usize), primaries: &Primaries) -> Self {
+        let (mut side, mut step) = (1, 1);
+        while width.div_ceil(side) * height.div_ceil(side) > MOST_CELLS {
+            side += 1;
+        }
+        while (width / step) * (height / step) > SAMPLES {
+            step += 1;
+        }
+        Overview {
+            to_srgb: ToSrgb::from(primaries),
+            size: (width, height),
+            side,
+            cells: Plane::filled(width.div_ceil(side), height.div_ceil(side), [0.0; 2]),
+            step,
+            sample: Vec::new(),
+        }
+    }
+
+    /// Of the picture, in pixels.
+    pub fn width(&self) -> usize {
+        self.size.0
+    }
+
+    /// Sees the rows `pixels`, which begin with row `first`. The portions do not show in what comes of it: each cell adds up its pixels
+    /// in their order.
+    pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
+        let (side, step, to_srgb) = (self.side, self.step, self.to_srgb);
+        let (width, end) = (pixels.width(), first + pixels.height());
+        if width == 0 || first == end {
+            return;
+        }
+        let columns = self.cells.width();
+        let rows = self.cells.as_mut_slice()[first / side * columns..].par_chunks_mut(columns).enumerate();
+        let samples: Vec<Vec<f32>> = rows
+            .take(end.div_ceil(side) - first / side)
+            .with_min_len(8)
+            .map_init(
+                || vec![0.0f32; width],
+                |logs, (i, cells)| {
+                    let mut sample = Vec::new();
+                    let top = (first / side + i) * side;
+                    for y in top.max(first)..(top + side).min(end) {
+                        vectorised(Logs { to_srgb: &to_srgb, row: pixels.row(y - first), logs });
+                        for (cell, logs) in cells.iter_mut().zip(logs.chunks(side)) {
+                            for &log in logs {
+                                let is_lit = log > UNLIT;
+                                cell[0] += if is_lit { log } else { 0.0 };
+                                cell[1] += if is_lit { 1.0 } else { 0.0 };
+                            }
+                        }
+                        if y.is_multiple_of(step) {
+                            sample.extend(logs.iter().step_by(step).filter(|log| **log > UNLIT));
+                        }
+                    }
+                    sample
+                },
+            )
+            .collect();
+        self.sample.extend(samples.iter().flatten());
+    }
+
+    /// All of it, of which every row was seen; `None` for a picture without light.
+    pub fn scene(self) -> Option<Scene> {
+        let mut sample = self.sample;
+        let means = || self.cells.as_slice().iter().filter(|c| c[1] > 0.0).map(|c| c[0] / c[1]);
+        if sample.is_empty() {
+            // The few lit pixels are none of the sample.
+            sample.extend(means());
+        }
+        let darkest = means().min_by(f32::total_cmp)?;
+        sample.sort_unstable_by(f32::total_cmp);
+        let logs = self.cells.as_slice().iter().map(|&[sum, n]| if n > 0.0 { sum / n } else { darkest }).collect();
+        let logs = Plane::from_vec(self.cells.width(), self.cells.height(), logs);
+        Some(Scene { to_srgb: self.to_srgb, size: self.size, side: self.side, logs, sample })
+    }
+}
+
+/// What stands for the logarithm where there is no light.
+const UNLIT: f32 = -1000.0;
+
+/// log2 of the luminances of a row.
+struct Logs<'a> {
+    to_srgb: &'a ToSrgb,
+    row: &'a [[f32; 3]],
+    logs: &'a mut [f32],
+}
+
+impl Loops for Logs<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (log, &pixel) in self.logs.iter_mut().zip(self.row) {
+            let l = luminance(self.to_srgb.apply(pixel));
+            let is_lit = (l >= f32::MIN_POSITIVE) & (l <= f32::MAX);
+            let value = log2(l);
+            *log = if is_lit { value } else { UNLIT };
+        }
+    }
+}
+
+/// A scene, all of which was seen.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// To the primaries of the display.
+    pub to_srgb: ToSrgb,
+    /// Width and height of the picture in pixels.
+    pub size: (usize, usize),
+    /// Sides of a cell, in pixels; at the right and lower end cells are cut.
+    pub side: usize,
+    /// The mean of log2 luminance in each cell; where there is no light the darkest of the others.
+    pub logs: Plane<f32>,
+    /// log2 luminances of pixels, rising.
+    sample: Vec<f32>,
+}
+
+impl Scene {
+    /// The log2 luminance that a part `p`, 0..=1, of the pixels is below.
+    pub fn percentile(&self, p: f64) -> f64 {
+        let last = self.sample.len() - 1;
+        f64::from(self.sample[((last as f64 * p).round() as usize).min(last)])
+    }
+
+    /// The mean of the log2 luminances, those beyond `ends` counted as the ends.
+    pub fn average_within(&self, (dark, bright): (f64, f64)) -> f64 {
+        let sum: f64 = self.sample.iter().map(|&l| f64::from(l).clamp(dark, bright)).sum();
+        sum / self.sample.len() as f64
+    }
+
+    /// The grid with cells of twice the sides, or more, until there are at most `cells` of them.
+    pub fn coarser(&self, cells: usize) -> Scene {
+        let mut by = 1;
+        while self.logs.width().div_ceil(by) * self.logs.height().div_ceil(by) > cells {
+            by += 1;
+        }
+        let (width, height) = (self.logs.width(), self.logs.height());
+        let logs = Plane::from_rows(width.div_ceil(by), height.div_ceil(by), |y, row| {
+            let rows = y * by..((y + 1) * by).min(height);
+            for (x, cell) in row.iter_mut().enumerate() {
+                let columns = x * by..((x + 1) * by).min(width);
+                let sum: f32 = rows.clone().flat_map(|y| &self.logs.row(y)[columns.clone()]).sum();
+                *cell = sum / (rows.len() * columns.len()) as f32;
+            }
+        });
+        Scene { logs, side: self.side * by, sample: self.sample.clone(), ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(width: usize, height: usize) -> Plane<[f32; 3]> {
+        Plane::from_rows(width, height, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                *p = [(1 + (x * 7 + y * 13) % 101) as f32, 2.0, if (x + y) % 50 == 0 { f32::NAN } else { 0.5 }];
+            }
+        })
+    }
+
+    fn seen(pixels: &Plane<[f32; 3]>, portion: usize) -> Scene {
+        let mut overview = Overview::new((pixels.width(), pixels.height()), &Primaries::SRGB);
+        for first in (0..pixels.height()).step_by(portion) {
+            let rows = first..(first + portion).min(pixels.height());
+            overview.see(first, &Plane::from_vec(pixels.width(), rows.len(), pixels.rows(rows).to_vec()));
+        }
+        overview.scene().unwrap()
+    }
+
+    #[test]
+    fn portions_do_not_show_and_cells_are_means() {
+        let pixels = picture(1500, 1100);
+        let whole = seen(&pixels, 1100);
+        assert_eq!(whole.side, 2);
+        for portion in [1, 64, 333] {
+            let other = seen(&pixels, portion);
+            assert!(other.logs == whole.logs && other.sample == whole.sample, "{portion}");
+        }
+        for (x, y) in [(0, 0), (749, 549), (100, 77)] {
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| luminance(pixels.at(2 * x + i, 2 * y + j)));
+            let lit: Vec<f64> = four.iter().filter(|l| l.is_finite()).map(|l| f64::from(*l).log2()).collect();
+            let mean = lit.iter().sum::<f64>() / lit.len() as f64;
+            // The logarithm is exact to 2e-7 of values below 8.
+            assert!((f64::from(whole.logs.at(x, y)) - mean).abs() < 1e-5);
+        }
+        let coarse = whole.coarser(1000);
+        assert!(coarse.logs.as_slice().len() <= 1000 && coarse.side % whole.side == 0);
+    }
+
+    #[test]
+    fn without_light_there_is_no_scene() {
+        for value in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let mut overview = Overview::new((5, 4), &Primaries::SRGB);
+            overview.see(0, &Plane::filled(5, 4, [value; 3]));
+            assert!(overview.scene().is_none(), "{value}");
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! What may be set of an operator, by name: for the command line, the manual and programs.
+//!
+//! In: a name and a number. Out: options, validated. Cost: none.
+
+use crate::error::{Error, Result};
+
+/// Where a setting is kept.
+#[derive(Debug)]
+pub enum Place<'a> {
+    /// A number.
+    Number(&'a mut f64),
+    /// A number, or what the picture says.
+    Estimated(&'a mut Option<f64>),
+}
+
+/// One thing that may be set.
+#[derive(Debug)]
+pub struct Setting<'a> {
+    /// Its name.
+    pub key: &'static str,
+    /// What it does, with its unit, on one line.
+    pub about: &'static str,
+    /// The least and the greatest value.
+    pub range: (f64, f64),
+    /// Where it is kept.
+    pub place: Place<'a>,
+}
+
+impl<'a> Setting<'a> {
+    /// A number in `range`.
+    pub(super) fn number(key: &'static str, range: (f64, f64), value: &'a mut f64, about: &'static str) -> Self {
+        Setting { key, about, range, place: Place::Number(value) }
+    }
+
+    /// A number in `range` that is estimated unless it is given.
+    pub(super) fn estimated(
+        key: &'static str,
+        range: (f64, f64),
+        value: &'a mut Option<f64>,
+        about: &'static str,
+    ) -> Self {
+        Setting { key, about, range, place: Place::Estimated(value) }
+    }
+
+    /// The saturation, which all operators have.
+    pub(super) fn saturation(value: &'a mut f64) -> Self {
+        Setting::number("saturation", (0.0, 3.0), value, "times the colourfulness of the scene; 0 is grey")
+    }
+
+    /// What it is, in words.
+    pub fn value(&self) -> String {
+        match &self.place {
+            Place::Number(value) => value.to_string(),
+            Place::Estimated(Some(value)) => value.to_string(),
+            Place::Estimated(None) => "from the picture".into(),
+        }
+    }
+}
+
+/// Sets the one of `settings`, which are those of `operator`, that is called `key`.
+///
+/// # Errors
+/// [`Error::Option`] where there is none of that name, or the value is out of its range.
+pub(super) fn set(settings: Vec<Setting>, operator: &str, key: &str, value: f64) -> Result<()> {
+    let refused = |reason| Err(Error::Option { option: "--tmo-set", reason });
+    let known: Vec<&str> = settings.iter().map(|s| s.key).collect();
+    let known = known.join(", ");
+    let Some(setting) = settings.into_iter().find(|s| s.key == key) else {
+        return refused(format!("`{operator}` has no `{key}`; it has {known}"));
+    };
+    let (least, most) = setting.range;
+    if !(least..=most).contains(&value) {
+        return refused(format!("`{key}` of `{operator}` is from {least} to {most}, not {value}"));
+    }
+    match setting.place {
+        Place::Number(place) => *place = value,
+        Place::Estimated(place) => *place = Some(value),
+    }
+    Ok(())
+}

@@ -1,0 +1,253 @@
+//! Tones: what an operator has settled, so that rows can be mapped to codes as they come.
+//!
+//! In: a [`Guide`] from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of codes. Colour is
+//! the same for all operators: hue is kept, saturation is corrected for the contrast that the curve takes away, and colours that the
+//! display lacks are drawn to grey. Cost: 8 ns a pixel and core.
+//! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
+
+use super::display::{Encoder, ToSrgb, into_gamut, luminance};
+use super::guide::Guide;
+use crate::plane::Plane;
+use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised};
+
+/// Tones v that the curve has entries for: log2, so many to the octave, between which it is straight.
+const PER_OCTAVE: usize = 64;
+const OCTAVES: usize = 48;
+const FIRST: f32 = -24.0;
+
+/// From the tone v to the display.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// Of every entry the luminance, relative to display white, and the share of saturation that is kept.
+    entries: Vec<[f32; 2]>,
+}
+
+impl Curve {
+    /// `display` gives for a tone the luminance, 0..=1 and never falling, `contrast` the slope of log display luminance over log scene
+    /// luminance by which saturation is corrected. `saturation` times what Mantiuk's fit gives is kept.
+    pub fn new(display: impl Fn(f64) -> f64, contrast: impl Fn(f64) -> f64, saturation: f64) -> Self {
+        let entry = |i| {
+            let v = f64::from(FIRST) + i as f64 / PER_OCTAVE as f64;
+            [display(v).clamp(0.0, 1.0) as f32, (saturation * corrected(contrast(v))) as f32]
+        };
+        Curve { entries: (0..=PER_OCTAVE * OCTAVES).map(entry).collect() }
+    }
+
+    /// The luminance relative to display white that the tone `v` has.
+    pub fn display(&self, v: f32) -> f32 {
+        let (entry, part) = place(v);
+        let (p, q) = (self.entries[entry as usize][0], self.entries[entry as usize + 1][0]);
+        p + part * (q - p)
+    }
+}
+
+/// The entry before the tone `v`, and the part of the way to the next.
+#[inline(always)]
+fn place(v: f32) -> (u32, f32) {
+    let most = (PER_OCTAVE * OCTAVES) as f32 - 0.01;
+    let scaled = at_most(at_least((v - FIRST) * PER_OCTAVE as f32, 0.0), most);
+    let whole = floor32(scaled);
+    (integer32(whole), scaled - whole)
+}
+
+/// Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c is the contrast left.
+fn corrected(contrast: f64) -> f64 {
+    const K1: f64 = 2.3892;
+    const K2: f64 = 0.8552;
+    let power = libm::pow(contrast.clamp(0.0, 1.0), K2);
+    (1.0 + K1) * power / (1.0 + K1 * power)
+}
+
+/// What maps rows of radiance to codes.
+#[derive(Debug, Clone)]
+pub struct Tones {
+    to_srgb: ToSrgb,
+    guide: Guide,
+    curve: Curve,
+    /// Where in the guide's rows the columns of the picture lie.
+    columns: (Vec<u32>, Vec<f32>),
+}
+
+impl Tones {
+    /// Of a picture `width` pixels wide.
+    pub fn new(to_srgb: ToSrgb, guide: Guide, curve: Curve, width: usize) -> Self {
+        let columns = guide.columns(width);
+        Tones { to_srgb, guide, curve, columns }
+    }
+
+    /// Black: of a picture without light.
+    pub fn black(width: usize) -> Self {
+        let none = Curve::new(|_| 0.0, |_| 0.0, 0.0);
+        Tones::new(ToSrgb::from(&crate::bracket::colour::Primaries::SRGB), Guide::shifted(0.0), none, width)
+    }
+
+    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to as many codes.
+    pub fn map(&self, first: usize, rows: &[[f32; 3]], codes: &mut [[u8; 3]]) {
+        let width = self.columns.0.len().max(1);
+        let encoder = Encoder::new();
+        let mut lines = Vec::new();
+        for ((y, row), codes) in (first..).zip(rows.chunks(width)).zip(codes.chunks_mut(width)) {
+            self.guide.row(y, &mut lines);
+            vectorised(Mapped { tones: self, lines: &lines, encoder, row, codes });
+        }
+    }
+
+    /// The codes of `radiance`.
+    pub fn picture(&self, radiance: &Plane<[f32; 3]>) -> Plane<[u8; 3]> {
+        Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(y, radiance.row(y), row))
+    }
+
+    /// Linear sRGB relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first.
+    #[inline(always)]
+    fn pixels(&self, x: usize, lines: &[[f32; 2]], rgb: &mut [[f32; BLOCK]; 3]) {
+        let [red, green, blue] = rgb;
+        let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+        let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+        for i in 0..BLOCK {
+            // Beyond any light there is; finite, so that what follows is.
+            let [r, g, b] = self.to_srgb.apply([red[i], green[i], blue[i]]).map(|c| at_most(c, 1e37));
+            (red[i], green[i], blue[i]) = (r, g, b);
+            light[i] = luminance([r, g, b]);
+        }
+        for i in 0..BLOCK {
+            tone[i] = log2(at_least(light[i], f32::MIN_POSITIVE));
+        }
+        if lines.len() == 2 {
+            let [a, b] = lines[0];
+            for v in &mut tone {
+                *v = a * *v + b;
+            }
+        } else {
+            let columns = (self.columns.0[x..].iter(), self.columns.1[x..].iter());
+            for ((v, &cell), &part) in tone.iter_mut().zip(columns.0).zip(columns.1) {
+                let (p, q) = (lines[cell as usize], lines[cell as usize + 1]);
+                let (a, b) = (p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1]));
+                *v = a * *v + b;
+            }
+        }
+        let mut entry = [0u32; BLOCK];
+        for i in 0..BLOCK {
+            (entry[i], tone[i]) = place(tone[i]);
+        }
+        for i in 0..BLOCK {
+            let at = entry[i] as usize;
+            let (p, q) = (self.curve.entries[at], self.curve.entries[at + 1]);
+            display[i] = p[0] + tone[i] * (q[0] - p[0]);
+            share[i] = p[1] + tone[i] * (q[1] - p[1]);
+        }
+        for i in 0..BLOCK {
+            let ratio = display[i] / light[i];
+            // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
+            let grey = display[i] * (1.0 - share[i]);
+            let toned = [red[i], green[i], blue[i]].map(|c| (c * ratio) * share[i] + grey);
+            let [r, g, b] = into_gamut(toned, display[i]);
+            // Without light, or without a number, it is black.
+            let is_lit = light[i] >= f32::MIN_POSITIVE;
+            red[i] = if is_lit { r } else { 0.0 };
+            green[i] = if is_lit { g } else { 0.0 };
+            blue[i] = if is_lit { b } else { 0.0 };
+        }
+    }
+}
+
+/// Pixels that are worked out side by side.
+const BLOCK: usize = 64;
+
+/// A row that is mapped to codes.
+struct Mapped<'a> {
+    tones: &'a Tones,
+    lines: &'a [[f32; 2]],
+    encoder: Encoder,
+    row: &'a [[f32; 3]],
+    codes: &'a mut [[u8; 3]],
+}
+
+impl Loops for Mapped<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let mut rgb = [[0.0f32; BLOCK]; 3];
+        let mut x = 0;
+        for (pixels, codes) in self.row.chunks(BLOCK).zip(self.codes.chunks_mut(BLOCK)) {
+            let [red, green, blue] = &mut rgb;
+            for (((r, g), b), p) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
+                (*r, *g, *b) = (p[0], p[1], p[2]);
+            }
+            self.tones.pixels(x, self.lines, &mut rgb);
+            let encoded = rgb.each_ref().map(|channel| self.encoder.codes(channel));
+            for (i, out) in codes.iter_mut().enumerate() {
+                *out = [encoded[0][i], encoded[1][i], encoded[2][i]];
+            }
+            x += pixels.len();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+
+    /// Ten stops from left to right, tinted.
+    fn ramp() -> Plane<[f32; 3]> {
+        Plane::from_rows(500, 70, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                let l = libm::exp2f(x as f32 / 50.0) * (1.0 + y as f32 / 1000.0);
+                *p = [l, 0.8 * l, 0.6 * l];
+            }
+        })
+    }
+
+    fn tones(guide: Guide) -> Tones {
+        let curve = Curve::new(|v| libm::exp2(v) / (1.0 + libm::exp2(v)), |v| 1.0 / (1.0 + libm::exp2(v)), 1.0);
+        Tones::new(ToSrgb::from(&Primaries::SRGB), guide, curve, 500)
+    }
+
+    /// The chain as it is printed, in doubles. The pieces of the curves are straight over 1/64 stop: (ln 2 / 64)^2 / 8 = 1.5e-5 of a value,
+    /// the logarithm within 2e-7 of a value below 8. Half a code is at most 0.0045 of linear light.
+    #[test]
+    fn pixels_are_those_of_the_papers() {
+        let map = ramp();
+        let tones = tones(Guide::shifted(-5.0));
+        let codes = tones.picture(&map);
+        for (x, y) in (0..500).map(|x| (x, x % 70)) {
+            let rgb = map.at(x, y).map(f64::from);
+            let lw = 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
+            let l = lw / 32.0;
+            let (ld, s) = (l / (1.0 + l), corrected(1.0 / (1.0 + l)));
+            let linear = rgb.map(|c| (((c / lw - 1.0) * s + 1.0) * ld) as f32);
+            let expected = into_gamut(linear, ld as f32);
+            let back = codes.at(x, y).map(|c| crate::bracket::colour::srgb_to_linear(f64::from(c) / 255.0));
+            for c in 0..3 {
+                assert!((back[c] - f64::from(expected[c])).abs() < 0.0046, "{x}: {back:?} {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_guide_of_many_cells_is_that_of_one_where_all_are_alike() {
+        let logs = Plane::from_rows(125, 18, |y, row| {
+            row.iter_mut().enumerate().for_each(|(x, l)| *l = ((x * 3 + y) % 11) as f32)
+        });
+        let moved = Plane::from_vec(125, 18, logs.as_slice().iter().map(|l| l - 5.0).collect());
+        let (one, many) = (tones(Guide::shifted(-5.0)), tones(Guide::fitted(&logs, &moved, 4, 1.0)));
+        let map = ramp();
+        let (one, many) = (one.picture(&map), many.picture(&map));
+        for (p, q) in one.as_slice().iter().zip(many.as_slice()) {
+            assert!((0..3).all(|c| p[c].abs_diff(q[c]) <= 1), "{p:?} {q:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_light_is_black_and_beyond_all_light_is_white() {
+        let tones = tones(Guide::shifted(0.0));
+        let mut codes = [[7u8; 3]; 6];
+        let rows = [[0.0; 3], [f32::NAN; 3], [-1.0; 3], [f32::MAX; 3], [f32::INFINITY; 3], [1e-42; 3]];
+        tones.map(0, &rows, &mut codes);
+        assert_eq!(codes, [[0; 3], [0; 3], [0; 3], [255; 3], [255; 3], [0; 3]]);
+        let mut codes = [[7u8; 3]; 2];
+        Tones::black(2).map(0, &[[1.0; 3]; 2], &mut codes);
+        assert_eq!(codes, [[0; 3]; 2]);
+    }
+}
