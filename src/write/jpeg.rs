@@ -44,9 +44,10 @@ impl Strip {
         Ok(Strip { bytes, tables, data })
     }
 
-    /// The pixels as a reader of the file will have them.
+    /// The pixels as a reader of the file will have them: the same on any processor.
     pub(super) fn decoded(&self) -> io::Result<Vec<u8>> {
-        let options = DecoderOptions::default()
+        // Without vectors it takes as long: what it is about is the entropy coding.
+        let options = DecoderOptions::new_safe()
             .set_strict_mode(true)
             .set_max_width(usize::from(u16::MAX))
             .set_max_height(usize::from(u16::MAX))
