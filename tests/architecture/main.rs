@@ -15,7 +15,7 @@ const LAYERS: [&str; 17] = [
 const RIVALS: [(&str, &[&str]); 3] = [
     ("align", &["mtb", "sift"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
-    ("tonemap", &["global", "local", "frequency", "gradient"]),
+    ("tonemap", &["natural", "reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08", "mertens"]),
 ];
 
 /// Most lines of a file.

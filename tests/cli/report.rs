@@ -123,7 +123,9 @@ fn what_was_asked_for_is_in_the_report() {
     let expected = serde_json::json!({
         "align": "auto", "robust": "ransac", "max_rotation_deg": 5.0, "crop": "common", "exposures": "fine-tuned",
         "response_model": "debevec", "response_file": null, "weight": "hat", "deghost_strength": null, "flare": false,
-        "colour": null, "operator": { "name": "reinhard02", "key": null, "white": null, "saturation": 1.0 }
+        "colour": null, "operator": {
+            "name": "natural", "edges": 0.7, "detail": 1.25, "range_stops": null, "brightness": 0.44, "saturation": 1.15
+        }
     });
     assert_eq!(asked, expected);
     let more = "--align mtb --robust lmeds --max-rotation 2 --crop none --exposures as-given --response-model srgb \
