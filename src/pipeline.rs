@@ -282,6 +282,7 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
     options.calibration.validate()?;
+    options.write.jpeg.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;
     }

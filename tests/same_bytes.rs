@@ -8,7 +8,7 @@ use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::simd::{self, Arm};
-use hdralign::write::{self, exr, hdr, tiff};
+use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 use serde_json::Value;
 use std::fs;
 use std::path::PathBuf;
@@ -30,7 +30,7 @@ fn folder() -> Folder {
 /// The bytes of all outputs, and the report without what is a clock's.
 fn results(folder: &Folder, order: [usize; FRAMES], options: &str) -> (Vec<Vec<u8>>, Value) {
     let images = order.map(|i| format!("w{i}.jpg")).join(" ");
-    let outputs = "-o a.exr -o a.hdr -o a.tif -o a.png --save-response response.json";
+    let outputs = "-o a.exr -o a.hdr -o a.tif -o a.png -o a.jpg --save-response response.json";
     folder.line(&format!("merge {images} {outputs} --report r.json --force {options}")).done();
     let bytes = OUTPUTS.map(|name| folder.bytes(name)).to_vec();
     assert!(bytes.iter().all(|b| b.len() > 1000));
@@ -115,7 +115,7 @@ fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
 #[test]
 fn vector_instructions_do_not_change_a_byte() {
     let folder = folder();
-    let outputs = ["a.exr", "a.hdr", "a.tif", "a.png"].map(|name| folder.at(name)).to_vec();
+    let outputs = ["a.exr", "a.hdr", "a.tif", "a.png", "a.jpg"].map(|name| folder.at(name)).to_vec();
     let by_default =
         Options { outputs, write: write::Options { overwrite: true, ..Default::default() }, ..Options::default() };
     let asked_for = Options {
@@ -129,6 +129,7 @@ fn vector_instructions_do_not_change_a_byte() {
             exr: exr::Options { sample: exr::Sample::Float, ..Default::default() },
             hdr: hdr::Encoding::Xyze,
             tiff: tiff::Encoding::LogLuv32,
+            jpeg: ultra_hdr::Options { gain_map: Resolution::Half, ..Default::default() },
         },
         ..by_default.clone()
     };

@@ -3,11 +3,11 @@
 //! In: EXIF. Out: a [`Capture`], with blanks, padding and clocks that were never set left out, and the camera's name of it. Cost: nothing to speak of.
 //! Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
 
-use super::{Capture, exposure};
+use super::{Capture, carried, exposure};
 use exif::{Exif, In, Tag, Value};
 
-/// The notes that are carried over to the outputs.
-pub(super) fn read(exif: &Exif) -> Capture {
+/// The notes that are carried over to the outputs; where it was taken if `keep_gps`.
+pub(super) fn read(exif: &Exif, keep_gps: bool) -> Capture {
     let focal_length = exif.get_field(Tag::FocalLength, In::PRIMARY).and_then(|f| exposure::first_number(&f.value));
     Capture {
         make: ascii(exif, Tag::Make),
@@ -15,6 +15,7 @@ pub(super) fn read(exif: &Exif) -> Capture {
         date: ascii(exif, Tag::DateTimeOriginal).or_else(|| ascii(exif, Tag::DateTime)).filter(|d| is_date(d)),
         lens: ascii(exif, Tag::LensModel),
         focal_length_mm: focal_length.filter(|&f| f > 0.0),
+        exif: carried::carried(exif, keep_gps),
     }
 }
 

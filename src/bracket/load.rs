@@ -33,11 +33,19 @@ pub struct LoadOptions {
     pub max_pixels: u64,
     /// How much memory may be used: frames that do not fit are put on disk. Default: as much as is needed.
     pub memory: Option<MemoryLimit>,
+    /// Whether the results may tell where the photographs were taken. No by default.
+    pub keep_gps: bool,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        LoadOptions { ev: None, reference: ReferenceChoice::Auto, max_pixels: 2_000_000_000, memory: None }
+        LoadOptions {
+            ev: None,
+            reference: ReferenceChoice::Auto,
+            max_pixels: 2_000_000_000,
+            memory: None,
+            keep_gps: false,
+        }
     }
 }
 
@@ -68,7 +76,7 @@ pub fn load_with_progress(
 
     let done = AtomicUsize::new(0);
     let read = |path: &PathBuf, scratch: Option<&Arc<Scratch>>| {
-        let picture = Picture::read(path, options.max_pixels, scratch);
+        let picture = Picture::read(path, options, scratch);
         progress(1 + done.fetch_add(1, Ordering::Relaxed));
         picture
     };
@@ -207,10 +215,10 @@ struct Picture {
 
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
-    fn read(path: &Path, max_pixels: u64, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, max_pixels)?;
+    fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
+        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, options.max_pixels)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
-        let capture = exif.as_ref().map(capture::read).unwrap_or_default();
+        let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
         // Here, where another frame is being decoded beside it.

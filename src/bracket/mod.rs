@@ -6,6 +6,7 @@
 
 mod brightness;
 mod capture;
+mod carried;
 pub mod colour;
 mod decode;
 pub mod exposure;
@@ -76,6 +77,8 @@ pub struct Capture {
     pub lens: Option<String>,
     /// EXIF FocalLength, in millimetres.
     pub focal_length_mm: Option<f64>,
+    /// All of the EXIF that is true of the results too, as a TIFF block; where it was taken only if that was asked for.
+    pub exif: Option<Vec<u8>>,
 }
 
 /// One photograph, decoded.

@@ -18,7 +18,7 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Examples:
   hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
-  hdralign merge *.jpg -o room.exr -o room.hdr -o room.png
+  hdralign merge *.jpg -o room.exr -o room.hdr -o room.jpg
   hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
   hdralign merge --deghost --ghost-mask moved.png *.jpg   people who walked on; and where they were
   hdralign merge --align none --crop none *.tif -o studio.exr";
@@ -29,7 +29,8 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// A result; the extension picks the format: .exr .hdr .tif (radiance), .png (picture). May be repeated
+    /// A result; the extension picks the format: .exr .hdr .tif (radiance), .png (picture),
+    /// .jpg (picture that lights up on HDR displays). May be repeated
     /// [default: FIRST-LAST.exr and .png beside the photographs]
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,
@@ -77,6 +78,10 @@ pub struct Args {
     #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
     calibration_factor: Option<f64>,
 
+    /// Let the .jpg tell where the photograph was taken, as the reference does
+    #[arg(long)]
+    keep_gps: bool,
+
     /// Write the aligned frames too, as TIFF: PREFIX and the photograph's name
     #[arg(long, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
@@ -111,7 +116,7 @@ impl Args {
         let common = self.common.options();
         let memory = self.common.aligned.memory(outputs.first().map(PathBuf::as_path));
         Ok(Options {
-            load: LoadOptions { memory, ..common.load.clone() },
+            load: LoadOptions { memory, keep_gps: self.keep_gps, ..common.load.clone() },
             outputs,
             exposures: self.recovery.exposures(),
             response: self.recovery.model()?,

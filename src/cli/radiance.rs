@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use hdralign::bracket::colour::Space;
-use hdralign::write::{self, exr, hdr, tiff};
+use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 
 /// How radiance is written.
 #[derive(Debug, Args)]
@@ -27,6 +27,26 @@ pub struct Radiance {
     /// What a pixel of .tif is
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
     tiff_encoding: TiffArg,
+
+    /// The quality of the picture in .jpg
+    #[arg(long, value_name = "1..100", default_value_t = ultra_hdr::Options::default().quality)]
+    jpeg_quality: u8,
+
+    /// The gain map in .jpg, by which HDR displays show the radiance
+    #[arg(long, value_enum, default_value_t, value_name = "SIZE")]
+    gain_map: GainMapArg,
+}
+
+/// See [`Resolution`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum GainMapArg {
+    /// As large as the picture
+    #[default]
+    Full,
+    /// Half as wide and high: a smaller file
+    Half,
+    /// None: a JPEG like any other
+    None,
 }
 
 /// See [`Space`].
@@ -136,6 +156,14 @@ impl Radiance {
                 TiffArg::Float => tiff::Encoding::Float,
                 TiffArg::Logluv24 => tiff::Encoding::LogLuv24,
                 TiffArg::Logluv32 => tiff::Encoding::LogLuv32,
+            },
+            jpeg: ultra_hdr::Options {
+                quality: self.jpeg_quality,
+                gain_map: match self.gain_map {
+                    GainMapArg::Full => Resolution::Full,
+                    GainMapArg::Half => Resolution::Half,
+                    GainMapArg::None => Resolution::None,
+                },
             },
         }
     }

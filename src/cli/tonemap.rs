@@ -27,7 +27,8 @@ pub struct Args {
     #[arg(value_name = "IN")]
     input: PathBuf,
 
-    /// A result; the extension picks the format: .png (picture), .exr .hdr .tif (radiance). May be repeated
+    /// A result; the extension picks the format: .png (picture), .jpg (picture that lights up on
+    /// HDR displays), .exr .hdr .tif (radiance). May be repeated
     /// [default: IN as .png, beside it]
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,

@@ -24,6 +24,7 @@ use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
+use crate::write::gain_map::Survey;
 use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -73,10 +74,9 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
 }
 
 /// What files must know before their first row.
-fn settled(slabs: &Slabs, statistics: &Statistics, options: &Options) -> Result<Settled> {
+fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &Options) -> Result<Settled> {
     let mut fit = exr::Fit::default();
-    let is_exr = |path: &PathBuf| Format::of(path).is_ok_and(|format| format == Format::Exr);
-    if options.write.exr.sample == exr::Sample::Auto && options.outputs.iter().any(is_exr) {
+    if options.write.exr.sample == exr::Sample::Auto && write::is_among(&options.outputs, Format::Exr) {
         slabs.each(|_, map| {
             let pixels = &map.pixels;
             fit = fit.and(fold_bands(
@@ -88,7 +88,16 @@ fn settled(slabs: &Slabs, statistics: &Statistics, options: &Options) -> Result<
             Ok(())
         })?;
     }
-    Ok(Settled::by(&options.write, fit, statistics.p99_9))
+    let mut settled = Settled::by(&options.write, fit, statistics.p99_9);
+    if write::is_among(&options.outputs, Format::Jpeg) {
+        let mut survey = Survey::new(slabs.size(), &slabs.primaries());
+        slabs.each(|first, map| {
+            survey.see(first, &map.pixels, |y, row, codes| picture.map(y, row, codes));
+            Ok(())
+        })?;
+        settled.rendition = survey.rendition(None);
+    }
+    Ok(settled)
 }
 
 /// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
@@ -290,7 +299,7 @@ impl<'a> Line<'a> {
         let metadata = Metadata { primaries: slabs.primaries(), ..metadata };
         let mut mapping = Duration::ZERO;
         let (written, time) = self.timed(Stage::Write, || {
-            let settled = settled(slabs, statistics, options)?;
+            let settled = settled(slabs, statistics, picture, options)?;
             let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
             let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
             let mut shown = Vec::new();

@@ -41,6 +41,7 @@ pub fn tonemap_file(
     watch: &(dyn Fn(Progress) + Sync),
 ) -> Result<TonemapReport> {
     in_pool(options.threads, || {
+        options.write.jpeg.validate()?;
         for path in &options.outputs {
             write::Format::of(path)?;
         }

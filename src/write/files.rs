@@ -4,7 +4,8 @@
 //! its name yet. Cost: that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file
 //! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
 
-use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, logluv, radiance_writer};
+use super::gain_map::{Rendition, Survey};
+use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, logluv, radiance_writer, ultra_hdr};
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::fold_bands;
@@ -20,12 +21,14 @@ pub struct Settled {
     pub sample: exr::Sample,
     /// What values are multiplied by to be held by LogLuv.
     pub logluv_scale: f32,
+    /// What the gain map of a JPEG leads to.
+    pub rendition: Rendition,
 }
 
 impl Settled {
-    /// For `radiance` written to `paths`; looks at it only where the answer shows.
-    pub fn of(paths: &[PathBuf], radiance: &RadianceMap, options: &Options) -> Settled {
-        let is_among = |format| paths.iter().any(|path| Format::of(path).is_ok_and(|f| f == format));
+    /// For `radiance`, shown as `display`, written to `paths`; looks at it only where the answer shows.
+    pub fn of(paths: &[PathBuf], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Settled {
+        let is_among = |format| is_among(paths, format);
         let pixels = &radiance.pixels;
         let sample = if is_among(Format::Exr) && options.exr.sample == exr::Sample::Auto {
             let fit = |rows| exr::Fit::of(pixels.rows(rows));
@@ -37,14 +40,25 @@ impl Settled {
             Some(depth) if is_among(Format::Tiff) => logluv::scale(depth, radiance),
             _ => 1.0,
         };
-        Settled { sample, logluv_scale }
+        let mut rendition = Rendition::default();
+        if is_among(Format::Jpeg) {
+            let mut survey = Survey::new((pixels.width(), pixels.height()), &radiance.primaries);
+            survey.see(0, pixels, |y, _, codes| codes.copy_from_slice(display.pixels.row(y)));
+            rendition = survey.rendition(None);
+        }
+        Settled { sample, logluv_scale, rendition }
     }
 
     /// For radiance that was counted in passing: how halves fit it, and the luminance that 0.1 % of its pixels are above.
     pub fn by(options: &Options, fit: exr::Fit, bright: f32) -> Settled {
         let logluv_scale = options.tiff.depth().map_or(1.0, |depth| logluv::scale_under(depth, bright));
-        Settled { sample: options.exr.sample.settled(fit), logluv_scale }
+        Settled { sample: options.exr.sample.settled(fit), logluv_scale, rendition: Rendition::default() }
     }
+}
+
+/// Whether one of `paths` asks for `format`.
+pub fn is_among(paths: &[PathBuf], format: Format) -> bool {
+    paths.iter().any(|path| Format::of(path).is_ok_and(|f| f == format))
 }
 
 /// How far a file is.
@@ -88,6 +102,28 @@ impl<P: Sync> Slot<P> {
     }
 }
 
+/// A file made of radiance and picture, and its place among those named.
+struct Both {
+    place: usize,
+    path: PathBuf,
+    state: Option<Box<ultra_hdr::Writer>>,
+}
+
+impl Both {
+    /// Takes rows of either or both.
+    fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
+        let mut writer = self.state.take().ok_or_else(|| failed(&self.path))?;
+        writer.push(radiance, display)?;
+        self.state = Some(writer);
+        Ok(())
+    }
+
+    fn ended(self) -> Result<(usize, Written)> {
+        let writer = self.state.ok_or_else(|| failed(&self.path))?;
+        Ok((self.place, writer.finish()?))
+    }
+}
+
 fn failed(path: &Path) -> Error {
     Error::Write { path: path.to_owned(), source: io::Error::other("it could not be written before") }
 }
@@ -108,6 +144,8 @@ fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
 pub struct Files {
     radiance: Vec<Slot<[f32; 3]>>,
     display: Vec<Slot<[u8; 3]>>,
+    /// Those that need both.
+    both: Vec<Both>,
 }
 
 impl Files {
@@ -122,10 +160,16 @@ impl Files {
         options: &Options,
         settled: Settled,
     ) -> Result<Files> {
-        let mut files = Files { radiance: Vec::new(), display: Vec::new() };
+        let mut files = Files { radiance: Vec::new(), display: Vec::new(), both: Vec::new() };
         let pixels = size.0 * size.1;
         for (place, path) in paths.iter().enumerate() {
-            if Format::of(path)?.holds_radiance() {
+            let format = Format::of(path)?;
+            if format == Format::Jpeg {
+                let metadata = Metadata { profile: None, ..metadata.clone() };
+                let pending = Pending::create(path)?;
+                let writer = ultra_hdr::Writer::new(pending, size, &metadata, &options.jpeg, &settled.rendition)?;
+                files.both.push(Both { place, path: path.clone(), state: Some(Box::new(writer)) });
+            } else if format.holds_radiance() {
                 let state = State::Begun(begin_radiance(path, size, metadata, options, settled)?, pixels);
                 files.radiance.push(Slot { place, path: path.clone(), state });
             } else {
@@ -137,14 +181,14 @@ impl Files {
         Ok(files)
     }
 
-    /// Whether there is a radiance map among them.
+    /// Whether there is a radiance map among them, or another file that needs the radiance.
     pub fn hold_radiance(&self) -> bool {
-        !self.radiance.is_empty()
+        !self.radiance.is_empty() || !self.both.is_empty()
     }
 
     /// Whether there is a picture among them.
     pub fn hold_display(&self) -> bool {
-        !self.display.is_empty()
+        !self.display.is_empty() || !self.both.is_empty()
     }
 
     /// The next rows of radiance, for all radiance maps.
@@ -155,7 +199,7 @@ impl Files {
     /// # Panics
     /// As [`RowWriter::push`].
     pub fn push_radiance(&mut self, rows: &[[f32; 3]]) -> Result<()> {
-        push_all(&mut self.radiance, rows)
+        self.push(rows, &[])
     }
 
     /// The next rows of the picture, for all pictures.
@@ -166,7 +210,7 @@ impl Files {
     /// # Panics
     /// As [`RowWriter::push`].
     pub fn push_display(&mut self, rows: &[[u8; 3]]) -> Result<()> {
-        push_all(&mut self.display, rows)
+        self.push(&[], rows)
     }
 
     /// The next rows of both, side by side; either may be empty.
@@ -177,9 +221,11 @@ impl Files {
     /// # Panics
     /// As [`RowWriter::push`].
     pub fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
-        let Files { radiance: maps, display: pictures } = self;
-        let (a, b) = rayon::join(|| push_all(maps, radiance), || push_all(pictures, display));
-        a.and(b)
+        let Files { radiance: maps, display: pictures, both } = self;
+        let push_both = || both.iter_mut().try_for_each(|file| file.push(radiance, display));
+        let (a, (b, c)) =
+            rayon::join(|| push_all(maps, radiance), || rayon::join(|| push_all(pictures, display), push_both));
+        a.and(b).and(c)
     }
 
     /// Ends all files, and gives them in the order in which they were named.
@@ -189,7 +235,8 @@ impl Files {
     pub fn finish(self) -> Result<Vec<Written>> {
         let maps = self.radiance.into_iter().map(Slot::ended);
         let pictures = self.display.into_iter().map(Slot::ended);
-        let mut files = maps.chain(pictures).collect::<Result<Vec<_>>>()?;
+        let both = self.both.into_iter().map(Both::ended);
+        let mut files = maps.chain(pictures).chain(both).collect::<Result<Vec<_>>>()?;
         files.sort_by_key(|(place, _)| *place);
         Ok(files.into_iter().map(|(_, written)| written).collect())
     }
@@ -224,7 +271,7 @@ pub fn write(
 ) -> Result<Vec<Written>> {
     let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
     let size = (radiance.pixels.width(), radiance.pixels.height());
-    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, options))?;
+    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, display, options))?;
     files.push(radiance.pixels.as_slice(), display.pixels.as_slice())?;
     files.finish()
 }
@@ -239,7 +286,8 @@ mod tests {
     #[test]
     fn all_formats_are_written_or_none() {
         let dir = tempfile::tempdir().unwrap();
-        let paths: Vec<PathBuf> = ["a.exr", "a.hdr", "a.tif", "a.png"].iter().map(|n| dir.path().join(n)).collect();
+        let paths: Vec<PathBuf> =
+            ["a.exr", "a.hdr", "a.tif", "a.png", "a.jpg"].iter().map(|n| dir.path().join(n)).collect();
         let radiance = RadianceMap { pixels: Plane::filled(9, 3, [0.5, 1.0, 2.0]), primaries: Primaries::SRGB };
         let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
         let (metadata, options) = (Metadata::default(), Options::default());
@@ -253,12 +301,12 @@ mod tests {
         let written = write(&paths, &radiance, &picture, &metadata, &options).unwrap();
         assert!(written.iter().all(|w| w.warnings.is_empty()));
         commit(pending(written), false).unwrap();
-        assert_eq!(there(), 4);
+        assert_eq!(there(), 5);
         assert_eq!(crate::read::read(&paths[0]).unwrap().0.pixels, radiance.pixels);
         assert_eq!(image::open(&paths[3]).unwrap().to_rgb8().get_pixel(8, 2).0, [10, 20, 30]);
         let again = commit(pending(write(&paths, &radiance, &picture, &metadata, &options).unwrap()), false);
         assert!(matches!(again, Err(Error::OutputExists { .. })));
-        assert_eq!(there(), 4);
+        assert_eq!(there(), 5);
     }
     /// Portions of any size, both kinds side by side or not, make the same files as all at once; a run that stops leaves nothing.
     #[test]
@@ -279,7 +327,7 @@ mod tests {
                 }
             }),
         };
-        let names = ["a.png", "a.exr", "a.hdr", "a.tif", "b.png"];
+        let names = ["a.png", "a.exr", "a.jpg", "a.hdr", "a.tif", "b.png"];
         let (metadata, options) = (Metadata::default(), Options::default());
         let contents = |folder: &str, make: &dyn Fn(&[PathBuf]) -> Vec<Written>| {
             let folder = dir.path().join(folder);
@@ -294,7 +342,9 @@ mod tests {
         let whole = contents("whole", &|paths| write(paths, &radiance, &picture, &metadata, &options).unwrap());
         for (folder, portion, together) in [("some", 128, true), ("few", 50, false)] {
             let fed = contents(folder, &|paths| {
-                let settled = Settled::by(&options, exr::Fit::of(radiance.pixels.as_slice()), 100.0);
+                let rendition = Settled::of(paths, &radiance, &picture, &options).rendition;
+                let fit = exr::Fit::of(radiance.pixels.as_slice());
+                let settled = Settled { rendition, ..Settled::by(&options, fit, 100.0) };
                 let mut files = Files::begin(paths, (width, height), &metadata, &options, settled).unwrap();
                 assert!(files.hold_radiance() && files.hold_display());
                 let maps = radiance.pixels.as_slice().chunks(portion * width);
@@ -311,7 +361,7 @@ mod tests {
             assert!(fed == whole, "{portion} rows at a time");
         }
         let path = [dir.path().join("short.exr"), dir.path().join("short.png")];
-        let settled = Settled::of(&path, &radiance, &options);
+        let settled = Settled::of(&path, &radiance, &picture, &options);
         let mut files = Files::begin(&path, (width, height), &metadata, &options, settled).unwrap();
         files.push_radiance(radiance.pixels.as_slice()).unwrap();
         files.push_display(&picture.pixels.as_slice()[..width]).unwrap();

@@ -58,7 +58,7 @@ pub(super) struct Directory {
 }
 
 /// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
-fn fraction(v: f64) -> (u32, u32) {
+pub(super) fn fraction(v: f64) -> (u32, u32) {
     let most = f64::from(u32::MAX);
     let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
     let inverse = 1.0 / v;

@@ -9,11 +9,14 @@ pub mod aligned;
 mod bands;
 mod deflate;
 pub mod display;
+mod exif;
 pub mod exr;
 pub mod files;
+pub mod gain_map;
 mod half;
 pub mod hdr;
 mod ifd;
+pub mod jpeg;
 pub mod logluv;
 pub mod luv;
 pub mod mask;
@@ -21,6 +24,7 @@ mod piz;
 pub(crate) mod rgbe;
 mod target;
 pub mod tiff;
+pub mod ultra_hdr;
 
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
@@ -29,7 +33,7 @@ use crate::plane::Plane;
 use std::path::Path;
 
 use bands::Bands;
-pub use files::{Files, Settled, write};
+pub use files::{Files, Settled, is_among, write};
 pub use target::{Pending, Whole, check_targets, commit, place};
 
 /// The formats written, told by the extension.
@@ -43,11 +47,13 @@ pub enum Format {
     Tiff,
     /// PNG, `.png`: the display picture.
     Png,
+    /// JPEG with a gain map, `.jpg` or `.jpeg`: the display picture, and the radiance for HDR displays.
+    Jpeg,
 }
 
 impl Format {
     /// The extensions that are known, for messages.
-    pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png";
+    pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png, .jpg, .jpeg";
 
     /// The format that `path` asks for by its extension, in any case.
     ///
@@ -60,6 +66,7 @@ impl Format {
             "hdr" | "pic" => Ok(Format::Hdr),
             "tif" | "tiff" => Ok(Format::Tiff),
             "png" => Ok(Format::Png),
+            "jpg" | "jpeg" => Ok(Format::Jpeg),
             _ => Err(Error::UnknownExtension { path: path.to_owned(), known: Format::KNOWN }),
         }
     }
@@ -68,7 +75,7 @@ impl Format {
     pub fn holds_radiance(self) -> bool {
         match self {
             Format::Exr | Format::Hdr | Format::Tiff => true,
-            Format::Png => false,
+            Format::Png | Format::Jpeg => false,
         }
     }
 }
@@ -202,6 +209,8 @@ pub struct Options {
     pub hdr: hdr::Encoding,
     /// What the pixels of a radiance `.tif` are.
     pub tiff: tiff::Encoding,
+    /// How `.jpg` is encoded.
+    pub jpeg: ultra_hdr::Options,
 }
 
 /// A writer of `width` x `height` linear RGB to `path`.
@@ -222,7 +231,7 @@ pub fn radiance_writer(
             None => Box::new(tiff::Writer::new(Pending::create(path)?, size, metadata)?),
             Some(depth) => Box::new(logluv::Writer::new(Pending::create(path)?, size, metadata, depth, 1.0)?),
         },
-        Format::Png => {
+        Format::Png | Format::Jpeg => {
             return Err(Error::Option {
                 option: "-o",
                 reason: format!(
@@ -288,9 +297,10 @@ mod tests {
         assert_eq!(of("b.x.Pic").unwrap(), Format::Hdr);
         assert_eq!(of("b.TIFF").unwrap(), Format::Tiff);
         assert_eq!(of("b.png").unwrap(), Format::Png);
-        for unknown in ["b.jpg", "b", ".png", "png", "b."] {
+        assert_eq!(of("b.JPEG").unwrap(), Format::Jpeg);
+        for unknown in ["b.gif", "b", ".png", "png", "b."] {
             let error = of(unknown).unwrap_err();
-            assert!(error.is_usage() && error.to_string().contains(".tiff, .png"), "{error}");
+            assert!(error.is_usage() && error.to_string().contains(".tiff, .png, .jpg"), "{error}");
         }
     }
 

@@ -14,4 +14,5 @@ mod response;
 mod shell;
 mod streams;
 mod tonemap;
+mod ultra_hdr;
 mod units;

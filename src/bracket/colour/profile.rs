@@ -55,15 +55,31 @@ impl Profile {
         }
     }
 
+    /// What to embed for sRGB where a format has no other word for it. The same bytes every time.
+    pub fn srgb() -> Option<Profile> {
+        let mut profile = moxcms::ColorProfile::new_srgb();
+        // It would speak of video.
+        profile.cicp = None;
+        // The white of a display profile is that of the connection space (ICC.1, 9.2.36).
+        profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
+        Profile::made(profile, 1999)
+    }
+
     /// What to embed for Adobe RGB (1998), where a camera says so by EXIF alone. The same bytes every time.
     pub fn adobe_rgb() -> Option<Profile> {
-        let mut profile = moxcms::ColorProfile::new_adobe_rgb();
+        Profile::made(moxcms::ColorProfile::new_adobe_rgb(), 1998)
+    }
+
+    /// A profile for D65, dated by the year of its standard: a clock has no part in it.
+    fn made(mut profile: moxcms::ColorProfile, year: u16) -> Option<Profile> {
         let to_d50 = from_d50(D65)?.try_inverse()?;
         let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
         profile.chromatic_adaptation = Some(moxcms::Matrix3d { v: [row(0), row(1), row(2)] });
-        profile.creation_date_time =
-            moxcms::ColorDateTime { year: 1998, month: 11, day_of_the_month: 1, hours: 0, minutes: 0, seconds: 0 };
-        match Profile::parse(profile.encode().ok()?) {
+        let mut icc = profile.encode().ok()?;
+        // The encoder writes the time of day, whatever the profile says (ICC.1, 7.2.8: six 16-bit numbers).
+        let date = [year, 11, 1, 0, 0, 0].map(u16::to_be_bytes);
+        icc.get_mut(24..36)?.copy_from_slice(date.as_flattened());
+        match Profile::parse(icc) {
             Found::Rgb(profile) => Some(profile),
             _ => None,
         }
@@ -238,9 +254,26 @@ mod tests {
     }
 
     #[test]
+    fn the_srgb_profile_is_the_same_every_time() {
+        let profile = Profile::srgb().unwrap();
+        assert_eq!(
+            profile.icc[24..36],
+            [7, 207, 0, 11, 0, 1, 0, 0, 0, 0, 0, 0],
+            "November 1999, whatever the clock says"
+        );
+        assert_close(profile.primaries.unwrap(), Primaries::SRGB);
+        assert_eq!(profile.description, "sRGB IEC61966-2.1");
+        assert!(profile.icc.len() < 700, "{}", profile.icc.len());
+    }
+
+    #[test]
     fn the_adobe_rgb_profile_is_the_same_every_time() {
         let profile = Profile::adobe_rgb().unwrap();
-        assert_eq!(profile, Profile::adobe_rgb().unwrap());
+        assert_eq!(
+            profile.icc[24..36],
+            [7, 206, 0, 11, 0, 1, 0, 0, 0, 0, 0, 0],
+            "November 1998, whatever the clock says"
+        );
         assert_close(profile.primaries.unwrap(), Primaries::ADOBE_RGB);
     }
 }
