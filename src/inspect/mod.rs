@@ -12,20 +12,23 @@ pub mod files;
 mod keypoints;
 mod lettering;
 mod matches;
+pub mod overlay;
 mod page;
 mod picture;
 pub mod response_plot;
 pub mod tables;
-mod text;
+pub(crate) mod text;
 
 use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::mtb::GreyPyramid;
 use crate::align::{AlignOptions, Alignment, grey_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
+use crate::plane::Plane;
 use crate::report::{Report, WarningReport};
 use drawing::Drawing;
 use edges::Couple;
+use overlay::Overlay;
 use picture::Photograph;
 use rayon::prelude::*;
 use tables::{Found, Tables};
@@ -211,16 +214,57 @@ impl Inspection<'_> {
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
             (SheetKind::Edges, Some(_)) => {
-                let couple = Couple {
-                    reference: self.bracket.reference(),
-                    frame: self.frame(i),
-                    reference_grey: self.pyramids[self.bracket.reference_index()].level(0),
-                    frame_grey: self.pyramids[i].level(0),
-                    warp: self.alignment.verdicts[i].warp,
-                };
-                drawn(edges::draw(&self.title(i, "edges"), &couple)?)
+                drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?)
             }
             (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
+        }
+    }
+
+    /// The bitmaps of frame `i`.
+    pub fn bitmaps(&self, i: usize) -> &FrameBitmaps {
+        &self.evidence[i].bitmaps
+    }
+
+    /// The keypoints of frame `i`.
+    pub fn features(&self, i: usize) -> &FrameFeatures {
+        &self.evidence[i].features
+    }
+
+    /// What differs between the bitmaps of frame `i` and the reference's; none for the reference.
+    pub fn xor(&self, i: usize) -> Option<&XorCurves> {
+        self.evidence[i].against.as_ref().map(|a| &a.xor)
+    }
+
+    /// The matches of frame `i` with the reference, plain and of bitmaps together; none for the reference.
+    pub fn matching(&self, i: usize) -> Option<&Matching> {
+        self.evidence[i].against.as_ref().map(|a| &a.matchings[FeatureKind::Merged as usize])
+    }
+
+    /// Frame `i` in grey, in at most `most` pixels across and down, and as it is drawn: bright enough to see, and whether it was brightened for
+    /// that.
+    pub fn photograph(&self, i: usize, most: (usize, usize)) -> (Plane<u8>, bool) {
+        let photograph = Photograph::new(self.pyramids[i].level(0), most);
+        (photograph.grey, photograph.brightened)
+    }
+
+    /// Frame `i` over the reference, edges in two colours, on pictures of at most `most` pixels across; none for the reference.
+    ///
+    /// # Errors
+    /// In words, where the scratch file cannot be read.
+    pub fn overlay(&self, i: usize, most: usize) -> std::result::Result<Option<Overlay>, String> {
+        if self.evidence[i].against.is_none() {
+            return Ok(None);
+        }
+        overlay::of(&self.couple(i), most).map(Some)
+    }
+
+    fn couple(&self, i: usize) -> Couple<'_> {
+        Couple {
+            reference: self.bracket.reference(),
+            frame: self.frame(i),
+            reference_grey: self.pyramids[self.bracket.reference_index()].level(0),
+            frame_grey: self.pyramids[i].level(0),
+            warp: self.alignment.verdicts[i].warp,
         }
     }
 
