@@ -213,9 +213,7 @@ impl Inspection<'_> {
                 let placed = self.alignment.verdicts[i].warp.is_some();
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
-            (SheetKind::Edges, Some(_)) => {
-                drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?)
-            }
+            (SheetKind::Edges, Some(_)) => drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?),
             (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
         }
     }

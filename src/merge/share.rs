@@ -40,8 +40,10 @@ impl Merging<'_> {
         let (width, height) = self.size();
         let (across, down) = size;
         assert!(across > 0 && down > 0 && across <= width && down <= height);
-        let rows: Vec<Result<Vec<Vec<f32>>>> =
-            (0..down).into_par_iter().map(|cell| self.share_row((2 * cell + 1) * height / (2 * down), across)).collect();
+        let rows: Vec<Result<Vec<Vec<f32>>>> = (0..down)
+            .into_par_iter()
+            .map(|cell| self.share_row((2 * cell + 1) * height / (2 * down), across))
+            .collect();
         let rows = rows.into_iter().collect::<Result<Vec<_>>>()?;
         let plane = |layer: usize| {
             Plane::from_vec(across, down, rows.iter().flat_map(|row| row[layer].iter().copied()).collect())

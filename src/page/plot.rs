@@ -129,7 +129,8 @@ impl Plot {
     pub fn bar(&mut self, class: &str, (x, width): (f64, f64), y: f64) {
         let (left, right, top) = (self.x(x), self.x(x + width), self.y(y));
         let (w, h) = ((right - left - 0.6).max(0.4), self.bottom() - top);
-        let _ = write!(self.body, r#"<rect class="{class}" x="{left:.1}" y="{top:.1}" width="{w:.1}" height="{h:.1}"/>"#);
+        let _ =
+            write!(self.body, r#"<rect class="{class}" x="{left:.1}" y="{top:.1}" width="{w:.1}" height="{h:.1}"/>"#);
     }
 
     /// A line down the plot at `x`, with words above it.

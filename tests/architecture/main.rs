@@ -6,9 +6,9 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 17] = [
+const LAYERS: [&str; 18] = [
     "error", "simd", "plane", "scratch", "pyramid", "bracket", "align", "response", "merge", "tonemap", "write",
-    "read", "report", "inspect", "pipeline", "batch", "cli",
+    "read", "report", "inspect", "page", "pipeline", "batch", "cli",
 ];
 
 /// Ways to do one thing, which know nothing of each other.
