@@ -133,10 +133,28 @@ pub fn inspect<'a>(
     options: &AlignOptions,
     warnings: &[Warning],
 ) -> Result<Inspection<'a>> {
+    inspect_part(bracket, alignment, options, warnings, &|_| true)
+}
+
+/// As [`inspect`], but features are sought only in the frames of which `wants_features` says so.
+///
+/// # Errors
+/// Those of [`inspect`].
+pub fn inspect_part<'a>(
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    options: &AlignOptions,
+    warnings: &[Warning],
+    wants_features: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<Inspection<'a>> {
     let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(grey_pyramid).collect();
     let pyramids = pyramids.into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let features: Vec<FrameFeatures> = pyramids.par_iter().map(|p| FrameFeatures::new(p, options)).collect();
+    let features = pyramids.par_iter().enumerate().map(|(i, pyramid)| match wants_features(i) {
+        true => FrameFeatures::new(pyramid, options),
+        false => FrameFeatures::none(pyramid),
+    });
+    let features: Vec<FrameFeatures> = features.collect();
     let against: Vec<Option<Against>> = (0..pyramids.len())
         .into_par_iter()
         .map(|i| {

@@ -11,6 +11,8 @@ use super::picture::reduce;
 use crate::align::warp::Warp;
 use crate::plane::Plane;
 
+/// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.
+const NOISE: u16 = 26;
 /// Thickness of the boxes around the places shown larger, in pixels.
 const PEN: usize = 2;
 
@@ -39,18 +41,27 @@ pub(super) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
         let gap = DETAIL_GAP as usize;
         let below = places.first().map_or(0, |p| gap + p.height * MAGNIFIED);
         let mut sheet = Plane::filled(width, height + below, [0u8; 3]);
-        put(&mut sheet, (0, 0), 1, &two_colours(&reference.strength, &view.strength));
+        put(&mut sheet, (0, 0), 1, &two_colours(&plain(&reference.strength), &plain(&view.strength)));
         for (k, place) in places.iter().enumerate() {
             frame_place(&mut sheet, place, (width, height), (couple.reference.width(), couple.reference.height()));
             let still = place.grey(couple.reference, &Warp::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
             let moved = place.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
             let corner = (k * (place.width * MAGNIFIED + gap), height + gap);
-            put(&mut sheet, corner, MAGNIFIED, &two_colours(&still, &moved));
+            put(&mut sheet, corner, MAGNIFIED, &two_colours(&plain(&still), &plain(&moved)));
         }
         Ok(sheet)
     };
     let after = aligned.as_ref().map(&picture).transpose()?;
     Ok(Overlay { before: picture(&photographed)?, after, whole_rows: height })
+}
+
+/// `strength` without what is noise; what is strongest stays as strong.
+fn plain(strength: &Plane<u8>) -> Plane<u8> {
+    Plane::from_rows(strength.width(), strength.height(), |y, row: &mut [u8]| {
+        for (v, s) in row.iter_mut().zip(strength.row(y)) {
+            *v = (u16::from(*s).saturating_sub(NOISE) * 255 / (255 - NOISE)) as u8;
+        }
+    })
 }
 
 /// Puts `picture`, every pixel a square of `side`, on `sheet` with its upper left corner at `corner`; what does not fit is cut off.

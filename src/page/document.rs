@@ -80,9 +80,7 @@ fn lead(picture: &Picture, report: &Report) -> String {
     let cut = (report.width_px * report.height_px).saturating_sub(crop.width_px * crop.height_px);
     let cut = match 100.0 * cut as f64 / (report.width_px * report.height_px).max(1) as f64 {
         share if share < 0.05 => "the whole of the reference".to_owned(),
-        share => format!(
-            "the part of the reference that was asked for or that all placed frames cover; {share:.1}\u{a0}% is cut off"
-        ),
+        share => format!("the part of the reference that all placed frames cover; {share:.1}\u{a0}% is cut off"),
     };
     let caption = format!(
         "<b>The picture</b>, tone-mapped from the merged radiance: {} × {} pixels{reduced}; {cut}. Look for double edges (a frame lies \

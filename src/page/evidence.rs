@@ -16,10 +16,10 @@ use crate::plane::Plane;
 use std::fmt::Write;
 
 /// Columns of an overlay at the most, for as many frames; more share the room.
-const OVERLAY: (usize, usize) = (780, 5);
+const OVERLAY: (usize, usize) = (760, 4);
 const LEAST_OVERLAY: usize = 420;
 /// The quality of an overlay's JPEG.
-const EDGES: u8 = 68;
+const EDGES: u8 = 58;
 /// Lines between matches at the most: more hide each other.
 const LINES: usize = 120;
 /// Units of a keypoint's drawing across: twice the photograph's pixels, so that half of one can be told.
@@ -61,6 +61,15 @@ pub(super) struct Overlay {
     pub has_details: bool,
 }
 
+/// Whether features were needed to place frame `i`, or another on it.
+pub(super) fn needs_features(alignment: &Alignment, i: usize) -> bool {
+    let verdicts = &alignment.verdicts;
+    match verdicts[i].status {
+        Status::Reference => verdicts.iter().any(|v| v.keypoints.is_some()),
+        _ => verdicts[i].keypoints.is_some(),
+    }
+}
+
 /// The evidence of all frames.
 pub(super) fn gather(
     inspection: &Inspection,
@@ -72,10 +81,7 @@ pub(super) fn gather(
     let overlaid = verdicts.iter().filter(|v| is_sought(v.status)).count().max(1);
     let share = (OVERLAY.1 as f64 / overlaid as f64).min(1.0).sqrt();
     let across = ((OVERLAY.0 as f64 * share) as usize).max(LEAST_OVERLAY);
-    let needed = |i: usize| match verdicts[i].status {
-        Status::Reference => verdicts.iter().any(|v| v.keypoints.is_some()),
-        _ => verdicts[i].keypoints.is_some(),
-    };
+    let needed = |i: usize| needs_features(alignment, i);
     let of = |i: usize| -> Result<Evidence, String> {
         let bitmaps = inspection.bitmaps(i);
         let is_placed = verdicts[i].warp.is_some();

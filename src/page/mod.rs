@@ -119,7 +119,8 @@ impl Page {
             self.encoded(jpeg(&small, COARSE, icc(frame).as_deref()))
         });
         let photographs = photographs.collect::<Result<Vec<_>>>()?;
-        let inspection = inspect::inspect(bracket, alignment, options, warnings)?;
+        let needs_features = |i: usize| evidence::needs_features(alignment, i);
+        let inspection = inspect::inspect_part(bracket, alignment, options, warnings, &needs_features)?;
         let evidence = self.encoded(evidence::gather(&inspection, alignment, bracket))?;
         drop(inspection);
         self.frames = photographs

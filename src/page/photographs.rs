@@ -21,7 +21,7 @@ pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
 /// The frames as cards.
 pub(super) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour beside a frame is its own throughout \
+        "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour below a frame is its own throughout \
          the page.</p>\n<ul class=\"cards\">\n",
     );
     let stops = stops_over_reference(report);
@@ -30,9 +30,10 @@ pub(super) fn frames(page: &Page, report: &Report) -> String {
         let (name, status) = (file_name(&frame.path), status_word(frame.alignment.status));
         let class = status.replace(' ', "-");
         let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
-        let share = shown.share.as_ref().map_or_else(String::new, |(share, _)| {
-            format!("<div><dt>of the result</dt><dd>{}</dd></div>\n", percent(*share))
-        });
+        let share = shown
+            .share
+            .as_ref()
+            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{}</dd></div>\n", percent(*share)));
         let _ = write!(
             out,
             "<li class=\"card {class}\" style=\"--own:{colour}\">\n{photograph}\n<div class=\"about\">\n<h3>{name}</h3>\n\
@@ -164,10 +165,9 @@ fn verdict(frame: &FrameReport) -> String {
         let _ = writeln!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
     }
     if let Some(h) = place.homography.filter(|_| place.model == Some(Model::Homography)) {
-        let rows: String = h
-            .chunks(3)
-            .map(|r| format!("<tr>{}</tr>", r.iter().map(|v| format!("<td>{v:.6}</td>")).collect::<String>()))
-            .collect();
+        let cell = |v: &f64| format!("<td>{v:.6}</td>").replace('-', "\u{2212}");
+        let row = |r: &[f64]| format!("<tr>{}</tr>", r.iter().map(cell).collect::<String>());
+        let rows: String = h.chunks(3).map(row).collect();
         let _ = writeln!(
             out,
             "<div class=\"wide\"><dt>homography, reference pixel to frame pixel</dt><dd><table class=\"matrix\">{rows}</table></dd></div>"

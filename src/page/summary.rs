@@ -29,7 +29,7 @@ pub(super) fn facts(report: &Report) -> String {
     }
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
-        facts.push(("Left over", format!("{worst:.2} px"), "our own estimate for the worst frame".into()));
+        facts.push(("Error left", format!("{worst:.2} px"), "our own estimate for the worst frame".into()));
     }
     let crop = &report.crop;
     facts.push(("Result", format!("{} × {}", crop.width_px, crop.height_px), "pixels".into()));
@@ -88,9 +88,6 @@ pub(super) fn run(report: &Report, page_s: f64) -> String {
         let _ = writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(&name), escape(&value));
     }
     out += "</table>\n</div>\n</div>\n";
-    if let Some(model) = report.response.as_ref().map(|r| r.model) {
-        let _ = writeln!(out, "<p class=\"note\">The response is by <code>{}</code>.</p>", escape(model));
-    }
     out
 }
 
