@@ -144,7 +144,7 @@ fn names_stay_names_and_warnings_are_said() {
     // The same warnings as on stderr.
     let said: Vec<&str> = run.stderr.lines().filter_map(|l| l.strip_prefix("warning: ")).collect();
     let left_out = said.iter().find(|w| w.contains("stripes.jpg")).unwrap_or_else(|| panic!("{}", run.stderr));
-    assert!(html.contains("Less than asked for.") && html.contains("left out"));
+    assert!(html.contains("Have a look.") && html.contains("left out"));
     let plain = left_out.split(['\'', '"', '<', '&']).next().expect("its beginning");
     assert!(html.contains(plain), "{plain}");
 }

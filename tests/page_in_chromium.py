@@ -85,6 +85,7 @@ class Browser:
 SLIDER = """(() => {
   const figure = document.querySelector('.compare');
   if (!figure) return null;
+  figure.closest('details').open = true;
   const stack = figure.querySelector('.stack'), range = figure.querySelector('input');
   stack.scrollIntoView({block: 'center', behavior: 'instant'});
   const box = stack.getBoundingClientRect(), rail = range.getBoundingClientRect();

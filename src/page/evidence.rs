@@ -171,6 +171,14 @@ fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     path
 }
 
+/// The beginning of a drawing of so many units, with words for those who do not see it.
+fn opened((w, h): (usize, usize), words: &str) -> String {
+    let (ratio, words) = (w as f64 / h as f64, escape(words));
+    format!(
+        "<svg class=\"marks\" style=\"--ratio:{ratio:.4}\" viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"{words}\">"
+    )
+}
+
 /// The photograph as SVG has it, `left` units from the left.
 fn behind(photograph: &Picture, left: usize) -> String {
     let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
@@ -203,7 +211,7 @@ fn keypoints(
         "{} keypoints of the plain picture alone, {} of its bitmaps alone, {} in both.",
         counts[0], counts[1], counts[2]
     );
-    let mut svg = format!(r#"<svg class="marks" viewBox="0 0 {w} {h}" role="img" aria-label="{}">"#, escape(&words));
+    let mut svg = opened((w, h), &words);
     svg += &behind(photograph, 0);
     for (class, (path, _)) in ["plain", "bitmap", "both"].iter().zip(&layers) {
         let _ = write!(svg, r#"<path class="dots {class}" d="{path}"/>"#);
@@ -220,7 +228,7 @@ fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -
     let all = right + UNITS * frame.width;
     let inliers = matching.inliers();
     let words = format!("{} matches with the reference, of which {inliers} agree on the motion.", matching.pairs.len());
-    let mut svg = format!(r#"<svg class="marks" viewBox="0 0 {all} {h}" role="img" aria-label="{}">"#, escape(&words));
+    let mut svg = opened((all, h), &words);
     svg += &behind(reference, 0);
     svg += &behind(frame, right);
     let place = |p: [f64; 2], left: f64| {

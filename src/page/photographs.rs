@@ -22,8 +22,10 @@ pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
 pub(super) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
         "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour below a frame is its own throughout \
-         the page.</p>\n<ul class=\"cards\">\n",
+         the page.</p>\n",
     );
+    let _ =
+        writeln!(out, "<ul class=\"cards\" style=\"--ratio:{:.4}\">", report.width_px as f64 / report.height_px as f64);
     let stops = stops_over_reference(report);
     for (i, (frame, shown)) in report.frames.iter().zip(&page.frames).enumerate() {
         let colour = frame_css(i, report.frames.len());
@@ -78,7 +80,8 @@ pub(super) fn moved(page: &Page, report: &Report) -> String {
                 white. A blue or an orange edge alone is one that the other frame cannot show, because it is burnt out or black there, or something \
                 that moved in the scene.</p>\n";
     }
-    let first = sought.first().map(|(frame, _)| frame.path.as_str());
+    let is_aligned = |f: &&&(&FrameReport, &FramePage)| f.0.alignment.status == Status::Aligned;
+    let first = sought.iter().find(is_aligned).or(sought.first()).map(|(frame, _)| frame.path.as_str());
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
         let open = if Some(frame.path.as_str()) == first { " open" } else { "" };
         let status = status_word(frame.alignment.status);
@@ -122,6 +125,7 @@ fn compare(overlay: &Overlay, name: &str) -> String {
         let caption = "Edges as photographed. The frame was left out: there is no after.";
         return figure(&overlay.before, before_words, caption);
     };
+    let ratio = overlay.before.width as f64 / overlay.before.height as f64;
     let details = match overlay.has_details {
         true => {
             " Below, the three places that are boxed, at two pixels for one of the photograph's: half a pixel is seen there."
@@ -129,7 +133,7 @@ fn compare(overlay: &Overlay, name: &str) -> String {
         false => "",
     };
     format!(
-        "<figure class=\"compare\">\n<div class=\"stack\">\n{}\n{}\n<span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n\
+        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n<span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n\
          </div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
          as photographed, the rest as aligned\"><span>after</span></label>\n<figcaption><span class=\"key orange\"></span> reference \
          <span class=\"key blue\"></span> this frame <span class=\"key white\"></span> both.{details}</figcaption>\n</figure>\n",

@@ -47,7 +47,7 @@ pub(super) fn warnings(report: &Report) -> String {
             .into();
     }
     let item = |w: &crate::report::WarningReport| {
-        let (class, word) = if w.degrades { ("grave", "Less than asked for") } else { ("mild", "Good to know") };
+        let (class, word) = if w.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
         format!("<li class=\"{class}\"><b>{word}.</b> {}</li>\n", escape(&w.message))
     };
     let items: String = report.warnings.iter().map(item).collect();
@@ -130,7 +130,7 @@ pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
     match (place.status, place.shift_px, place.rotation_deg) {
         (Status::Reference, ..) => "the others are laid on it".into(),
         (Status::Unmoved, ..) => "lies as the reference does".into(),
-        (Status::Rejected, ..) => escape(place.reason.as_deref().unwrap_or("it could not be placed")),
+        (Status::Rejected, ..) => "could not be placed".into(),
         (Status::Aligned, Some([dx, dy]), Some(angle)) => {
             format!("{}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
         }
