@@ -47,8 +47,10 @@ fn assert_whole(html: &str) {
     }
     assert!(html.contains("default-src 'none'; img-src data:;"));
     assert!(tags.iter().all(|t| !t.starts_with("script") && !t.starts_with("link") && !t.starts_with("iframe")));
-    let names: Vec<&str> =
-        tags.iter().flat_map(|t| t.split_whitespace().skip(1)).filter(|a| a.starts_with("on")).collect();
+    // What is left of a tag without its quoted values: no handler among the attributes.
+    let bare: Vec<String> = tags.iter().map(|t| t.split('"').step_by(2).collect()).collect();
+    let words = bare.iter().flat_map(|t| t.split_whitespace().skip(1));
+    let names: Vec<&str> = words.filter(|a| a.starts_with("on")).collect();
     assert!(names.is_empty(), "{names:?}");
 }
 

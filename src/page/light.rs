@@ -152,9 +152,9 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
         let Some((share, picture)) = &shown.share else { continue };
         let name = file_name(&frame.path);
         let colour = frame_css(i, count);
-        let _ = write!(
+        let _ = writeln!(
             legend,
-            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> <b class=\"n\">{}</b><i></i></li>\n",
+            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> <b class=\"n\">{}</b><i></i></li>",
             100.0 * share,
             percent(*share)
         );
