@@ -21,7 +21,7 @@ pub(crate) mod text;
 
 use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::mtb::GreyPyramid;
-use crate::align::{AlignOptions, Alignment, grey_pyramid};
+use crate::align::{AlignOptions, Alignment, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
 use crate::plane::Plane;
@@ -133,10 +133,11 @@ pub fn inspect<'a>(
     options: &AlignOptions,
     warnings: &[Warning],
 ) -> Result<Inspection<'a>> {
-    inspect_part(bracket, alignment, options, warnings, &|_| true)
+    gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_| true)
 }
 
-/// As [`inspect`], but features are sought only in the frames of which `wants_features` says so.
+/// As [`inspect`], but in less memory and time: for drawings of at most half the size of large frames, and with features only of the frames
+/// of which `wants_features` says so.
 ///
 /// # Errors
 /// Those of [`inspect`].
@@ -147,7 +148,18 @@ pub fn inspect_part<'a>(
     warnings: &[Warning],
     wants_features: &(dyn Fn(usize) -> bool + Sync),
 ) -> Result<Inspection<'a>> {
-    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(grey_pyramid).collect();
+    gathered(bracket, alignment, options, warnings, &searched_pyramid, wants_features)
+}
+
+fn gathered<'a>(
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    options: &AlignOptions,
+    warnings: &[Warning],
+    pyramid: &(dyn Fn(&Frame) -> Result<GreyPyramid> + Sync),
+    wants_features: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<Inspection<'a>> {
+    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(pyramid).collect();
     let pyramids = pyramids.into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
     let features = pyramids.par_iter().enumerate().map(|(i, pyramid)| match wants_features(i) {
@@ -217,7 +229,7 @@ impl Inspection<'_> {
                 Ok(Some(Sheet::Bitmap(kind, picture::png_bitmap(bitmap)?)))
             }
             (SheetKind::Keypoints, _) => {
-                let photograph = Photograph::new(self.pyramids[i].level(0), DRAWN);
+                let photograph = Photograph::new(self.pyramids[i].largest(), DRAWN);
                 drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, &evidence.features)?)
             }
             (SheetKind::Matches, Some(against)) => {
@@ -259,7 +271,7 @@ impl Inspection<'_> {
     /// Frame `i` in grey, in at most `most` pixels across and down, and as it is drawn: bright enough to see, and whether it was brightened for
     /// that.
     pub fn photograph(&self, i: usize, most: (usize, usize)) -> (Plane<u8>, bool) {
-        let photograph = Photograph::new(self.pyramids[i].level(0), most);
+        let photograph = Photograph::new(self.pyramids[i].largest(), most);
         (photograph.grey, photograph.brightened)
     }
 
@@ -278,8 +290,8 @@ impl Inspection<'_> {
         Couple {
             reference: self.bracket.reference(),
             frame: self.frame(i),
-            reference_grey: self.pyramids[self.bracket.reference_index()].level(0),
-            frame_grey: self.pyramids[i].level(0),
+            reference_grey: self.pyramids[self.bracket.reference_index()].largest(),
+            frame_grey: self.pyramids[i].largest(),
             warp: self.alignment.verdicts[i].warp,
         }
     }
@@ -289,7 +301,7 @@ impl Inspection<'_> {
     }
 
     fn photograph_beside(&self, i: usize) -> Photograph {
-        Photograph::new(self.pyramids[i].level(0), DRAWN_BESIDE)
+        Photograph::new(self.pyramids[i].largest(), DRAWN_BESIDE)
     }
 
     fn name(&self, i: usize) -> String {
