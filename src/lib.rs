@@ -37,7 +37,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -50,6 +50,7 @@ pub mod compare;
 pub mod error;
 pub mod inspect;
 pub mod merge;
+pub mod page;
 pub mod pipeline;
 pub mod plane;
 pub mod pyramid;

@@ -19,9 +19,10 @@ use crate::error::{Error, Result};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::calibration::Calibration;
 use crate::merge::deghost::{Deghost, Ghosts};
-use crate::merge::{RadianceMap, weight::Weight};
+use crate::merge::{MergeOptions, RadianceMap, weight::Weight};
+use crate::page::Developed;
 use crate::plane::Plane;
-use crate::report::Report;
+use crate::report::{self, Report};
 use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
@@ -92,7 +93,7 @@ pub struct Options {
     pub save_aligned: Option<PathBuf>,
     /// Transforms: taken from this file where it exists, else written to it, as JSON. It is never replaced.
     pub transforms: Option<PathBuf>,
-    /// The report is written here, as JSON.
+    /// The report is written here, by extension as JSON or as a page to look at (`.html`).
     pub report: Option<PathBuf>,
     /// Threads that compute; none for as many as there are cores. The results are the same.
     pub threads: Option<usize>,
@@ -176,7 +177,7 @@ fn merged(
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
-        let mut line = Line::new(watch);
+        let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
         options.calibration.check(bracket.reference())?;
@@ -190,6 +191,9 @@ fn merged(
         let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
         let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
         let metadata = line::metadata(bracket.reference(), options);
+        let merging = MergeOptions { weight: options.weight, region };
+        let developed = Developed { curve: &curve, merging, ghosts: radiance.ghosts.as_ref() };
+        line.gather(&bracket, &alignment, Some(&developed), options)?;
         let mut report = Report::new(&bracket, &alignment, region);
         // The frames make room for what is encoded.
         drop(bracket);
@@ -220,10 +224,11 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
-        let mut line = Line::new(watch);
+        let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
         let alignment = line.align(&bracket, options)?;
+        line.gather(&bracket, &alignment, None, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
         report.options = Some(asked::report(options, false));
@@ -288,6 +293,9 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     }
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
+    }
+    if let Some(path) = &options.report {
+        report::Format::of(path)?;
     }
     options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
     write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;

@@ -185,6 +185,13 @@ impl FrameFeatures {
         }
     }
 
+    /// No features of `frame`, for who does not look at them.
+    pub fn none(frame: &GreyPyramid) -> Self {
+        let level = measured_level(frame);
+        let sets = FeatureSets { plain: Features::default(), mtb: Vec::new(), counts: KeypointCounts::default() };
+        FrameFeatures { sets, to_full: level_to_full(level), size: frame.size(level) }
+    }
+
     /// Width and height of the level that they were sought on, in pixels.
     pub fn size(&self) -> (usize, usize) {
         self.size

@@ -366,6 +366,14 @@ pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
     Ok(GreyPyramid::new(frame.greys(stops)?))
 }
 
+/// The same as the search has it: of a large frame without the full size, which takes most of the memory.
+///
+/// # Errors
+/// [`Error::Scratch`], where the frame is on disk.
+pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
+    Ok(look(frame)?.1)
+}
+
 /// A frame within so many codes of black, or of white, may hold nothing but noise.
 const BLANK: u8 = 7;
 /// Brightening that is worth the pass over the frame.

@@ -83,6 +83,11 @@ impl GreyPyramid {
         &self.levels[i - self.passed].0
     }
 
+    /// The largest level that was kept.
+    pub fn largest(&self) -> &Plane<u8> {
+        &self.levels[0].0
+    }
+
     /// Width and height of level `i`, kept or not.
     pub fn size(&self, i: usize) -> (usize, usize) {
         (self.size.0 >> i, self.size.1 >> i)

@@ -40,7 +40,7 @@ impl Photograph {
         let decoded = decoded(path, LoadOptions::default().max_pixels)?;
         let mut notes = decoded.notes;
         let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
-        let capture = decoded.exif.as_ref().map(capture::read).unwrap_or_default();
+        let capture = decoded.exif.as_ref().map(|exif| capture::read(exif, false)).unwrap_or_default();
         let profile = profile(decoded.icc, decoded.exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
         let photograph = Photograph {

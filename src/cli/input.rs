@@ -87,7 +87,7 @@ pub struct Common {
     #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
     crop: CropArg,
 
-    /// Write a report of everything that was done, as JSON
+    /// Write a report of everything that was done; the extension picks the format: .json (programs), .html (a page to look at)
     #[arg(long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 

@@ -5,6 +5,8 @@
 
 use super::lettering;
 use crate::plane::Plane;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use resvg::{tiny_skia, usvg};
 use std::fmt::Write;
 
@@ -163,7 +165,7 @@ impl Drawing {
             "<image {} preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" \
              xlink:href=\"data:image/png;base64,{}\"/>",
             attributes(area),
-            base64(png)
+            BASE64.encode(png)
         );
     }
 
@@ -264,21 +266,6 @@ fn escape(text: &str) -> String {
     out
 }
 
-/// RFC 4648, section 4.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for three in bytes.chunks(3) {
-        let at = |i: usize| u32::from(three.get(i).copied().unwrap_or(0));
-        let bits = at(0) << 16 | at(1) << 8 | at(2);
-        for k in 0..4 {
-            let digit = DIGITS[(bits >> (18 - 6 * k) & 63) as usize];
-            out.push(if k > three.len() { '=' } else { char::from(digit) });
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -323,10 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_short_and_base64_is_as_in_the_rfc() {
+    fn numbers_are_short() {
         assert_eq!([1.0, -0.001, 2.504, 1e4].map(number), ["1", "0", "2.5", "10000"]);
-        let vectors =
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
-        assert!(vectors.iter().all(|(plain, coded)| base64(plain.as_bytes()) == *coded));
     }
 }

@@ -18,18 +18,18 @@ const REFERENCE: Colour = Colour(255, 140, 0);
 const FRAME: Colour = Colour(0, 115, 255);
 
 /// Around what is shown larger.
-const BOX: Colour = Colour(255, 240, 0);
+pub(super) const BOX: Colour = Colour(255, 240, 0);
 
 /// One side, in pixels of the page at the most.
-const SIDE: (usize, usize) = (780, 780);
+pub(super) const SIDE: (usize, usize) = (780, 780);
 /// Paper between the sides and the details.
 const GAP: f64 = 16.0;
-const DETAIL_GAP: f64 = 8.0;
+pub(super) const DETAIL_GAP: f64 = 8.0;
 /// Room for the words above each side.
 const NAMES: f64 = 26.0;
 /// Details in a row below each side, and how many pixels of the page one of theirs takes.
 const DETAILS: usize = 3;
-const MAGNIFIED: usize = 2;
+pub(super) const MAGNIFIED: usize = 2;
 
 /// Two frames, and where the one lies in the other.
 pub(super) struct Couple<'a> {
@@ -91,11 +91,11 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
 }
 
 /// A part of the reference, in its pixels.
-struct Detail {
-    x: usize,
-    y: usize,
-    width: usize,
-    height: usize,
+pub(super) struct Detail {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
 }
 
 impl Detail {
@@ -110,7 +110,7 @@ impl Detail {
     }
 
     /// Grey levels of `frame` there, resampled as merging does.
-    fn grey(&self, frame: &Frame, warp: &Warp) -> Result<Grey, String> {
+    pub(super) fn grey(&self, frame: &Frame, warp: &Warp) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
         let under = rows_under(warp, (frame.width(), frame.height()), &columns, &rows);
@@ -125,7 +125,7 @@ impl Detail {
 }
 
 /// Places with many edges in both, far from each other, from left to right; none where the photograph is hardly larger than they are.
-fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
+pub(super) fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
     let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
     let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
     let height = width * 4 / 5;
@@ -165,7 +165,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
 const APART: f64 = 0.35;
 
 /// `small`, a reduced frame, on the reference's grid reduced alike.
-fn laid(small: &Plane<u8>, warp: &Warp, reference: &Frame) -> Grey {
+pub(super) fn laid(small: &Plane<u8>, warp: &Warp, reference: &Frame) -> Grey {
     let (width, height) = (small.width(), small.height());
     let h = warp.matrix(reference.width(), reference.height());
     let (sx, sy) = (reference.width() as f64 / width as f64, reference.height() as f64 / height as f64);
@@ -194,7 +194,7 @@ fn laid(small: &Plane<u8>, warp: &Warp, reference: &Frame) -> Grey {
 }
 
 /// A grey picture, and where it has nothing to show.
-struct Grey {
+pub(super) struct Grey {
     levels: Plane<u8>,
     outside: Option<Plane<bool>>,
 }
@@ -206,29 +206,29 @@ const SMOOTHING: f64 = 0.8;
 /// The share of the pixels whose edges are shown in full.
 const STRONGEST: f64 = 0.02;
 /// In a picture without contrast noise stays faint: so much is shown in full at the least.
-const LEAST_FULL: f32 = 0.05;
+pub(super) const LEAST_FULL: f32 = 0.05;
 
 /// In a detail the same, as a share of what is shown in full in the whole.
-const FAINT_DETAIL: f32 = 0.6;
+pub(super) const FAINT_DETAIL: f32 = 0.6;
 
 /// How strong the edge is at each pixel.
-struct Edges {
+pub(super) struct Edges {
     /// 0..=255.
-    strength: Plane<u8>,
+    pub(super) strength: Plane<u8>,
     /// Sobel's gradient of log(code) that is shown as 255.
-    full: f32,
+    pub(super) full: f32,
 }
 
 /// So many pixels about what is outside, what was smoothed and compared reaches it.
 const REACH: usize = 3;
 
 impl Grey {
-    fn whole(levels: Plane<u8>) -> Self {
+    pub(super) fn whole(levels: Plane<u8>) -> Self {
         Grey { levels, outside: None }
     }
 
     /// The edges, those that are as strong as `least` or as the picture's strongest shown in full, whichever is more.
-    fn edges(&self, least: f32) -> Edges {
+    pub(super) fn edges(&self, least: f32) -> Edges {
         let (width, height) = (self.levels.width(), self.levels.height());
         let logarithms: [f32; 256] = std::array::from_fn(|v| libm::log(v as f64 + BLACK) as f32);
         let log = Plane::from_rows(width, height, |y, row| {
@@ -271,7 +271,7 @@ impl Grey {
 }
 
 /// The edges of the reference and of the frame, each in its colour, added.
-fn two_colours(reference: &Plane<u8>, frame: &Plane<u8>) -> Plane<[u8; 3]> {
+pub(super) fn two_colours(reference: &Plane<u8>, frame: &Plane<u8>) -> Plane<[u8; 3]> {
     let (a, b) = ([REFERENCE.0, REFERENCE.1, REFERENCE.2], [FRAME.0, FRAME.1, FRAME.2]);
     Plane::from_rows(reference.width(), reference.height(), |y, row| {
         for ((p, &r), &f) in row.iter_mut().zip(reference.row(y)).zip(frame.row(y)) {

@@ -12,20 +12,23 @@ pub mod files;
 mod keypoints;
 pub(crate) mod lettering;
 mod matches;
+pub mod overlay;
 mod page;
 mod picture;
 pub mod response_plot;
 pub mod tables;
-mod text;
+pub(crate) mod text;
 
 use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::mtb::GreyPyramid;
-use crate::align::{AlignOptions, Alignment, grey_pyramid};
+use crate::align::{AlignOptions, Alignment, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
+use crate::plane::Plane;
 use crate::report::{Report, WarningReport};
 use drawing::Drawing;
 use edges::Couple;
+use overlay::Overlay;
 use picture::Photograph;
 use rayon::prelude::*;
 use tables::{Found, Tables};
@@ -130,10 +133,40 @@ pub fn inspect<'a>(
     options: &AlignOptions,
     warnings: &[Warning],
 ) -> Result<Inspection<'a>> {
-    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(grey_pyramid).collect();
+    gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_| true)
+}
+
+/// As [`inspect`], but in less memory and time: for drawings of at most half the size of large frames, and with features only of the frames
+/// of which `wants_features` says so.
+///
+/// # Errors
+/// Those of [`inspect`].
+pub fn inspect_part<'a>(
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    options: &AlignOptions,
+    warnings: &[Warning],
+    wants_features: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<Inspection<'a>> {
+    gathered(bracket, alignment, options, warnings, &searched_pyramid, wants_features)
+}
+
+fn gathered<'a>(
+    bracket: &'a Bracket,
+    alignment: &'a Alignment,
+    options: &AlignOptions,
+    warnings: &[Warning],
+    pyramid: &(dyn Fn(&Frame) -> Result<GreyPyramid> + Sync),
+    wants_features: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<Inspection<'a>> {
+    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(pyramid).collect();
     let pyramids = pyramids.into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let features: Vec<FrameFeatures> = pyramids.par_iter().map(|p| FrameFeatures::new(p, options)).collect();
+    let features = pyramids.par_iter().enumerate().map(|(i, pyramid)| match wants_features(i) {
+        true => FrameFeatures::new(pyramid, options),
+        false => FrameFeatures::none(pyramid),
+    });
+    let features: Vec<FrameFeatures> = features.collect();
     let against: Vec<Option<Against>> = (0..pyramids.len())
         .into_par_iter()
         .map(|i| {
@@ -196,7 +229,7 @@ impl Inspection<'_> {
                 Ok(Some(Sheet::Bitmap(kind, picture::png_bitmap(bitmap)?)))
             }
             (SheetKind::Keypoints, _) => {
-                let photograph = Photograph::new(self.pyramids[i].level(0), DRAWN);
+                let photograph = Photograph::new(self.pyramids[i].largest(), DRAWN);
                 drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, &evidence.features)?)
             }
             (SheetKind::Matches, Some(against)) => {
@@ -210,17 +243,56 @@ impl Inspection<'_> {
                 let placed = self.alignment.verdicts[i].warp.is_some();
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
-            (SheetKind::Edges, Some(_)) => {
-                let couple = Couple {
-                    reference: self.bracket.reference(),
-                    frame: self.frame(i),
-                    reference_grey: self.pyramids[self.bracket.reference_index()].level(0),
-                    frame_grey: self.pyramids[i].level(0),
-                    warp: self.alignment.verdicts[i].warp,
-                };
-                drawn(edges::draw(&self.title(i, "edges"), &couple)?)
-            }
+            (SheetKind::Edges, Some(_)) => drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?),
             (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
+        }
+    }
+
+    /// The bitmaps of frame `i`.
+    pub fn bitmaps(&self, i: usize) -> &FrameBitmaps {
+        &self.evidence[i].bitmaps
+    }
+
+    /// The keypoints of frame `i`.
+    pub fn features(&self, i: usize) -> &FrameFeatures {
+        &self.evidence[i].features
+    }
+
+    /// What differs between the bitmaps of frame `i` and the reference's; none for the reference.
+    pub fn xor(&self, i: usize) -> Option<&XorCurves> {
+        self.evidence[i].against.as_ref().map(|a| &a.xor)
+    }
+
+    /// The matches of frame `i` with the reference, plain and of bitmaps together; none for the reference.
+    pub fn matching(&self, i: usize) -> Option<&Matching> {
+        self.evidence[i].against.as_ref().map(|a| &a.matchings[FeatureKind::Merged as usize])
+    }
+
+    /// Frame `i` in grey, in at most `most` pixels across and down, and as it is drawn: bright enough to see, and whether it was brightened for
+    /// that.
+    pub fn photograph(&self, i: usize, most: (usize, usize)) -> (Plane<u8>, bool) {
+        let photograph = Photograph::new(self.pyramids[i].largest(), most);
+        (photograph.grey, photograph.brightened)
+    }
+
+    /// Frame `i` over the reference, edges in two colours, on pictures of at most `most` pixels across; none for the reference.
+    ///
+    /// # Errors
+    /// In words, where the scratch file cannot be read.
+    pub fn overlay(&self, i: usize, most: usize) -> std::result::Result<Option<Overlay>, String> {
+        if self.evidence[i].against.is_none() {
+            return Ok(None);
+        }
+        overlay::of(&self.couple(i), most).map(Some)
+    }
+
+    fn couple(&self, i: usize) -> Couple<'_> {
+        Couple {
+            reference: self.bracket.reference(),
+            frame: self.frame(i),
+            reference_grey: self.pyramids[self.bracket.reference_index()].largest(),
+            frame_grey: self.pyramids[i].largest(),
+            warp: self.alignment.verdicts[i].warp,
         }
     }
 
@@ -229,7 +301,7 @@ impl Inspection<'_> {
     }
 
     fn photograph_beside(&self, i: usize) -> Photograph {
-        Photograph::new(self.pyramids[i].level(0), DRAWN_BESIDE)
+        Photograph::new(self.pyramids[i].largest(), DRAWN_BESIDE)
     }
 
     fn name(&self, i: usize) -> String {

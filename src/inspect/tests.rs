@@ -162,3 +162,17 @@ fn the_same_bracket_gives_the_same_bytes_on_any_number_of_threads() {
     };
     assert!(on(1) == on(3));
 }
+
+#[test]
+fn a_part_is_the_same_but_for_the_features_left_out() {
+    let (bracket, options) = (bracket(), AlignOptions::default());
+    let (alignment, warnings) = align::align(&bracket, &options).unwrap();
+    let whole = inspect(&bracket, &alignment, &options, &warnings).unwrap();
+    let part = inspect_part(&bracket, &alignment, &options, &warnings, &|i| i != 2).unwrap();
+    assert_eq!(part.features(0).counts(), whole.features(0).counts());
+    assert_eq!(part.matching(0), whole.matching(0));
+    assert!(part.features(2).counts().merged == 0 && part.matching(2).is_some_and(|m| m.pairs.is_empty()));
+    assert_eq!(part.xor(2), whole.xor(2));
+    assert_eq!(part.overlay(2, 200).unwrap(), whole.overlay(2, 200).unwrap());
+    assert!(part.overlay(1, 200).unwrap().is_none());
+}

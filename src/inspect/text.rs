@@ -108,17 +108,17 @@ fn or_nothing<T>(value: Option<T>, show: impl Fn(T) -> String) -> String {
 }
 
 /// The name of the photograph, without its folder.
-fn file_name(path: &str) -> String {
+pub(crate) fn file_name(path: &str) -> String {
     Path::new(path).file_name().map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned())
 }
 
 /// A shutter time as photographers write it.
-fn shutter(seconds: f64) -> String {
+pub(crate) fn shutter(seconds: f64) -> String {
     if seconds < 0.3 { format!("1/{:.0} s", 1.0 / seconds) } else { format!("{} s", (seconds * 10.0).round() / 10.0) }
 }
 
 /// Stops with their sign.
-pub(super) fn stops(ev: f64) -> String {
+pub(crate) fn stops(ev: f64) -> String {
     // What rounds to nothing has no sign.
     if ev.abs() < 0.005 { "0.00".into() } else { format!("{ev:+.2}") }
 }
@@ -166,7 +166,7 @@ fn verdict_row(frame: &FrameTable) -> Vec<String> {
 }
 
 /// What became of a frame, in words.
-pub(super) fn status_word(status: Status) -> &'static str {
+pub(crate) fn status_word(status: Status) -> &'static str {
     match status {
         Status::Reference => "reference",
         Status::Aligned => "aligned",

@@ -87,6 +87,45 @@ impl Loops for MergedRow<'_, '_> {
     }
 }
 
+/// Weighs what each frame gives of a tile's first row, for people to look at.
+pub(super) struct WeighedRow<'a, 'b> {
+    pub layers: &'a [Layer<'b>],
+    pub tiles: &'a [Tile],
+    /// As of a [`MergedRow`].
+    pub kept: &'a [&'a [f32]],
+    pub means: &'a mut Means,
+    /// For each frame and pixel the weights of the three channels together, those that decide included.
+    pub weights: &'a mut [[f32; COLUMNS]],
+}
+
+impl Loops for WeighedRow<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.means.clear();
+        // The last frame believed decides what is dark: which, and by how much.
+        let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
+        for (i, ((layer, tile), kept)) in self.layers.iter().zip(self.tiles).zip(self.kept).enumerate() {
+            let Some(row) = tile.row(0) else { continue };
+            let before = self.means.weight;
+            self.means.add(layer, &row, kept);
+            for x in 0..COLUMNS {
+                self.weights[i][x] = (0..3).map(|c| self.means.weight[c][x] - before[c][x]).sum();
+                if self.means.frame.is_believed[x] != 0 {
+                    last[x] = Some(i);
+                    decides[x] = (0..3).map(|c| self.means.longest_weight[c][x]).sum();
+                }
+            }
+        }
+        for x in 0..COLUMNS {
+            if let Some(i) = last[x] {
+                self.weights[i][x] += decides[x];
+            }
+        }
+    }
+}
+
 impl Means {
     pub fn new() -> Self {
         let (none, zero, flags) = ([[0.0; COLUMNS]; 3], [0.0; COLUMNS], [0; COLUMNS]);

@@ -31,6 +31,7 @@ pub mod gamut;
 mod layer;
 mod mean;
 mod noise;
+pub mod share;
 pub mod statistics;
 pub mod weight;
 
@@ -112,6 +113,8 @@ pub struct Merging<'a> {
     bracket: &'a Bracket,
     region: Rect,
     layers: Vec<Layer<'a>>,
+    /// Which frame of the bracket each layer is.
+    frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
 }
 
@@ -161,7 +164,8 @@ impl<'a> Merging<'a> {
                 reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
             });
         }
-        Ok(Merging { bracket, region, layers, ghosts })
+        let frames = alignment.placed(bracket).map(|(i, _, _)| i).collect();
+        Ok(Merging { bracket, region, layers, frames, ghosts })
     }
 
     /// Width and height of the result, in pixels.

@@ -114,6 +114,28 @@ impl Tally {
     }
 }
 
+impl Tally {
+    /// How many pixels have a luminance in each of the steps of `1 / per_stop` stops that hold any, or lie between such: the number of the
+    /// first step (0 begins at a luminance of 1), and the counts.
+    ///
+    /// # Panics
+    /// When `per_stop` is 0.
+    pub fn by_stops(&self, per_stop: usize) -> (i64, Vec<u64>) {
+        assert!(per_stop > 0);
+        // A bin is far smaller than a step: its middle tells.
+        let step = |bin: usize| {
+            let middle = f32::from_bits(((bin as u32) << DROPPED) | (1 << (DROPPED - 1)));
+            (libm::log2(f64::from(middle)) * per_stop as f64).floor() as i64
+        };
+        let held = || self.bins.iter().enumerate().filter(|(_, n)| **n > 0);
+        let (Some(first), Some(last)) = (held().next(), held().next_back()) else { return (0, Vec::new()) };
+        let (first, last) = (step(first.0), step(last.0));
+        let mut counts = vec![0; (last - first + 1) as usize];
+        held().for_each(|(bin, n)| counts[(step(bin) - first) as usize] += n);
+        (first, counts)
+    }
+}
+
 impl Statistics {
     /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
     /// luminance.
@@ -166,6 +188,17 @@ mod tests {
         let s = Statistics::measured(&Plane::filled(3, 2, [1.0, 2.0, 4.0]), [0.5, 0.25, 0.25], Unit::CdM2);
         assert_eq!((s.min, s.max, s.unit), (2.0, 2.0, Unit::CdM2));
         assert_eq!(serde_json::to_value(s).unwrap()["unit"], "cd/m2");
+    }
+
+    #[test]
+    fn steps_of_stops_hold_every_pixel_once() {
+        let pixels = Plane::from_vec(4, 1, [0.26f32, 1.0, 1.2, 7.9].map(|v| [v; 3]).to_vec());
+        let mut tally = Tally::default();
+        tally.see(&pixels, BT709);
+        // log2: -1.94, 0, 0.26, 2.98; in halves of a stop -4, 0, 0, 5.
+        assert_eq!(tally.by_stops(2), (-4, vec![1, 0, 0, 0, 2, 0, 0, 0, 0, 1]));
+        assert_eq!(tally.by_stops(1).1.iter().sum::<u64>(), 4);
+        assert_eq!(Tally::default().by_stops(4), (0, Vec::new()));
     }
 
     #[test]

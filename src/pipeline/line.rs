@@ -15,8 +15,9 @@ use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, gamut};
+use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane, fold_bands};
-use crate::report::{Report, Times, WarningReport};
+use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
@@ -120,11 +121,36 @@ pub(super) struct Line<'a> {
     pub began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
+    /// The page, where one is asked for.
+    page: Option<Page>,
 }
 
 impl<'a> Line<'a> {
     pub fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
-        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new() }
+        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new(), page: None }
+    }
+
+    /// With a page, where the report is to be one.
+    pub fn with_page(mut self, options: &Options) -> Self {
+        let is_page = |path: &&PathBuf| report::Format::of(path).is_ok_and(|format| format == report::Format::Html);
+        self.page = options.report.as_ref().filter(is_page).map(|path| Page::new(path));
+        self
+    }
+
+    /// What the page needs of the frames, while they are there.
+    pub fn gather(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        developed: Option<&Developed>,
+        options: &Options,
+    ) -> Result<()> {
+        let Some(mut page) = self.page.take() else { return Ok(()) };
+        let gathered = || page.gather(bracket, alignment, &options.align, &self.warnings, developed);
+        let (gathered, time) = self.timed(Stage::Inspect, gathered);
+        page.take_time(time.unwrap_or(0.0));
+        self.page = Some(page);
+        gathered
     }
 
     /// `work`, announced, and its time.
@@ -252,6 +278,9 @@ impl<'a> Line<'a> {
             tally.see(&map.pixels, gamut::weights(&map.primaries));
             Ok(())
         })?;
+        if let Some(page) = &mut self.page {
+            page.take_luminance(tally.by_stops(Page::PER_STOP));
+        }
         let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
         self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
         Ok((Radiance { slabs, ..radiance }, statistics))
@@ -298,6 +327,7 @@ impl<'a> Line<'a> {
         let (width, height) = slabs.size();
         let metadata = Metadata { primaries: slabs.primaries(), ..metadata };
         let mut mapping = Duration::ZERO;
+        let mut page = self.page.take();
         let (written, time) = self.timed(Stage::Write, || {
             let settled = settled(slabs, statistics, picture, options)?;
             let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
@@ -305,7 +335,7 @@ impl<'a> Line<'a> {
             let mut shown = Vec::new();
             slabs.each(|first, map| {
                 for (i, rows) in map.pixels.as_slice().chunks(AT_ONCE * width).enumerate() {
-                    if keep || files.hold_display() {
+                    if keep || files.hold_display() || page.is_some() {
                         let began = Instant::now();
                         shown.resize(rows.len(), [0; 3]);
                         let first = first + i * AT_ONCE;
@@ -317,6 +347,9 @@ impl<'a> Line<'a> {
                     }
                     let codes = if files.hold_display() { &shown[..] } else { &[] };
                     files.push(if files.hold_radiance() { rows } else { &[] }, codes)?;
+                    if let Some(page) = &mut page {
+                        page.see((width, height), &shown);
+                    }
                     if keep {
                         kept.extend_from_slice(&shown);
                     }
@@ -325,6 +358,7 @@ impl<'a> Line<'a> {
             })?;
             Ok((files.finish()?, Plane::from_vec(width, if keep { height } else { 0 }, kept)))
         });
+        self.page = page;
         let mapping = mapping.as_secs_f64();
         self.times.tonemap = self.times.tonemap.map(|time| time + mapping);
         self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0) - mapping);
@@ -375,7 +409,8 @@ impl<'a> Line<'a> {
         self.times.total = self.began.elapsed().as_secs_f64();
         report.time_s = self.times;
         if let Some(path) = &options.report {
-            pending.push(write::text(path, &report.to_json())?.file);
+            let text = self.page.as_ref().map_or_else(|| Ok(report.to_json()), |page| page.to_html(report))?;
+            pending.push(write::text(path, &text)?.file);
         }
         write::commit(pending, options.write.overwrite)
     }

@@ -9,7 +9,7 @@ use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
 use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
-use crate::error::Warning;
+use crate::error::{Error, Result, Warning};
 use crate::merge::MergeReport;
 use crate::merge::calibration::CalibrationReport;
 use crate::merge::deghost::GhostReport;
@@ -18,6 +18,29 @@ use crate::response::ResponseReport;
 use options::OptionsReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+
+/// The formats of a report, told by the extension of its file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// `.json`, for programs.
+    Json,
+    /// `.html`, for people.
+    Html,
+}
+
+impl Format {
+    /// The format that `path` asks for by its extension, in any case.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`].
+    pub fn of(path: &Path) -> Result<Format> {
+        match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
+            "json" => Ok(Format::Json),
+            "html" | "htm" => Ok(Format::Html),
+            _ => Err(Error::UnknownExtension { path: path.to_owned(), known: ".json, .html, .htm" }),
+        }
+    }
+}
 
 /// The version of the format: keys are only ever added to it.
 pub const SCHEMA: &str = "hdralign-report/1";
@@ -266,6 +289,14 @@ mod tests {
     use crate::align::warp::Warp;
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{ReferenceChoice, Samples};
+
+    #[test]
+    fn the_extension_tells_the_format() {
+        let of = |name: &str| Format::of(Path::new(name)).ok();
+        assert_eq!(["r.json", "a/R.HTML", "r.htm"].map(of), [Format::Json, Format::Html, Format::Html].map(Some));
+        assert_eq!(["r.txt", "r", ".html"].map(of), [None; 3]);
+        assert!(Format::of(Path::new("r.txt")).unwrap_err().is_usage());
+    }
 
     #[test]
     fn units_are_in_the_keys_and_a_rejected_frame_has_no_homography() {

@@ -1,0 +1,132 @@
+//! The overlay: the edges of a frame laid over those of the reference, before and after alignment, as two pictures of one size that are made to
+//! be looked at one over the other.
+//!
+//! In: two frames and a warp. Out: an [`Overlay`]: above the whole picture, below it, where the photographs are large enough, a row of places at
+//! twice their size, where half a pixel is seen. Cost: that of the drawing of [`edges`](super::edges), in whose colours it is.
+
+use super::edges::{
+    BOX, Couple, DETAIL_GAP, Detail, FAINT_DETAIL, Grey, LEAST_FULL, MAGNIFIED, details, laid, two_colours,
+};
+use super::picture::reduce;
+use crate::align::warp::Warp;
+use crate::plane::Plane;
+
+/// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.
+const NOISE: u16 = 26;
+/// Thickness of the boxes around the places shown larger, in pixels.
+const PEN: usize = 2;
+
+/// A frame over the reference.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Overlay {
+    /// As photographed.
+    pub before: Plane<[u8; 3]>,
+    /// As aligned; none where the frame was left out.
+    pub after: Option<Plane<[u8; 3]>>,
+    /// Rows that the whole picture takes; what is below them are places at twice their size.
+    pub whole_rows: usize,
+}
+
+/// The couple's overlay, on pictures of at most `most` pixels across.
+pub(super) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
+    let side = (most, most);
+    let reference = Grey::whole(reduce(couple.reference_grey, side)).edges(LEAST_FULL);
+    let moving = reduce(couple.frame_grey, side);
+    let aligned = couple.warp.map(|warp| (warp, laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
+    let photographed = (Warp::Identity, Grey::whole(moving).edges(LEAST_FULL));
+    let (width, height) = (reference.strength.width(), reference.strength.height());
+    let last = &aligned.as_ref().unwrap_or(&photographed).1;
+    let places = details(&reference.strength, &last.strength, (width as f64, height as f64), couple);
+    let picture = |(warp, view): &(Warp, super::edges::Edges)| -> Result<Plane<[u8; 3]>, String> {
+        let gap = DETAIL_GAP as usize;
+        let below = places.first().map_or(0, |p| gap + p.height * MAGNIFIED);
+        let mut sheet = Plane::filled(width, height + below, [0u8; 3]);
+        put(&mut sheet, (0, 0), 1, &two_colours(&plain(&reference.strength), &plain(&view.strength)));
+        for (k, place) in places.iter().enumerate() {
+            frame_place(&mut sheet, place, (width, height), (couple.reference.width(), couple.reference.height()));
+            let still = place.grey(couple.reference, &Warp::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
+            let moved = place.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
+            let corner = (k * (place.width * MAGNIFIED + gap), height + gap);
+            put(&mut sheet, corner, MAGNIFIED, &two_colours(&plain(&still), &plain(&moved)));
+        }
+        Ok(sheet)
+    };
+    let after = aligned.as_ref().map(&picture).transpose()?;
+    Ok(Overlay { before: picture(&photographed)?, after, whole_rows: height })
+}
+
+/// `strength` without what is noise; what is strongest stays as strong.
+fn plain(strength: &Plane<u8>) -> Plane<u8> {
+    Plane::from_rows(strength.width(), strength.height(), |y, row: &mut [u8]| {
+        for (v, s) in row.iter_mut().zip(strength.row(y)) {
+            *v = (u16::from(*s).saturating_sub(NOISE) * 255 / (255 - NOISE)) as u8;
+        }
+    })
+}
+
+/// Puts `picture`, every pixel a square of `side`, on `sheet` with its upper left corner at `corner`; what does not fit is cut off.
+fn put(sheet: &mut Plane<[u8; 3]>, corner: (usize, usize), side: usize, picture: &Plane<[u8; 3]>) {
+    let rows = (picture.height() * side).min(sheet.height().saturating_sub(corner.1));
+    for y in 0..rows {
+        let from = picture.row(y / side);
+        let to = sheet.row_mut(corner.1 + y).iter_mut().skip(corner.0).take(picture.width() * side);
+        to.enumerate().for_each(|(x, pixel)| *pixel = from[x / side]);
+    }
+}
+
+/// A box around `place` of the photograph of size `full`, which takes `size` of the sheet.
+fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize), full: (usize, usize)) {
+    let at = |v: usize, most: usize, of: usize| (v * most / of).min(most - 1);
+    let (left, right) = (at(place.x, size.0, full.0), at(place.x + place.width, size.0, full.0));
+    let (top, bottom) = (at(place.y, size.1, full.1), at(place.y + place.height, size.1, full.1));
+    for y in top..=bottom {
+        let row = &mut sheet.row_mut(y)[left..=right];
+        let last = row.len() - 1;
+        for (x, pixel) in row.iter_mut().enumerate() {
+            let is_edge = x < PEN || x + PEN > last || y < top + PEN || y + PEN > bottom;
+            if is_edge {
+                *pixel = [BOX.0, BOX.1, BOX.2];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::scene::{Scene, Shot, rigid};
+    use crate::bracket::exposure::Exposure;
+    use crate::bracket::{Frame, Samples};
+
+    /// Pixels that are of one colour alone: an edge of one frame without its partner.
+    fn alone(sheet: &Plane<[u8; 3]>) -> usize {
+        sheet.as_slice().iter().filter(|[r, _, b]| r.abs_diff(*b) > 90).count()
+    }
+
+    #[test]
+    fn what_is_apart_before_is_together_after() {
+        let (size, scene, truth) = ((900, 600), Scene::new(3), rigid(14.0, -9.0, 1.0));
+        let greys = [Warp::Identity, truth].map(|w| scene.photograph(size, &w, Shot::at(0.0)));
+        let frame = |grey: &Plane<u8>| {
+            let codes = grey.as_slice().iter().flat_map(|v| [*v; 3]).collect();
+            Frame::new("x".into(), size.0, size.1, Samples::Eight(codes), Exposure::given(0.0).unwrap())
+        };
+        let frames = [frame(&greys[0]), frame(&greys[1])];
+        let couple = |warp| Couple {
+            reference: &frames[0],
+            frame: &frames[1],
+            reference_grey: &greys[0],
+            frame_grey: &greys[1],
+            warp,
+        };
+        let overlay = of(&couple(Some(truth)), 450).unwrap();
+        let after = overlay.after.unwrap();
+        assert_eq!((after.width(), overlay.whole_rows), (450, 300));
+        assert_eq!((after.width(), after.height()), (overlay.before.width(), overlay.before.height()));
+        // There is a row of places, and it too shows the motion.
+        assert!(after.height() > 350);
+        // What is left is the scene's noise and the strip that the frame does not reach.
+        assert!(2 * alone(&after) < alone(&overlay.before), "{} {}", alone(&after), alone(&overlay.before));
+        assert!(of(&couple(None), 450).unwrap().after.is_none());
+    }
+}

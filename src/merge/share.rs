@@ -1,0 +1,140 @@
+//! Shares: how much of the result each frame gives, pixel by pixel.
+//!
+//! In: a [`Merging`]. Out: for each frame that takes part its share of the sum of all weights, on a grid of rows that are looked at. Cost: that
+//! of merging those rows. It is not worked out beside the merge but read off it: what the weights of a pixel grow by as a frame is added.
+
+use super::layer::{COLUMNS, Tile};
+use super::mean::{Means, WeighedRow};
+use super::{Merging, Rect};
+use crate::error::Result;
+use crate::plane::Plane;
+use crate::simd::vectorised;
+use rayon::prelude::*;
+
+/// What one frame gives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Share {
+    /// Its index in the bracket.
+    pub frame: usize,
+    /// 0..=1, by cells of the result.
+    pub cells: Plane<f32>,
+}
+
+impl Share {
+    /// 0..=1, of the whole result.
+    pub fn mean(&self) -> f64 {
+        let cells = self.cells.as_slice();
+        cells.iter().map(|&v| f64::from(v)).sum::<f64>() / cells.len().max(1) as f64
+    }
+}
+
+impl Merging<'_> {
+    /// The shares of the frames, by rising exposure, on `size` cells of the result: of each cell its middle row is looked at.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    ///
+    /// # Panics
+    /// When there are more cells than pixels, or none.
+    pub fn shares(&self, size: (usize, usize)) -> Result<Vec<Share>> {
+        let (width, height) = self.size();
+        let (across, down) = size;
+        assert!(across > 0 && down > 0 && across <= width && down <= height);
+        let rows: Vec<Result<Vec<Vec<f32>>>> = (0..down)
+            .into_par_iter()
+            .map(|cell| self.share_row((2 * cell + 1) * height / (2 * down), across))
+            .collect();
+        let rows = rows.into_iter().collect::<Result<Vec<_>>>()?;
+        let plane = |layer: usize| {
+            Plane::from_vec(across, down, rows.iter().flat_map(|row| row[layer].iter().copied()).collect())
+        };
+        Ok((0..self.layers.len()).map(|layer| Share { frame: self.frames[layer], cells: plane(layer) }).collect())
+    }
+
+    /// The shares of row `y` of the result: for each frame the mean over each of `across` cells.
+    fn share_row(&self, y: usize, across: usize) -> Result<Vec<Vec<f32>>> {
+        let Rect { x0, y0, .. } = self.region;
+        let width = self.region.width();
+        let rows = y0 + y..y0 + y + 1;
+        let (mut means, mut tile) = (Means::new(), self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>());
+        let mut sums = vec![vec![0.0f32; across]; self.layers.len()];
+        let mut counts = vec![0.0f32; across];
+        let kept: Vec<Vec<f32>> =
+            (0..self.layers.len()).map(|i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, y..y + 1))).collect();
+        let windows =
+            self.layers.iter().map(|layer| layer.window(&(x0..x0 + width), &rows)).collect::<Result<Vec<_>>>()?;
+        for left in (0..width).step_by(COLUMNS) {
+            let columns = left..(left + COLUMNS).min(width);
+            let whole = x0 + columns.start..x0 + columns.end;
+            for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut tile) {
+                tile.read(layer, window, whole.clone(), rows.clone());
+            }
+            let kept: Vec<&[f32]> = kept.iter().map(|kept| kept.get(columns.clone()).unwrap_or(&[])).collect();
+            let mut weights = vec![[0.0f32; COLUMNS]; self.layers.len()];
+            vectorised(WeighedRow {
+                layers: &self.layers,
+                tiles: &tile,
+                kept: &kept,
+                means: &mut means,
+                weights: &mut weights,
+            });
+            for (i, x) in columns.enumerate() {
+                let cell = x * across / width;
+                let all: f32 = weights.iter().map(|w| w[i]).sum();
+                // A pixel that no frame covers is nobody's.
+                if all > 0.0 {
+                    sums.iter_mut().zip(&weights).for_each(|(sum, w)| sum[cell] += w[i] / all);
+                }
+                counts[cell] += 1.0;
+            }
+        }
+        for sum in &mut sums {
+            sum.iter_mut().zip(&counts).for_each(|(sum, count)| *sum /= count.max(1.0));
+        }
+        Ok(sums)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::merge::MergeOptions;
+    use crate::merge::weight::Weight;
+    use crate::response::ResponseCurve;
+    use crate::response::tests::still;
+
+    #[test]
+    fn shares_are_those_with_which_the_frames_make_the_radiance() {
+        // Ten stops from left to right: the longest frame has the dark end, the shortest the bright one.
+        let scene = |x: usize, _: usize| [libm::exp2(x as f64 / 20.0 - 9.0); 3];
+        let (bracket, alignment) = still((200, 40), &[0.125, 1.0, 8.0], scene);
+        let curve = ResponseCurve::srgb();
+        let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
+        let merging = Merging::of(&bracket, &alignment, &curve, &options, None).unwrap();
+        let shares = merging.shares((200, 4)).unwrap();
+        assert_eq!(shares.iter().map(|s| s.frame).collect::<Vec<_>>(), [0, 1, 2]);
+        let radiance = merging.slab(0..40).unwrap().map.pixels;
+        let own = |frame: usize, x: usize| {
+            let codes = bracket.frames()[frame].window(5..6).unwrap();
+            let crate::bracket::Codes::Eight(codes) = codes.codes() else { unreachable!("8 bit") };
+            let times = [0.125f32, 1.0, 8.0];
+            curve.exposures(1)[usize::from(codes[3 * x + 1])] * bracket_unit(&bracket) / times[frame]
+        };
+        for x in 0..200 {
+            let of = |frame: usize| shares[frame].cells.at(x, 0);
+            let all: f32 = (0..3).map(of).sum();
+            assert!((all - 1.0).abs() < 1e-4, "{x}: {all}");
+            // The channels are alike, so the mean by shares is the radiance; beside clipped pixels too.
+            let mean: f32 = (0..3).map(|frame| of(frame) * own(frame, x)).sum();
+            let found = radiance.at(x, 5)[1];
+            assert!((mean / found - 1.0).abs() < 2e-3, "{x}: {mean} for {found}");
+        }
+        assert!(shares[2].cells.at(2, 1) > 0.9 && shares[0].cells.at(199, 1) > 0.9);
+        assert!((shares.iter().map(Share::mean).sum::<f64>() - 1.0).abs() < 1e-4);
+    }
+
+    /// The reference's time: radiance is by its exposure.
+    fn bracket_unit(bracket: &crate::bracket::Bracket) -> f32 {
+        bracket.reference().exposure.relative() as f32
+    }
+}

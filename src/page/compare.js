@@ -1,0 +1,34 @@
+"use strict";
+for (const figure of document.querySelectorAll(".compare")) {
+  const range = figure.querySelector("input");
+  const stack = figure.querySelector(".stack");
+  const show = () => {
+    stack.style.setProperty("--at", range.value + "%");
+    range.setAttribute("aria-valuetext", range.value + " % as photographed, " + (100 - range.value) + " % as aligned");
+  };
+  const follow = (event) => {
+    const box = stack.getBoundingClientRect();
+    range.value = Math.round(100 * (event.clientX - box.left) / box.width);
+    show();
+  };
+  range.addEventListener("input", show);
+  stack.addEventListener("pointerdown", (event) => {
+    stack.setPointerCapture(event.pointerId);
+    follow(event);
+  });
+  stack.addEventListener("pointermove", (event) => {
+    if (stack.hasPointerCapture(event.pointerId)) follow(event);
+  });
+  show();
+}
+// On paper nothing can be opened.
+const closed = [];
+addEventListener("beforeprint", () => {
+  for (const part of document.querySelectorAll("details:not([open])")) {
+    closed.push(part);
+    part.open = true;
+  }
+});
+addEventListener("afterprint", () => {
+  while (closed.length) closed.pop().open = false;
+});

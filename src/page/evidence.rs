@@ -1,0 +1,272 @@
+//! What a frame's place rests on, as the page shows it: overlay, bitmaps, XOR curves, keypoints and matches.
+//!
+//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures. Source: Ward 2003, section 2
+//! (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
+
+use super::encoded::{Picture, four_colours, grey_jpeg, jpeg};
+use super::is_sought;
+use super::markup::escape;
+use super::plot::{Axis, Plot};
+use super::{COARSE, FRAME};
+use crate::align::evidence::{Curve, FrameBitmaps, Matching, XorCurves};
+use crate::align::{Alignment, Status};
+use crate::bracket::Bracket;
+use crate::inspect::Inspection;
+use crate::plane::Plane;
+use std::fmt::Write;
+
+/// Columns of an overlay at the most, for as many frames; more share the room.
+const OVERLAY: (usize, usize) = (760, 4);
+const LEAST_OVERLAY: usize = 420;
+/// The quality of an overlay's JPEG.
+const EDGES: u8 = 58;
+/// Lines between matches at the most: more hide each other.
+const LINES: usize = 120;
+/// Units of a keypoint's drawing across: twice the photograph's pixels, so that half of one can be told.
+const UNITS: usize = 2;
+
+/// Dark, bright, and too near the threshold to count.
+const BITMAP: [[u8; 3]; 4] = [[28, 33, 40], [238, 241, 244], [214, 142, 48], [214, 142, 48]];
+
+/// What a frame's place rests on.
+#[derive(Debug, Clone)]
+pub(super) struct Evidence {
+    pub bitmap: Picture,
+    /// The threshold's percentile and level, and the share that does not count.
+    pub threshold: (u8, u8, f64),
+    /// What differs from the reference's bitmap; none for the reference.
+    pub xor: Option<Xor>,
+    pub overlay: Option<Overlay>,
+    /// SVG of keypoints, where features were needed, and how many: plain alone, of bitmaps alone, in both.
+    pub keypoints: Option<(String, [usize; 3])>,
+    /// SVG of matches, where features were needed; how many, and of these inliers.
+    pub matches: Option<(String, usize, usize)>,
+    /// Whether the photograph behind those is brighter than it is.
+    pub brightened: bool,
+}
+
+/// Shares of differing pixels.
+#[derive(Debug, Clone)]
+pub(super) struct Xor {
+    pub before: f64,
+    pub after: f64,
+    pub plots: [String; 3],
+}
+
+/// The edges of a frame over the reference's.
+#[derive(Debug, Clone)]
+pub(super) struct Overlay {
+    pub before: Picture,
+    pub after: Option<Picture>,
+    pub has_details: bool,
+}
+
+/// Whether features were needed to place frame `i`, or another on it.
+pub(super) fn needs_features(alignment: &Alignment, i: usize) -> bool {
+    let verdicts = &alignment.verdicts;
+    match verdicts[i].status {
+        Status::Reference => verdicts.iter().any(|v| v.keypoints.is_some()),
+        _ => verdicts[i].keypoints.is_some(),
+    }
+}
+
+/// The evidence of all frames.
+pub(super) fn gather(
+    inspection: &Inspection,
+    alignment: &Alignment,
+    bracket: &Bracket,
+) -> Result<Vec<Evidence>, String> {
+    let verdicts = &alignment.verdicts;
+    let base = bracket.reference_index();
+    let overlaid = verdicts.iter().filter(|v| is_sought(v.status)).count().max(1);
+    let share = (OVERLAY.1 as f64 / overlaid as f64).min(1.0).sqrt();
+    let across = ((OVERLAY.0 as f64 * share) as usize).max(LEAST_OVERLAY);
+    let needed = |i: usize| needs_features(alignment, i);
+    let of = |i: usize| -> Result<Evidence, String> {
+        let bitmaps = inspection.bitmaps(i);
+        let is_placed = verdicts[i].warp.is_some();
+        let (grey, brightened) = inspection.photograph(i, (FRAME, FRAME));
+        let scale = grey.width() as f64 / bracket.width() as f64;
+        let photograph = || grey_jpeg(&grey, COARSE);
+        let keypoints = needed(i).then(|| keypoints(inspection, i, &photograph()?, scale)).transpose()?;
+        let matches = match inspection.matching(i).filter(|_| needed(i)) {
+            None => None,
+            Some(matching) => {
+                let (reference, _) = inspection.photograph(base, (FRAME, FRAME));
+                let both = [grey_jpeg(&reference, COARSE)?, photograph()?];
+                Some((matched(matching, &both, scale), matching.pairs.len(), matching.inliers()))
+            }
+        };
+        let overlay = match is_sought(verdicts[i].status) {
+            true => inspection.overlay(i, across)?,
+            false => None,
+        };
+        let overlay = overlay.map(|o| -> Result<Overlay, String> {
+            let has_details = o.before.height() > o.whole_rows;
+            let after = o.after.map(|after| jpeg(&after, EDGES, None)).transpose()?;
+            Ok(Overlay { before: jpeg(&o.before, EDGES, None)?, after, has_details })
+        });
+        Ok(Evidence {
+            bitmap: four_colours(&three_levels(bitmaps), &BITMAP)?,
+            threshold: (
+                bitmaps.percentile.percent(),
+                inspection.tables().frames[i].mtb.threshold_level,
+                bitmaps.excluded_share(),
+            ),
+            xor: inspection.xor(i).map(|curves| xor(curves, is_placed)),
+            overlay: overlay.transpose()?,
+            keypoints,
+            matches,
+            brightened,
+        })
+    };
+    (0..verdicts.len()).map(of).collect()
+}
+
+/// Dark, bright or not counting, by the pixel in the middle of each cell.
+fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
+    let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
+    let full = (threshold.width(), threshold.height());
+    let (across, down) = super::within(full, FRAME);
+    Plane::from_rows(across, down, |y, row: &mut [u8]| {
+        for (x, v) in row.iter_mut().enumerate() {
+            let (x, y) = ((2 * x + 1) * full.0 / (2 * across), (2 * y + 1) * full.1 / (2 * down));
+            *v = if !exclusion.get(x, y) { 2 } else { u8::from(threshold.get(x, y)) };
+        }
+    })
+}
+
+/// Three plots with one scale: turned, shifted to the right, shifted down.
+fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
+    let [dx, dy, angle] = curves.centre;
+    let all = [&curves.by_angle, &curves.by_dx, &curves.by_dy];
+    let most = all.iter().flat_map(|c| &c.share).copied().fold(curves.before.max(0.005), f64::max);
+    let up = Axis::round(0.0, 100.0 * most, 5, "differing pixels, %");
+    let plot = |curve: &Curve, name: &str, at: f64, unit: &str, decimals: usize| {
+        let (first, last) = (curve.at.first().copied().unwrap_or(0.0), curve.at.last().copied().unwrap_or(1.0));
+        let mut plot = Plot::new((380.0, 250.0), 0.0, Axis::within(first, last, 5, name), up.clone());
+        plot.curve("accent", curve.at.iter().zip(&curve.share).map(|(&at, &share)| (at, 100.0 * share)));
+        let found = super::markup::signed(at, decimals);
+        plot.mark(at, &format!("{found}{unit}"));
+        let what = if is_placed { "the alignment" } else { "the bitmaps' own best" };
+        plot.finish("", &format!("Share of differing bitmap pixels against {name}; {what} is at {found}{unit}."))
+    };
+    Xor {
+        before: curves.before,
+        after: curves.after,
+        plots: [
+            plot(&curves.by_angle, "rotation, degrees", angle, "°", 3),
+            plot(&curves.by_dx, "shift to the right, px", dx, " px", 1),
+            plot(&curves.by_dy, "shift down, px", dy, " px", 1),
+        ],
+    }
+}
+
+/// Dots as one path of round pen strokes, in units of the drawing.
+fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
+    let mut path = String::new();
+    for (x, y) in points {
+        let _ = write!(path, "M{:.0} {:.0}h0", x + 0.0, y + 0.0);
+    }
+    path
+}
+
+/// The beginning of a drawing of so many units, with words for those who do not see it.
+fn opened((w, h): (usize, usize), words: &str) -> String {
+    let (ratio, words) = (w as f64 / h as f64, escape(words));
+    format!(
+        "<svg class=\"marks\" style=\"--ratio:{ratio:.4}\" viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"{words}\">"
+    )
+}
+
+/// The photograph as SVG has it, `left` units from the left.
+fn behind(photograph: &Picture, left: usize) -> String {
+    let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
+    format!(r#"<image href="{}" x="{left}" width="{w}" height="{h}" preserveAspectRatio="none"/>"#, photograph.address)
+}
+
+/// The keypoints of frame `i`, of which a pixel takes `scale` of the photograph.
+fn keypoints(
+    inspection: &Inspection,
+    i: usize,
+    photograph: &Picture,
+    scale: f64,
+) -> Result<(String, [usize; 3]), String> {
+    let features = inspection.features(i);
+    let [plain, mtb] = features.keypoints();
+    let [in_mtb, in_plain] = features.found_twice();
+    let place = |x: f32, y: f32| {
+        let at = |v: f32| (f64::from(v) + 0.5) * scale * UNITS as f64;
+        (at(x), at(y))
+    };
+    let some = |points: &[crate::align::features::Keypoint], twice: &[bool], wanted: bool| {
+        let chosen: Vec<(f64, f64)> =
+            points.iter().zip(twice).filter(|(_, t)| **t == wanted).map(|(k, _)| place(k.x, k.y)).collect();
+        (dots(chosen.iter().copied()), chosen.len())
+    };
+    let layers = [some(&plain, &in_mtb, false), some(&mtb, &in_plain, false), some(&mtb, &in_plain, true)];
+    let counts = [layers[0].1, layers[1].1, layers[2].1];
+    let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
+    let words = format!(
+        "{} keypoints of the plain picture alone, {} of its bitmaps alone, {} in both.",
+        counts[0], counts[1], counts[2]
+    );
+    let mut svg = opened((w, h), &words);
+    svg += &behind(photograph, 0);
+    for (class, (path, _)) in ["plain", "bitmap", "both"].iter().zip(&layers) {
+        let _ = write!(svg, r#"<path class="dots {class}" d="{path}"/>"#);
+    }
+    svg += "</svg>\n";
+    Ok((svg, counts))
+}
+
+/// The matches between two photographs side by side, of which a frame's pixel takes `scale`; the reference on the left.
+fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -> String {
+    let (w, h) = (UNITS * reference.width, UNITS * reference.height.max(frame.height));
+    let gap = 8 * UNITS;
+    let right = w + gap;
+    let all = right + UNITS * frame.width;
+    let inliers = matching.inliers();
+    let words = format!("{} matches with the reference, of which {inliers} agree on the motion.", matching.pairs.len());
+    let mut svg = opened((all, h), &words);
+    svg += &behind(reference, 0);
+    svg += &behind(frame, right);
+    let place = |p: [f64; 2], left: f64| {
+        let at = |v: f64| (v + 0.5) * scale * UNITS as f64;
+        (left + at(p[0]), at(p[1]))
+    };
+    let stride = matching.pairs.len().div_ceil(LINES).max(1);
+    // What is wrong lies below, so that it does not hide what is right.
+    for (wanted, class) in [(false, "outlier"), (true, "inlier")] {
+        let mut lines = String::new();
+        let mut ends = Vec::new();
+        for (k, (a, b)) in matching.pairs.iter().enumerate().filter(|(k, _)| matching.inlier[*k] == wanted) {
+            let (from, to) = (place(*a, 0.0), place(*b, right as f64));
+            if k % stride == 0 {
+                let _ = write!(lines, "M{:.0} {:.0}L{:.0} {:.0}", from.0 + 0.0, from.1 + 0.0, to.0, to.1 + 0.0);
+            }
+            ends.extend([from, to]);
+        }
+        let _ = write!(svg, r#"<path class="line {class}" d="{lines}"/>"#);
+        let _ = write!(svg, r#"<path class="dots small {class}" d="{}"/>"#, dots(ends.into_iter()));
+    }
+    svg + "</svg>\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_few_and_dots_are_all() {
+        let photograph = Picture { address: "data:,".into(), width: 200, height: 100 };
+        let pairs = (0..361).map(|i| ([f64::from(i), 5.0], [f64::from(i), 9.0])).collect();
+        let matching = Matching { pairs, inlier: (0..361).map(|i| i % 2 == 0).collect(), warp: None };
+        let svg = matched(&matching, &[photograph.clone(), photograph], 0.5);
+        // Every fourth has a line; every one two dots.
+        assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));
+        assert!(svg.contains("361 matches") && svg.contains("181 agree"));
+        // By hand: (0 + 1/2) / 2 * 2 is half a unit, to the nearest even; the frame's begins at 416.
+        assert!(svg.contains("M0 6L416 10"), "{}", &svg[..900]);
+    }
+}

@@ -1,0 +1,236 @@
+//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script or style from elsewhere.
+//!
+//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the [`Report`]. Out: HTML. Cost: that of
+//! an [inspection](crate::inspect), a pass over the frames for reduced pictures, every few rows merged again for the shares; some 2 MB for
+//! five frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser refuses
+//! whatever a file name might smuggle in.
+
+mod document;
+mod encoded;
+mod evidence;
+mod light;
+mod markup;
+mod photographs;
+mod plot;
+mod reduced;
+mod summary;
+
+use crate::align::{AlignOptions, Alignment, Status};
+use crate::bracket::{Bracket, Frame};
+use crate::error::{Error, Result, Warning};
+use crate::inspect;
+use crate::merge::deghost::Ghosts;
+use crate::merge::share::Share;
+use crate::merge::{MergeOptions, Merging};
+use crate::plane::Plane;
+use crate::report::Report;
+use crate::response::ResponseCurve;
+use encoded::{Picture, grey_jpeg, jpeg};
+use evidence::Evidence;
+use reduced::{Reduced, within};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Long sides of the pictures at the most, in pixels.
+const RESULT: usize = 1400;
+const FRAME: usize = 480;
+/// Qualities of JPEG: of what is looked at, and of what only gives an idea.
+const FINE: u8 = 84;
+const COARSE: u8 = 74;
+
+/// The colours of the frames from the shortest exposure to the longest: from violet to yellow, of rising lightness.
+const SCALE: [[f64; 3]; 5] =
+    [[116.0, 92.0, 176.0], [58.0, 116.0, 186.0], [32.0, 152.0, 150.0], [112.0, 190.0, 92.0], [240.0, 198.0, 52.0]];
+
+/// A page that is being gathered.
+#[derive(Debug, Clone)]
+pub struct Page {
+    path: PathBuf,
+    /// What display codes are of; none for sRGB.
+    icc: Option<Vec<u8>>,
+    frames: Vec<FramePage>,
+    result: Option<Reduced>,
+    /// Luminance by steps of a quarter of a stop: the first step, and the pixels of each.
+    luminance: Option<(i64, Vec<u64>)>,
+    curve: Option<ResponseCurve>,
+    /// Which frame gives what, in the frames' colours.
+    shares: Option<Picture>,
+    ghosts: Option<Picture>,
+    /// Wall time of the gathering, in seconds.
+    time_s: f64,
+}
+
+/// What the page shows of one frame beside its report.
+#[derive(Debug, Clone)]
+struct FramePage {
+    photograph: Picture,
+    evidence: Evidence,
+    /// What it gives of the result, 0..=1, and where.
+    share: Option<(f64, Picture)>,
+}
+
+/// What was made of a bracket.
+#[derive(Debug, Clone, Copy)]
+pub struct Developed<'a> {
+    /// What codes mean.
+    pub curve: &'a ResponseCurve,
+    /// How the frames were merged.
+    pub merging: MergeOptions,
+    /// What was left out.
+    pub ghosts: Option<&'a Ghosts>,
+}
+
+impl Page {
+    /// Steps of the luminance's histogram in a stop.
+    pub const PER_STOP: usize = 4;
+
+    /// An empty page, to be written to `path`.
+    pub fn new(path: &Path) -> Self {
+        Page {
+            path: path.to_owned(),
+            icc: None,
+            frames: Vec::new(),
+            result: None,
+            luminance: None,
+            curve: None,
+            shares: None,
+            ghosts: None,
+            time_s: 0.0,
+        }
+    }
+
+    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with `options`, with `warnings`;
+    /// and, where they were merged, what was made of them.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`], where frames are on disk; [`Error::Write`] where a picture cannot be encoded.
+    pub fn gather(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        options: &AlignOptions,
+        warnings: &[Warning],
+        developed: Option<&Developed>,
+    ) -> Result<()> {
+        self.icc = icc(bracket.reference());
+        let frames = bracket.frames();
+        let photographs = frames.iter().map(|frame| {
+            let small = reduced::frame(frame, FRAME)?;
+            self.encoded(jpeg(&small, COARSE, icc(frame).as_deref()))
+        });
+        let photographs = photographs.collect::<Result<Vec<_>>>()?;
+        let needs_features = |i: usize| evidence::needs_features(alignment, i);
+        let inspection = inspect::inspect_part(bracket, alignment, options, warnings, &needs_features)?;
+        let evidence = self.encoded(evidence::gather(&inspection, alignment, bracket))?;
+        drop(inspection);
+        self.frames = photographs
+            .into_iter()
+            .zip(evidence)
+            .map(|(photograph, evidence)| FramePage { photograph, evidence, share: None })
+            .collect();
+        let Some(developed) = developed else { return Ok(()) };
+        self.curve = Some(developed.curve.clone());
+        let merging = Merging::of(bracket, alignment, developed.curve, &developed.merging, developed.ghosts)?;
+        let shares = merging.shares(within(merging.size(), FRAME))?;
+        self.shares = Some(self.encoded(jpeg(&mixed(&shares, frames.len()), FINE, None))?);
+        for share in &shares {
+            let cells = &share.cells;
+            let grey = Plane::from_rows(cells.width(), cells.height(), |y, row: &mut [u8]| {
+                row.iter_mut().zip(cells.row(y)).for_each(|(v, s)| *v = (255.0 * s.clamp(0.0, 1.0) + 0.5) as u8);
+            });
+            self.frames[share.frame].share = Some((share.mean(), self.encoded(grey_jpeg(&grey, COARSE))?));
+        }
+        if let Some(ghosts) = developed.ghosts {
+            let mask = ghosts.mask();
+            let mut small = Reduced::new((mask.width(), mask.height()), FRAME);
+            small.push(mask.as_slice().iter().map(|&v| [v; 3]));
+            let small = small.finish();
+            let grey = small.as_slice().iter().map(|v| v[0]).collect();
+            let grey = Plane::from_vec(small.width(), small.height(), grey);
+            self.ghosts = Some(self.encoded(grey_jpeg(&grey, FINE))?);
+        }
+        Ok(())
+    }
+
+    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop: the first step and the counts.
+    pub fn take_luminance(&mut self, luminance: (i64, Vec<u64>)) {
+        self.luminance = Some(luminance);
+    }
+
+    /// Takes how long gathering took, in seconds.
+    pub fn take_time(&mut self, time_s: f64) {
+        self.time_s = time_s;
+    }
+
+    /// Takes the next rows of the picture, which is of `size` pixels.
+    pub fn see(&mut self, size: (usize, usize), rows: &[[u8; 3]]) {
+        self.result.get_or_insert_with(|| Reduced::new(size, RESULT)).push(rows.iter().copied());
+    }
+
+    /// The page, with what `report` says.
+    ///
+    /// # Errors
+    /// [`Error::Write`], where the picture cannot be encoded.
+    pub fn to_html(&self, report: &Report) -> Result<String> {
+        let icc = self.icc.as_deref();
+        let result = self.result.as_ref().map(|result| jpeg(&result.finish(), FINE, icc));
+        let result = result.map(|picture| self.encoded(picture)).transpose()?;
+        Ok(document::html(self, report, result.as_ref()))
+    }
+
+    fn encoded<T>(&self, result: std::result::Result<T, String>) -> Result<T> {
+        result.map_err(|reason| Error::Write { path: self.path.clone(), source: io::Error::other(reason) })
+    }
+}
+
+/// The bytes of the frame's profile.
+fn icc(frame: &Frame) -> Option<Vec<u8>> {
+    frame.profile.as_ref().map(|profile| profile.icc.clone())
+}
+
+/// The colour of frame `i` of `count`, from the shortest exposure.
+fn frame_colour(i: usize, count: usize) -> [u8; 3] {
+    let at = if count > 1 { i as f64 / (count - 1) as f64 } else { 0.5 } * (SCALE.len() - 1) as f64;
+    let below = (at as usize).min(SCALE.len() - 2);
+    let part = at - below as f64;
+    std::array::from_fn(|c| (SCALE[below][c] + part * (SCALE[below + 1][c] - SCALE[below][c])).round() as u8)
+}
+
+/// The same as CSS has it.
+fn frame_css(i: usize, count: usize) -> String {
+    let [r, g, b] = frame_colour(i, count);
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// The frames' colours, mixed by their shares; dark where no frame reaches.
+fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
+    let Some(first) = shares.first() else { return Plane::filled(1, 1, [0; 3]) };
+    Plane::from_rows(first.cells.width(), first.cells.height(), |y, row: &mut [[u8; 3]]| {
+        for (x, pixel) in row.iter_mut().enumerate() {
+            let channel = |c: usize| -> f32 {
+                shares.iter().map(|s| s.cells.at(x, y) * f32::from(frame_colour(s.frame, count)[c])).sum()
+            };
+            *pixel = [0, 1, 2].map(|c| (channel(c) + 0.5).min(255.0) as u8);
+        }
+    })
+}
+
+/// Whether `status` is that of a frame which was sought: neither the reference, nor given as it lies.
+fn is_sought(status: Status) -> bool {
+    matches!(status, Status::Aligned | Status::Rejected)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_go_from_violet_to_yellow_and_are_mixed_by_share() {
+        assert_eq!((frame_css(0, 5), frame_css(4, 5)), ("#745cb0".into(), "#f0c634".into()));
+        assert_eq!(frame_colour(2, 5), frame_colour(0, 1));
+        let share = |frame: usize, v: f32| Share { frame, cells: Plane::filled(2, 1, v) };
+        assert_eq!(mixed(&[share(0, 0.0), share(1, 1.0)], 2).at(1, 0), [240, 198, 52]);
+        // By hand: (116 + 240) / 2, (92 + 198) / 2, (176 + 52) / 2.
+        assert_eq!(mixed(&[share(0, 0.5), share(1, 0.5)], 2).at(0, 0), [178, 145, 114]);
+    }
+}

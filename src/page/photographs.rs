@@ -1,0 +1,240 @@
+//! The photographs: the frames with their exposures, what moved, and the bitmaps that it is found by.
+//!
+//! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
+
+use super::evidence::{Evidence, Overlay, Xor};
+use super::markup::{escape, figure, file_name, img, percent, signed};
+use super::{FramePage, Page, frame_css, is_sought, summary};
+use crate::align::{Model, Status};
+use crate::bracket::exposure::ExposureSource;
+use crate::inspect::text::{shutter, status_word};
+use crate::report::{FrameReport, Report};
+use std::fmt::Write;
+
+/// The stops of each frame over the reference.
+pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
+    let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
+    let unit = reference.map_or(1.0, |f| f.relative_exposure);
+    report.frames.iter().map(|f| libm::log2(f.relative_exposure / unit)).collect()
+}
+
+/// The frames as cards.
+pub(super) fn frames(page: &Page, report: &Report) -> String {
+    let mut out = String::from(
+        "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour below a frame is its own throughout \
+         the page.</p>\n",
+    );
+    let _ =
+        writeln!(out, "<ul class=\"cards\" style=\"--ratio:{:.4}\">", report.width_px as f64 / report.height_px as f64);
+    let stops = stops_over_reference(report);
+    for (i, (frame, shown)) in report.frames.iter().zip(&page.frames).enumerate() {
+        let colour = frame_css(i, report.frames.len());
+        let (name, status) = (file_name(&frame.path), status_word(frame.alignment.status));
+        let class = status.replace(' ', "-");
+        let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
+        let share = shown
+            .share
+            .as_ref()
+            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{}</dd></div>\n", percent(*share)));
+        let _ = write!(
+            out,
+            "<li class=\"card {class}\" style=\"--own:{colour}\">\n{photograph}\n<div class=\"about\">\n<h3>{name}</h3>\n\
+             <p class=\"stops\">{} <small>EV</small> <span class=\"chip\">{status}</span></p>\n<dl>\n\
+             <div><dt>exposure</dt><dd>{}</dd></div>\n<div><dt>motion</dt><dd>{}</dd></div>\n{share}</dl>\n</div>\n</li>\n",
+            signed(stops[i], 2),
+            exposure(frame),
+            summary::motion(frame),
+        );
+    }
+    out + "</ul>\n"
+}
+
+/// How a frame was exposed, and where that is from.
+fn exposure(frame: &FrameReport) -> String {
+    let time = frame.time_s.map(|t| escape(&shutter(t)).replace(' ', "\u{a0}"));
+    let aperture = frame.f_number.map(|n| format!("f/{}", (n * 10.0).round() / 10.0));
+    let iso = frame.iso.map(|s| format!("ISO\u{a0}{s:.0}"));
+    let mut parts: Vec<String> = [time, aperture, iso].into_iter().flatten().collect();
+    match frame.exposure_source {
+        ExposureSource::Exif => {}
+        ExposureSource::Given => parts.push("given with -e".into()),
+        ExposureSource::Estimated => parts.push("estimated from the pixels".into()),
+    }
+    if frame.exposure_correction_stops.abs() >= 0.005 {
+        parts.push(format!("{} by the pixels", signed(frame.exposure_correction_stops, 2)));
+    }
+    parts.join(" · ")
+}
+
+/// Every frame that was sought, with what its place rests on.
+pub(super) fn moved(page: &Page, report: &Report) -> String {
+    let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
+    let sought: Vec<&(&FrameReport, &FramePage)> =
+        all.iter().filter(|(frame, _)| is_sought(frame.alignment.status)).collect();
+    let mut out = String::new();
+    if sought.is_empty() {
+        out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
+    } else {
+        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other they are white. Move the \
+                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider nearly all should be \
+                white. A blue or an orange edge alone is one that the other frame cannot show, because it is burnt out or black there, or something \
+                that moved in the scene.</p>\n";
+    }
+    let is_aligned = |f: &&&(&FrameReport, &FramePage)| f.0.alignment.status == Status::Aligned;
+    let first = sought.iter().find(is_aligned).or(sought.first()).map(|(frame, _)| frame.path.as_str());
+    for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
+        let open = if Some(frame.path.as_str()) == first { " open" } else { "" };
+        let status = status_word(frame.alignment.status);
+        let class = status.replace(' ', "-");
+        let mut heading = format!("<b>{}</b> <span class=\"chip\">{status}</span>", file_name(&frame.path));
+        if frame.alignment.status == Status::Aligned {
+            let _ = write!(heading, " <span class=\"n\">{}</span>", summary::motion(frame));
+        }
+        let _ = write!(out, "<details class=\"frame {class}\"{open}>\n<summary>{heading}</summary>\n");
+        if let Some(reason) = frame.alignment.reason.as_ref() {
+            let _ = writeln!(out, "<p class=\"reason\">Left out: {}</p>", escape(reason));
+        }
+        if let Some(overlay) = &shown.evidence.overlay {
+            out += &compare(overlay, &file_name(&frame.path));
+        }
+        out += &verdict(frame);
+        if let Some(xor) = &shown.evidence.xor {
+            out += &curves(xor, frame);
+        }
+        out += &features(&shown.evidence, frame);
+        out += "</details>\n";
+    }
+    if let Some((frame, shown)) = all.iter().find(|(frame, _)| frame.alignment.status == Status::Reference)
+        && shown.evidence.keypoints.is_some()
+    {
+        let _ = write!(
+            out,
+            "<details class=\"frame\">\n<summary><b>{}</b> <span class=\"chip\">reference</span></summary>\n",
+            file_name(&frame.path)
+        );
+        out += &features(&shown.evidence, frame);
+        out += "</details>\n";
+    }
+    out
+}
+
+/// Before and after, one over the other.
+fn compare(overlay: &Overlay, name: &str) -> String {
+    let before_words = "Edges as photographed, before alignment.";
+    let Some(after) = &overlay.after else {
+        let caption = "Edges as photographed. The frame was left out: there is no after.";
+        return figure(&overlay.before, before_words, caption);
+    };
+    let ratio = overlay.before.width as f64 / overlay.before.height as f64;
+    let details = match overlay.has_details {
+        true => {
+            " Below, the three places that are boxed, at two pixels for one of the photograph's: half a pixel is seen there."
+        }
+        false => "",
+    };
+    format!(
+        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n<span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n\
+         </div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
+         as photographed, the rest as aligned\"><span>after</span></label>\n<figcaption><span class=\"key orange\"></span> reference \
+         <span class=\"key blue\"></span> this frame <span class=\"key white\"></span> both.{details}</figcaption>\n</figure>\n",
+        img(&overlay.before, before_words),
+        img(after, "Edges after alignment.").replacen("<img ", "<img class=\"after\" ", 1),
+    )
+}
+
+/// What was found of a frame's place, in numbers.
+fn verdict(frame: &FrameReport) -> String {
+    let place = &frame.alignment;
+    let model = place.model.map(|m| match m {
+        Model::Unmoved => "none",
+        Model::Shift => "shift",
+        Model::Rigid => "shift and rotation",
+        Model::Homography => "homography",
+    });
+    let rows = [
+        ("model of the motion", model.map(str::to_owned)),
+        ("shift, right and down", place.shift_px.map(|[x, y]| format!("{} px, {} px", signed(x, 2), signed(y, 2)))),
+        ("rotation, right to down", place.rotation_deg.map(|a| format!("{}°", signed(a, 3)))),
+        ("error left, our estimate", place.error_px.map(|e| format!("{e:.2} px"))),
+        ("confidence", Some(format!("{:.2}", place.confidence))),
+        (
+            "keypoints, plain / bitmap / both merged",
+            place.keypoints.map(|k| format!("{} / {} / {}", k.plain, k.mtb, k.merged)),
+        ),
+        ("matches that agree", place.inliers.map(|n| n.to_string())),
+    ];
+    let rows = rows.iter().filter_map(|(name, value)| value.as_ref().map(|v| (name, v)));
+    let mut out = String::from("<dl class=\"numbers\">\n");
+    for (name, value) in rows {
+        let _ = writeln!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
+    }
+    if let Some(h) = place.homography.filter(|_| place.model == Some(Model::Homography)) {
+        let cell = |v: &f64| format!("<td>{v:.6}</td>").replace('-', "\u{2212}");
+        let row = |r: &[f64]| format!("<tr>{}</tr>", r.iter().map(cell).collect::<String>());
+        let rows: String = h.chunks(3).map(row).collect();
+        let _ = writeln!(
+            out,
+            "<div class=\"wide\"><dt>homography, reference pixel to frame pixel</dt><dd><table class=\"matrix\">{rows}</table></dd></div>"
+        );
+    }
+    out + "</dl>\n"
+}
+
+/// What differs between the bitmaps.
+fn curves(xor: &Xor, frame: &FrameReport) -> String {
+    let [angle, dx, dy] = &xor.plots;
+    let about =
+        if frame.alignment.status == Status::Rejected { "the bitmaps' own best motion" } else { "the motion found" };
+    format!(
+        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and shift.</b> Of the pixels that count in \
+         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the two others. \
+         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look at.</figcaption>\n</figure>\n",
+        percent(xor.before),
+        percent(xor.after)
+    )
+}
+
+/// Keypoints and matches, where features were needed.
+fn features(evidence: &Evidence, frame: &FrameReport) -> String {
+    let mut out = String::new();
+    let bright = if evidence.brightened { " The frame is shown brighter than it is." } else { "" };
+    if let Some((svg, [plain, bitmap, both])) = &evidence.keypoints {
+        let _ = write!(
+            out,
+            "<figure>\n{svg}<figcaption><b>Keypoints.</b> <span class=\"key plain\"></span> of the plain picture alone: {plain} \
+             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: {both}. They should lie all over \
+             the picture; where there are none, nothing holds the frame.{bright}</figcaption>\n</figure>\n"
+        );
+    }
+    if let Some((svg, all, inliers)) = &evidence.matches {
+        let _ = write!(
+            out,
+            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span class=\"key inlier\"></span> {inliers} agree \
+             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange ones as blue ones mean that \
+             the motion rests on little.</figcaption>\n</figure>\n",
+            all - inliers
+        );
+    }
+    if out.is_empty() && is_sought(frame.alignment.status) {
+        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign inspect</code> draws them all \
+                the same.</p>\n";
+    }
+    out
+}
+
+/// The bitmaps of all frames.
+pub(super) fn bitmaps(page: &Page, report: &Report) -> String {
+    let mut out = String::from(
+        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than the frame's threshold, black \
+         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where they do not, exposures \
+         are too far apart, or the picture has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
+    );
+    for (frame, shown) in report.frames.iter().zip(&page.frames) {
+        let (percentile, level, excluded) = shown.evidence.threshold;
+        let rank = if percentile == 50 { "median".to_owned() } else { format!("{percentile}th percentile") };
+        let name = file_name(&frame.path);
+        let caption = format!("<b>{name}</b> {rank}, level {level}; {} excluded", percent(excluded));
+        out += &figure(&shown.evidence.bitmap, &format!("Bitmap of {}.", frame.path), &caption);
+    }
+    out + "</div>\n"
+}

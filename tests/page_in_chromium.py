@@ -1,0 +1,223 @@
+#!/usr/bin/env python3
+"""Opens report pages in headless Chromium and checks them: no error, no request, a slider that works, nothing wider than the screen.
+
+    tests/page_in_chromium.py [--shots FOLDER] [--chromium PROGRAM] PAGE.html...
+
+Python 3 and Chromium are all it needs: it speaks the DevTools protocol over a pipe (--remote-debugging-pipe). With --shots it leaves
+pictures of the whole page, at 390 and 1440 px, in the light and in the dark, and the page as PDF. Exit code 0: all is well."""
+
+import argparse
+import base64
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+WIDTHS = (390, 1440)
+MOST_BYTES = 3_000_000
+
+
+class Browser:
+    """Chromium, asked by commands and heard by events."""
+
+    def __init__(self, program, profile):
+        (to_read, self.to), (self.back, back_write) = os.pipe(), os.pipe()
+
+        def pipes():
+            # Chromium reads from 3 and writes to 4; first out of each other's way.
+            a, b = os.dup(to_read), os.dup(back_write)
+            while min(a, b) < 5:
+                a, b = os.dup(a), os.dup(b)
+            os.dup2(a, 3)
+            os.dup2(b, 4)
+
+        flags = ["--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+                 "--no-first-run", "--disable-component-update", "--disable-background-networking", f"--user-data-dir={profile}"]
+        self.process = subprocess.Popen([program, *flags, "about:blank"], preexec_fn=pipes, close_fds=False,
+                                        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        os.close(to_read)
+        os.close(back_write)
+        self.number, self.events, self.rest, self.session = 0, [], b"", None
+
+    def message(self):
+        while b"\0" not in self.rest:
+            part = os.read(self.back, 1 << 20)
+            if not part:
+                raise RuntimeError("Chromium has gone")
+            self.rest += part
+        text, self.rest = self.rest.split(b"\0", 1)
+        return json.loads(text)
+
+    def ask(self, method, **parameters):
+        self.number += 1
+        command = {"id": self.number, "method": method, "params": parameters}
+        if self.session:
+            command["sessionId"] = self.session
+        data = json.dumps(command).encode() + b"\0"
+        while data:
+            data = data[os.write(self.to, data):]
+        while True:
+            message = self.message()
+            if message.get("id") == self.number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']}")
+                return message["result"]
+            self.events.append(message)
+
+    def wait(self, method):
+        while not any(e.get("method") == method for e in self.events):
+            self.events.append(self.message())
+
+    def value(self, expression):
+        answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(timeout=20)
+
+
+# What can be seen of the first slider: where it stands, what is cut off the picture on top, and the middle of the picture.
+SLIDER = """(() => {
+  const figure = document.querySelector('.compare');
+  if (!figure) return null;
+  figure.closest('details').open = true;
+  const stack = figure.querySelector('.stack'), range = figure.querySelector('input');
+  stack.scrollIntoView({block: 'center', behavior: 'instant'});
+  const box = stack.getBoundingClientRect(), rail = range.getBoundingClientRect();
+  return {value: range.value, clip: getComputedStyle(figure.querySelector('.after')).clipPath,
+          box: [box.left, box.top, box.width, box.height], rail: [rail.left, rail.top, rail.width, rail.height]};
+})()"""
+
+
+def drag(browser, start, end):
+    """The mouse, pressed at `start`, moved to `end` and let go."""
+    mouse = lambda kind, at, **more: browser.ask("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], button="left", **more)
+    mouse("mousePressed", start, clickCount=1, buttons=1)
+    for step in range(1, 6):
+        at = [a + (b - a) * step / 5 for a, b in zip(start, end)]
+        mouse("mouseMoved", at, buttons=1)
+    mouse("mouseReleased", end, clickCount=1)
+
+
+def pixels(browser, box):
+    """What the screen shows there, as the bytes of a PNG."""
+    clip = {"x": box[0], "y": box[1], "width": box[2], "height": box[3], "scale": 1}
+    clip["y"] += browser.value("scrollY")
+    return browser.ask("Page.captureScreenshot", format="png", clip=clip)["data"]
+
+
+def check_slider(browser, problems, where):
+    before = browser.value(SLIDER)
+    if before is None:
+        return False
+    shown = pixels(browser, before["box"])
+    left, top, width, height = before["box"]
+    # On the picture ...
+    drag(browser, (left + width / 2, top + height / 2), (left + width * 0.2, top + height / 2))
+    after = browser.value(SLIDER)
+    if not 15 <= float(after["value"]) <= 25 or after["clip"] == before["clip"]:
+        problems.append(f"{where}: dragged on the picture to 20 %, the slider is at {after['value']}, {after['clip']}")
+    if pixels(browser, after["box"]) == shown:
+        problems.append(f"{where}: dragged, and the screen shows the same")
+    # ... on the rail, of which the knob takes a little at both ends ...
+    left, top, width, height = after["rail"]
+    browser.ask("Input.dispatchMouseEvent", type="mousePressed", x=left + width * 0.8, y=top + height / 2, button="left", clickCount=1, buttons=1)
+    browser.ask("Input.dispatchMouseEvent", type="mouseReleased", x=left + width * 0.8, y=top + height / 2, button="left", clickCount=1)
+    clicked = browser.value(SLIDER)
+    if not 75 <= float(clicked["value"]) <= 86 or clicked["clip"] == after["clip"]:
+        problems.append(f"{where}: clicked at 80 % of the rail, it is at {clicked['value']}, {clicked['clip']}")
+    # ... and by the keyboard, which the click has given to it.
+    for kind in ("keyDown", "keyUp"):
+        browser.ask("Input.dispatchKeyEvent", type=kind, key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+    if float(browser.value(SLIDER)["value"]) != float(clicked["value"]) - 1:
+        problems.append(f"{where}: the left arrow does not move it")
+    browser.value("document.querySelector('.compare input').value = 50, "
+                  "document.querySelector('.compare input').dispatchEvent(new Event('input')), scrollTo(0, 0)")
+    return True
+
+
+def check_events(browser, address, problems, where):
+    for event in browser.events:
+        method, parameters = event.get("method"), event.get("params", {})
+        if method == "Network.requestWillBeSent":
+            asked = parameters["request"]["url"]
+            if asked != address and not asked.startswith("data:"):
+                problems.append(f"{where}: asks for {asked[:200]}")
+        elif method == "Runtime.exceptionThrown":
+            problems.append(f"{where}: {parameters['exceptionDetails'].get('exception', {}).get('description', 'an exception')}")
+        elif method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning", "assert"):
+            problems.append(f"{where}: console: {parameters['args']}")
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] in ("error", "warning"):
+            problems.append(f"{where}: log: {parameters['entry']['text']}")
+
+
+def check(browser, page, shots, problems):
+    address = page.resolve().as_uri()
+    size = page.stat().st_size
+    if size > MOST_BYTES:
+        problems.append(f"{page}: {size} bytes")
+    sliders = False
+    for width in WIDTHS:
+        for scheme in ("light", "dark"):
+            where = f"{page.name} at {width} px, {scheme}"
+            browser.events.clear()
+            browser.ask("Emulation.setDeviceMetricsOverride", width=width, height=844 if width < 500 else 1000, deviceScaleFactor=1, mobile=width < 500)
+            browser.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            browser.ask("Page.navigate", url=address)
+            browser.wait("Page.loadEventFired")
+            broken = browser.value("Promise.all([...document.images].map(i => i.decode().then(() => null, () => i.alt)))"
+                                   ".then(all => all.filter(Boolean))")
+            problems.extend(f"{where}: a picture does not decode: {alt}" for alt in broken)
+            silent = browser.value("[...document.images].filter(i => !i.alt).length + [...document.querySelectorAll('svg')]"
+                                   ".filter(s => !s.getAttribute('aria-label')).length")
+            if silent:
+                problems.append(f"{where}: {silent} pictures have no words")
+            wide = browser.value("document.documentElement.scrollWidth")
+            if wide > width:
+                problems.append(f"{where}: the page is {wide} px wide")
+            paper = browser.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).slice(0, 3).map(Number)")
+            if (sum(paper) < 384) != (scheme == "dark"):
+                problems.append(f"{where}: the paper is {paper}")
+            sliders = check_slider(browser, problems, where) or sliders
+            check_events(browser, address, problems, where)
+            if shots:
+                whole = browser.ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+                (shots / f"{page.stem}-{width}-{scheme}.png").write_bytes(base64.b64decode(whole["data"]))
+    if shots:
+        paper = browser.ask("Page.printToPDF", printBackground=False, paperWidth=8.27, paperHeight=11.69)
+        (shots / f"{page.stem}.pdf").write_bytes(base64.b64decode(paper["data"]))
+    print(f"{page}: {size} bytes, {'sliders work' if sliders else 'no slider'}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pages", nargs="+", type=pathlib.Path, metavar="PAGE.html")
+    parser.add_argument("--shots", type=pathlib.Path, metavar="FOLDER", help="leave screenshots there")
+    parser.add_argument("--chromium", default="chromium", metavar="PROGRAM")
+    arguments = parser.parse_args()
+    if arguments.shots:
+        arguments.shots.mkdir(parents=True, exist_ok=True)
+    problems = []
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        browser = Browser(arguments.chromium, profile)
+        try:
+            target = browser.ask("Target.createTarget", url="about:blank")["targetId"]
+            browser.session = browser.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+            for domain in ("Page", "Runtime", "Network", "Log"):
+                browser.ask(f"{domain}.enable")
+            for page in arguments.pages:
+                check(browser, page, arguments.shots, problems)
+        finally:
+            browser.close()
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
