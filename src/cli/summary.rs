@@ -82,7 +82,7 @@ fn size(report: &Report) -> String {
     let all = report.frames.len();
     let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
     let megapixels = (width * height) as f64 / 1e6;
-    let megapixels = if megapixels >= 0.95 { format!(" ({megapixels:.0} megapixels)") } else { String::new() };
+    let megapixels = if megapixels >= 1.5 { format!(" ({megapixels:.0} megapixels)") } else { String::new() };
     format!("{count}, {width} x {height} pixels{megapixels}")
 }
 
@@ -94,7 +94,8 @@ fn aligned(report: &Report, room: usize) -> String {
         |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
     let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
     let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
-    let error = largest(&|f| f.alignment.error_px);
+    // The estimate is no better than that.
+    let error = largest(&|f| f.alignment.error_px).max(0.1);
     let mut words = Vec::new();
     if moved > 0 {
         let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
@@ -263,7 +264,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels (1 megapixels)");
+        assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels");
         assert_eq!(seen[0][1], "aligned    2 as they lay");
         assert_eq!(seen[0][2], "doubts     nothing left out, nothing doubtful");
         assert!(
