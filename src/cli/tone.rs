@@ -30,6 +30,8 @@ pub enum OperatorArg {
     Drago,
     /// Frequency: Durand & Dorsey 2002, a bilateral base compressed, its detail kept
     Durand,
+    /// Gradient: Fattal et al. 2002, steep gradients attenuated at every scale
+    Fattal,
     /// Fusion of the aligned frames, without radiance: Mertens et al. 2007
     Mertens,
 }
@@ -44,6 +46,7 @@ impl OperatorArg {
             OperatorArg::Reinhard02Local => Operator::Reinhard02Local(Default::default()),
             OperatorArg::Drago => Operator::Drago(Default::default()),
             OperatorArg::Durand => Operator::Durand(Default::default()),
+            OperatorArg::Fattal => Operator::Fattal(Default::default()),
         })
     }
 }

@@ -9,11 +9,14 @@ mod contrast_curve;
 pub mod display;
 pub mod drago;
 pub mod durand;
+pub mod fattal;
 mod guide;
 mod local_laplacian;
+mod log_range;
 pub mod mertens;
 pub mod natural;
 pub mod overview;
+mod poisson;
 pub mod reinhard;
 pub mod settings;
 pub mod tones;
@@ -46,6 +49,8 @@ pub enum Operator {
     Drago(drago::Options),
     /// Durand & Dorsey 2002.
     Durand(durand::Options),
+    /// Fattal et al. 2002.
+    Fattal(fattal::Options),
 }
 
 impl Default for Operator {
@@ -63,6 +68,7 @@ impl Operator {
             Operator::Reinhard02Local(_) => "reinhard02-local",
             Operator::Drago(_) => "drago",
             Operator::Durand(_) => "durand",
+            Operator::Fattal(_) => "fattal",
         }
     }
 
@@ -73,6 +79,7 @@ impl Operator {
             Operator::Reinhard02(options) | Operator::Reinhard02Local(options) => options.settings(),
             Operator::Drago(options) => options.settings(),
             Operator::Durand(options) => options.settings(),
+            Operator::Fattal(options) => options.settings(),
         }
     }
 
@@ -86,6 +93,7 @@ impl Operator {
             Operator::Reinhard02Local(options) => reinhard::local(&scene, options),
             Operator::Drago(options) => drago::drago(&scene, options),
             Operator::Durand(options) => durand::durand(&scene, options),
+            Operator::Fattal(options) => fattal::fattal(&scene, options),
         }
     }
 }
