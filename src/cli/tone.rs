@@ -32,6 +32,8 @@ pub enum OperatorArg {
     Durand,
     /// Gradient: Fattal et al. 2002, steep gradients attenuated at every scale
     Fattal,
+    /// Display-adaptive: Mantiuk et al. 2008, the curve by which a display shows most of the contrasts seen
+    Mantiuk08,
     /// Fusion of the aligned frames, without radiance: Mertens et al. 2007
     Mertens,
 }
@@ -47,6 +49,7 @@ impl OperatorArg {
             OperatorArg::Drago => Operator::Drago(Default::default()),
             OperatorArg::Durand => Operator::Durand(Default::default()),
             OperatorArg::Fattal => Operator::Fattal(Default::default()),
+            OperatorArg::Mantiuk08 => Operator::Mantiuk08(Default::default()),
         })
     }
 }

@@ -9,14 +9,17 @@ mod contrast_curve;
 pub mod display;
 pub mod drago;
 pub mod durand;
+mod eye;
 pub mod fattal;
 mod guide;
 mod local_laplacian;
 mod log_range;
+pub mod mantiuk08;
 pub mod mertens;
 pub mod natural;
 pub mod overview;
 mod poisson;
+mod quadratic;
 pub mod reinhard;
 pub mod settings;
 pub mod tones;
@@ -51,6 +54,8 @@ pub enum Operator {
     Durand(durand::Options),
     /// Fattal et al. 2002.
     Fattal(fattal::Options),
+    /// Mantiuk et al. 2008.
+    Mantiuk08(mantiuk08::Options),
 }
 
 impl Default for Operator {
@@ -69,6 +74,7 @@ impl Operator {
             Operator::Drago(_) => "drago",
             Operator::Durand(_) => "durand",
             Operator::Fattal(_) => "fattal",
+            Operator::Mantiuk08(_) => "mantiuk08",
         }
     }
 
@@ -80,6 +86,7 @@ impl Operator {
             Operator::Drago(options) => options.settings(),
             Operator::Durand(options) => options.settings(),
             Operator::Fattal(options) => options.settings(),
+            Operator::Mantiuk08(options) => options.settings(),
         }
     }
 
@@ -94,6 +101,7 @@ impl Operator {
             Operator::Drago(options) => drago::drago(&scene, options),
             Operator::Durand(options) => durand::durand(&scene, options),
             Operator::Fattal(options) => fattal::fattal(&scene, options),
+            Operator::Mantiuk08(options) => mantiuk08::mantiuk08(&scene, options),
         }
     }
 }
