@@ -14,6 +14,7 @@ pub mod fattal;
 mod guide;
 mod local_laplacian;
 mod log_range;
+pub mod mantiuk06;
 pub mod mantiuk08;
 pub mod mertens;
 pub mod natural;
@@ -54,6 +55,8 @@ pub enum Operator {
     Durand(durand::Options),
     /// Fattal et al. 2002.
     Fattal(fattal::Options),
+    /// Mantiuk et al. 2006.
+    Mantiuk06(mantiuk06::Options),
     /// Mantiuk et al. 2008.
     Mantiuk08(mantiuk08::Options),
 }
@@ -74,6 +77,7 @@ impl Operator {
             Operator::Drago(_) => "drago",
             Operator::Durand(_) => "durand",
             Operator::Fattal(_) => "fattal",
+            Operator::Mantiuk06(_) => "mantiuk06",
             Operator::Mantiuk08(_) => "mantiuk08",
         }
     }
@@ -86,6 +90,7 @@ impl Operator {
             Operator::Drago(options) => options.settings(),
             Operator::Durand(options) => options.settings(),
             Operator::Fattal(options) => options.settings(),
+            Operator::Mantiuk06(options) => options.settings(),
             Operator::Mantiuk08(options) => options.settings(),
         }
     }
@@ -101,6 +106,7 @@ impl Operator {
             Operator::Drago(options) => drago::drago(&scene, options),
             Operator::Durand(options) => durand::durand(&scene, options),
             Operator::Fattal(options) => fattal::fattal(&scene, options),
+            Operator::Mantiuk06(options) => mantiuk06::mantiuk06(&scene, options),
             Operator::Mantiuk08(options) => mantiuk08::mantiuk08(&scene, options),
         }
     }
