@@ -30,6 +30,12 @@ pub enum OperatorArg {
     Drago,
     /// Frequency: Durand & Dorsey 2002, a bilateral base compressed, its detail kept
     Durand,
+    /// Gradient: Fattal et al. 2002, steep gradients attenuated at every scale
+    Fattal,
+    /// Gradient: Mantiuk et al. 2006, contrasts mapped at every scale as the eye sees them
+    Mantiuk06,
+    /// Display-adaptive: Mantiuk et al. 2008, the curve by which a display shows most of the contrasts seen
+    Mantiuk08,
     /// Fusion of the aligned frames, without radiance: Mertens et al. 2007
     Mertens,
 }
@@ -44,6 +50,9 @@ impl OperatorArg {
             OperatorArg::Reinhard02Local => Operator::Reinhard02Local(Default::default()),
             OperatorArg::Drago => Operator::Drago(Default::default()),
             OperatorArg::Durand => Operator::Durand(Default::default()),
+            OperatorArg::Fattal => Operator::Fattal(Default::default()),
+            OperatorArg::Mantiuk06 => Operator::Mantiuk06(Default::default()),
+            OperatorArg::Mantiuk08 => Operator::Mantiuk08(Default::default()),
         })
     }
 }

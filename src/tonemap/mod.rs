@@ -9,11 +9,18 @@ mod contrast_curve;
 pub mod display;
 pub mod drago;
 pub mod durand;
+mod eye;
+pub mod fattal;
 mod guide;
 mod local_laplacian;
+mod log_range;
+pub mod mantiuk06;
+pub mod mantiuk08;
 pub mod mertens;
 pub mod natural;
 pub mod overview;
+mod poisson;
+mod quadratic;
 pub mod reinhard;
 pub mod settings;
 pub mod tones;
@@ -46,6 +53,12 @@ pub enum Operator {
     Drago(drago::Options),
     /// Durand & Dorsey 2002.
     Durand(durand::Options),
+    /// Fattal et al. 2002.
+    Fattal(fattal::Options),
+    /// Mantiuk et al. 2006.
+    Mantiuk06(mantiuk06::Options),
+    /// Mantiuk et al. 2008.
+    Mantiuk08(mantiuk08::Options),
 }
 
 impl Default for Operator {
@@ -63,6 +76,9 @@ impl Operator {
             Operator::Reinhard02Local(_) => "reinhard02-local",
             Operator::Drago(_) => "drago",
             Operator::Durand(_) => "durand",
+            Operator::Fattal(_) => "fattal",
+            Operator::Mantiuk06(_) => "mantiuk06",
+            Operator::Mantiuk08(_) => "mantiuk08",
         }
     }
 
@@ -73,6 +89,9 @@ impl Operator {
             Operator::Reinhard02(options) | Operator::Reinhard02Local(options) => options.settings(),
             Operator::Drago(options) => options.settings(),
             Operator::Durand(options) => options.settings(),
+            Operator::Fattal(options) => options.settings(),
+            Operator::Mantiuk06(options) => options.settings(),
+            Operator::Mantiuk08(options) => options.settings(),
         }
     }
 
@@ -86,6 +105,9 @@ impl Operator {
             Operator::Reinhard02Local(options) => reinhard::local(&scene, options),
             Operator::Drago(options) => drago::drago(&scene, options),
             Operator::Durand(options) => durand::durand(&scene, options),
+            Operator::Fattal(options) => fattal::fattal(&scene, options),
+            Operator::Mantiuk06(options) => mantiuk06::mantiuk06(&scene, options),
+            Operator::Mantiuk08(options) => mantiuk08::mantiuk08(&scene, options),
         }
     }
 }
