@@ -66,11 +66,19 @@ const POWERS: (f64, f64) = (0.7, 1.5);
 
 /// The tones of `scene`.
 pub fn natural(scene: &Scene, options: &Options) -> Tones {
-    let mut grid = scene.coarser(CELLS);
+    let grid = scene.coarser(CELLS);
+    // What hardly has light would take levels of the filter, and decide nothing; it falls away below the rest as in the scene.
     let dark = scene.percentile(0.001) as f32 - 1.0;
-    grid.logs.as_mut_slice().iter_mut().for_each(|l| *l = l.max(dark));
+    let lit = Plane::from_vec(
+        grid.logs.width(),
+        grid.logs.height(),
+        grid.logs.as_slice().iter().map(|l| l.max(dark)).collect(),
+    );
     let remapping = Remapping { edge: 1.3, detail: 1.0 / options.detail, range: options.edges, noise: 0.05 };
-    let tones = local_laplacian(&grid.logs, &remapping);
+    let mut tones = local_laplacian(&lit, &remapping);
+    for (v, (l, lit)) in tones.as_mut_slice().iter_mut().zip(grid.logs.as_slice().iter().zip(lit.as_slice())) {
+        *v += l - lit;
+    }
     let mut sorted = tones.as_slice().to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
     let range = options.range_stops.unwrap_or_else(|| range(&tones, &sorted, options.brightness));
