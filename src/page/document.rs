@@ -60,7 +60,8 @@ pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> St
 /// The first and the last of the frames by name, without what comes after the dot.
 fn bracket_name(report: &Report) -> String {
     let mut names: Vec<String> = report.frames.iter().map(|f| file_name(&f.path)).collect();
-    names.sort();
+    // 9 before 10.
+    names.sort_by_key(|name| (name.len(), name.clone()));
     let stem = |name: &String| name.rsplit_once('.').map_or_else(|| name.clone(), |(stem, _)| stem.to_owned());
     match (names.first(), names.last()) {
         (Some(first), Some(last)) if first != last => format!("{} – {}", stem(first), stem(last)),
