@@ -86,7 +86,7 @@ mod tests {
     /// Section 4: the range between the two halves is that which is left of the base, and the contrast of the detail is the scene's.
     #[test]
     fn the_base_is_compressed_and_detail_is_not() {
-        let wave = |x: usize, y: usize| if (x / 3 + y / 3) % 2 == 0 { 0.15 } else { -0.15 };
+        let wave = |x: usize, y: usize| if (x / 3 + y / 3).is_multiple_of(2) { 0.15 } else { -0.15 };
         let map = Plane::from_rows(400, 200, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
                 *p = [libm::exp2f(if x < 200 { 0.0 } else { 9.0 } + wave(x, y)); 3];

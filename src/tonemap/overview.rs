@@ -124,7 +124,7 @@ impl Loops for Logs<'_> {
     fn run(self) {
         for (log, &pixel) in self.logs.iter_mut().zip(self.row) {
             let l = luminance(self.to_srgb.apply(pixel));
-            let is_lit = (l >= f32::MIN_POSITIVE) & (l <= f32::MAX);
+            let is_lit = (f32::MIN_POSITIVE..=f32::MAX).contains(&l);
             let value = log2(l);
             *log = if is_lit { value } else { UNLIT };
         }
@@ -216,7 +216,7 @@ mod tests {
             assert!((f64::from(whole.logs.at(x, y)) - mean).abs() < 1e-5);
         }
         let coarse = whole.coarser(1000);
-        assert!(coarse.logs.as_slice().len() <= 1000 && coarse.side % whole.side == 0);
+        assert!(coarse.logs.as_slice().len() <= 1000 && coarse.side.is_multiple_of(whole.side));
     }
 
     #[test]

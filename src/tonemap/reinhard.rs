@@ -225,7 +225,7 @@ mod tests {
     #[test]
     fn local_contrast_is_kept_in_the_light() {
         let textured = |x: usize, y: usize| {
-            let (bright, wave) = (x > 250, if (x / 2 + y / 2) % 2 == 0 { 1.15 } else { 0.87 });
+            let (bright, wave) = (x > 250, if (x / 2 + y / 2).is_multiple_of(2) { 1.15 } else { 0.87 });
             Some(if bright { 200.0 * wave } else { 0.5 })
         };
         let map = ramp(1.0, textured);
