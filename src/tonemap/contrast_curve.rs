@@ -3,6 +3,8 @@
 //! In: how often which tone occurs. Out: a curve of straight pieces that brings all of them into the range of a display. Cost: none.
 //! Source: Eilertsen, Mantiuk, Unger, "Real-time Noise-aware Tone Mapping" (2015), section 4.1, equations 3 to 11.
 
+use super::overview::quantile;
+
 /// The curve: log2 display luminance for a log2 tone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContrastCurve {
@@ -21,9 +23,7 @@ impl ContrastCurve {
     /// For the tones `sorted`, rising and at least one, and a display of `range` stops. A part `black` of the tones may lie below
     /// the range and a part `burnt` above it. `floor` is a share, in parts of an even one, that every tone counts for at least: 0 leaves nothing to tones that do not occur.
     pub fn new(sorted: &[f32], range: f64, (black, burnt): (f64, f64), floor: f64) -> Self {
-        let last = sorted.len() - 1;
-        let at = |p: f64| f64::from(sorted[((p * last as f64).round() as usize).min(last)]);
-        let (low, high) = (at(black), at(1.0 - burnt));
+        let (low, high) = (f64::from(quantile(sorted, black)), f64::from(quantile(sorted, 1.0 - burnt)));
         let pieces = ((high - low) * PER_STOP).ceil().max(1.0) as usize;
         let step = ((high - low) / pieces as f64).max(1e-3);
         let mut shares = vec![0.0f64; pieces];

@@ -166,7 +166,7 @@ fn map(pyramid: &mut [Contrasts], options: &Options) {
     // Section 6.2: the response of both directions together.
     let both = |level: &Contrasts| -> Vec<f32> {
         let pairs = level.to[0].as_slice().iter().zip(level.to[1].as_slice());
-        pairs.map(|(right, down)| response(right.abs()).hypot(response(down.abs()))).collect()
+        pairs.map(|(right, down)| libm::hypotf(response(right.abs()), response(down.abs()))).collect()
     };
     let mut sorted: Vec<f32> = pyramid.iter().flat_map(both).collect();
     sorted.sort_unstable_by(f32::total_cmp);

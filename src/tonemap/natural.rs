@@ -32,7 +32,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { edges: 0.5, detail: 1.25, range_stops: None, brightness: 0.44, saturation: 1.15 }
+        Options { edges: 0.5, detail: 1.25, range_stops: None, brightness: 0.44, saturation: 1.25 }
     }
 }
 

@@ -131,6 +131,16 @@ impl Loops for Logs<'_> {
     }
 }
 
+/// The value that a part `p` of `sorted`, which are rising and at least one, is below. Of both ends at least one value lies beyond it, where
+/// there are enough: a single odd pixel does not decide, however small the picture.
+pub fn quantile(sorted: &[f32], p: f64) -> f32 {
+    let last = sorted.len() - 1;
+    let place = last as f64 * p;
+    let inward = if p < 0.5 { place.ceil() } else { place.floor() };
+    let place = if last < 4 { place.round() } else { inward };
+    sorted[(place as usize).min(last)]
+}
+
 /// A scene, all of which was seen.
 #[derive(Debug, Clone)]
 pub struct Scene {
@@ -149,8 +159,7 @@ pub struct Scene {
 impl Scene {
     /// The log2 luminance that a part `p`, 0..=1, of the pixels is below.
     pub fn percentile(&self, p: f64) -> f64 {
-        let last = self.sample.len() - 1;
-        f64::from(self.sample[((last as f64 * p).round() as usize).min(last)])
+        f64::from(quantile(&self.sample, p))
     }
 
     /// The mean of the log2 luminances, those beyond `ends` counted as the ends.

@@ -101,7 +101,8 @@ fn odd_values_are_told_and_the_rest_is_shown() {
     });
     use exr::prelude::WritableImage;
     exr::prelude::Image::from_channels((8, 8), layer).write().to_file(folder.at("odd.exr")).unwrap();
-    let run = folder.line("tonemap odd.exr --json").done();
+    // By one curve for all, so that like is like.
+    let run = folder.line("tonemap odd.exr --tmo reinhard02 --json").done();
     let json: Value = serde_json::from_str(&run.stdout).unwrap();
     let counts = ["not_number_pixels", "infinite_pixels", "negative_pixels"].map(|key| json[key].clone());
     assert_eq!(counts, [Value::from(1), 1.into(), 1.into()]);
@@ -112,4 +113,36 @@ fn odd_values_are_told_and_the_rest_is_shown() {
     assert!(picture.get_pixel(5, 5).0 != [0; 3] && picture.get_pixel(1, 0) == picture.get_pixel(5, 5));
     // As it is in the file, for those who want it so.
     assert!(read(&folder.at("odd.exr")).unwrap().0.pixels.at(0, 0)[0].is_nan());
+}
+
+#[test]
+fn every_operator_has_its_look_and_its_settings() {
+    let folder = Folder::with_bracket();
+    folder.line(&format!("{MERGE} -o room.exr")).done();
+    let mut seen = Vec::new();
+    for name in ["natural", "reinhard02", "reinhard02-local", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"] {
+        folder.line(&format!("tonemap room.exr --tmo {name} -o a.png --force -q")).done();
+        folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set saturation=0 -o grey.png --force -q")).done();
+        let grey = image::open(folder.at("grey.png")).expect("a picture").to_rgb8();
+        assert!(grey.pixels().all(|p| p.0[0] == p.0[1] && p.0[1] == p.0[2]), "{name} without colour");
+        let bytes = folder.bytes("a.png");
+        assert!(!seen.contains(&bytes), "{name} is another's picture");
+        seen.push(bytes);
+        // What may be set is said, with its range; what may not is refused by name.
+        let help = folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set help"));
+        assert!(help.code == 2 && help.stderr.contains(name) && help.stderr.contains("saturation="), "{help:?}");
+        refused(folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set colour=1")), 2, "has no `colour`");
+    }
+    refused(folder.line("tonemap room.exr --tmo-set brightness=7"), 2, "from 0.1 to 0.9");
+    refused(folder.line("tonemap room.exr --tmo-set brightness"), 2, "KEY=VALUE");
+    refused(folder.line("tonemap room.exr --tmo mertens"), 2, "merge --tmo mertens");
+}
+
+#[test]
+fn fusion_is_of_the_frames_and_needs_room() {
+    let folder = Folder::with_bracket();
+    folder.line(&format!("{MERGE} --tmo mertens -o fused.png -o room.exr")).done();
+    folder.line("tonemap room.exr -o toned.png -q").done();
+    assert!(folder.bytes("fused.png") != folder.bytes("toned.png"));
+    refused(folder.line(&format!("{MERGE} --tmo mertens --max-memory 2MB -o no.png")), 2, "--max-memory");
 }
