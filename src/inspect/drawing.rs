@@ -249,8 +249,9 @@ fn number(v: f64) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Text for use between tags and in attributes; characters that XML 1.0 forbids become replacement characters.
-fn escape(text: &str) -> String {
+/// Text for use between tags and in quoted attributes, of XML as of HTML. Characters that XML 1.0 forbids, that would not be seen, or that would
+/// turn the order of those around them, become the replacement character.
+pub(crate) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -258,8 +259,10 @@ fn escape(text: &str) -> String {
             '<' => out.push_str("&lt;"),
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
             '\t' | '\n' | '\r' => out.push(' '),
-            '\0'..='\u{1f}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
+            '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
+            c if c.is_control() => out.push('\u{fffd}'),
             c => out.push(c),
         }
     }

@@ -4,27 +4,8 @@
 //! documents): `&`, `<`, `>` and both quotes are all that means something in text and in quoted attributes.
 
 use super::encoded::Picture;
+pub(super) use crate::inspect::drawing::escape;
 use std::path::Path;
-
-/// Text for use between tags and in quoted attributes. Characters that would not be seen, or would turn the order of those around them, become
-/// the replacement character.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            '\t' | '\n' | '\r' => out.push(' '),
-            '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => out.push('\u{fffd}'),
-            c if c.is_control() => out.push('\u{fffd}'),
-            c => out.push(c),
-        }
-    }
-    out
-}
 
 /// The name of a file without its folder, escaped.
 pub(super) fn file_name(path: &str) -> String {

@@ -44,8 +44,8 @@ impl Options {
             Setting::number("alpha", (0.01, 3.0), &mut self.alpha, "the gradient that stays, of the mean one"),
             Setting::number("beta", (0.6, 1.0), &mut self.beta, "the power of steeper gradients, at every scale"),
             Setting::number("noise", (0.0, 3.0), &mut self.noise, "gradients held to be noise, of the mean one"),
-            Setting::number("range", (3.0, 12.0), &mut self.range_stops, "stops from black to white on the display"),
-            Setting::number("brightness", (0.1, 0.9), &mut self.brightness, "the mean of the picture's codes, of 1"),
+            Setting::range(&mut self.range_stops),
+            Setting::brightness(&mut self.brightness),
             Setting::saturation(&mut self.saturation),
         ]
     }

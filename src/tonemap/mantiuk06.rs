@@ -39,8 +39,8 @@ impl Options {
         vec![
             Setting::number("contrast", (0.02, 1.0), &mut self.contrast, "times the response to each contrast"),
             Setting::number("equalise", (0.0, 1.0), &mut self.equalise, "how far responses are made equally frequent"),
-            Setting::number("range", (3.0, 12.0), &mut self.range_stops, "stops from black to white on the display"),
-            Setting::number("brightness", (0.1, 0.9), &mut self.brightness, "the mean of the picture's codes, of 1"),
+            Setting::range(&mut self.range_stops),
+            Setting::brightness(&mut self.brightness),
             Setting::saturation(&mut self.saturation),
         ]
     }

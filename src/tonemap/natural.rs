@@ -40,7 +40,7 @@ impl Options {
     /// What may be set, by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("brightness", (0.1, 0.9), &mut self.brightness, "the mean of the picture's codes, of 1"),
+            Setting::brightness(&mut self.brightness),
             Setting::number("detail", (0.5, 3.0), &mut self.detail, "times the fine contrast of the scene"),
             Setting::number("edges", (0.0, 1.0), &mut self.edges, "what is left of edges over 1.3 stops; 0 is flat"),
             Setting::estimated("range", (3.0, 12.0), &mut self.range_stops, "stops from black to white on the display"),

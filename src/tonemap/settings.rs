@@ -42,6 +42,16 @@ impl<'a> Setting<'a> {
         Setting { key, about, range, place: Place::Estimated(value) }
     }
 
+    /// The range of the display, of operators that fill it.
+    pub(super) fn range(value: &'a mut f64) -> Self {
+        Setting::number("range", (3.0, 12.0), value, "stops from black to white on the display")
+    }
+
+    /// The brightness that a picture is brought to.
+    pub(super) fn brightness(value: &'a mut f64) -> Self {
+        Setting::number("brightness", (0.1, 0.9), value, "the mean of the picture's codes, of 1")
+    }
+
     /// The saturation, which all operators have.
     pub(super) fn saturation(value: &'a mut f64) -> Self {
         Setting::number("saturation", (0.0, 3.0), value, "times the colourfulness of the scene; 0 is grey")
