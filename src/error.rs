@@ -324,6 +324,12 @@ pub enum Warning {
         /// What was ignored.
         detail: String,
     },
+    /// What is taken off the radiance is not taken off the frames that are fused.
+    #[error("{option} acts on the radiance; the picture by `mertens` is of the frames as they are")]
+    FusedAsIs {
+        /// What was asked for.
+        option: &'static str,
+    },
     /// Colours were outside of the colour space asked for.
     #[error("{detail}")]
     OutOfGamut {

@@ -295,10 +295,13 @@ impl<'a> Line<'a> {
         region: Rect,
         options: &Options,
     ) -> Result<Picture> {
+        let mut unused = Vec::new();
         let (picture, time) = self.timed(Stage::Tonemap, || {
             let operator = match &options.rendering {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
+                    let asked = [(options.deghost.is_some(), "--deghost"), (options.flare, "--flare")];
+                    unused.extend(asked.into_iter().filter(|(is_asked, _)| *is_asked).map(|(_, option)| option));
                     let memory = options.load.memory.as_ref().map(|limit| limit.bytes);
                     return Ok(Picture::Fused(fusion::fused(bracket, alignment, region, fused, memory)?));
                 }
@@ -311,6 +314,7 @@ impl<'a> Line<'a> {
             Ok(Picture::Toned(operator.settled(overview)))
         });
         self.times.tonemap = time;
+        self.warnings.extend(unused.into_iter().map(|option| Warning::FusedAsIs { option }));
         picture
     }
 
