@@ -163,6 +163,10 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    if let Some(help) = args.tone.help() {
+        super::tell(&help)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let mut bar = Bar::new(Plan::merge(&args.common.aligned.images, args.deghost.is_some()), args.common.aligned.quiet);
     let report = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
     bar.clear();

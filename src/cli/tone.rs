@@ -58,6 +58,11 @@ impl OperatorArg {
 }
 
 impl Tone {
+    /// What may be set of the tone mapping named, where that is asked for.
+    pub fn help(&self) -> Option<String> {
+        self.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut self.tmo.rendering()))
+    }
+
     /// The operator with what was set of it, for radiance alone.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
@@ -75,12 +80,11 @@ impl Tone {
         let mut rendering = self.tmo.rendering();
         for text in &self.tmo_set {
             let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
-            if text == "help" {
-                return Err(refused(listed(&mut rendering)));
-            }
-            let typed = || refused(format!("{text:?} is not KEY=VALUE, as in `brightness=0.5`"));
-            let (key, value) = text.split_once('=').ok_or_else(typed)?;
-            rendering.set(key.trim(), value.trim().parse().map_err(|_| typed())?)?;
+            let (key, value) = text
+                .split_once('=')
+                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in `brightness=0.5`")))?;
+            let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is no number")))?;
+            rendering.set(key.trim(), number)?;
         }
         Ok(rendering)
     }
@@ -88,10 +92,11 @@ impl Tone {
 
 /// What there is to be set of `rendering`.
 fn listed(rendering: &mut Rendering) -> String {
-    let mut text = format!("of `{}` may be set", rendering.name());
+    let mut text = format!("--tmo {}: --tmo-set KEY=VALUE\n", rendering.name());
     for setting in rendering.settings() {
         let (least, most) = setting.range;
-        text += &format!("\n  {}={}: {}, {least} to {most}", setting.key, setting.value(), setting.about);
+        let assigned = format!("{}={}", setting.key, setting.value());
+        text += &format!("  {assigned:<24} {least} to {most}: {}\n", setting.about);
     }
     text
 }

@@ -55,8 +55,9 @@ pub const CELLS: usize = 1 << 18;
 /// The parts of the tones that may be black, and white.
 const ENDS: (f64, f64) = (0.002, 0.0005);
 
-/// What of the luminance of the darkest tone is taken for the veil that a display adds, and taken off.
-const VEIL: f64 = 0.7;
+/// How many times the luminance of the darkest tone is taken for the veil that a display adds. It is taken off softly, so that what is darker still,
+/// as thin lines are, keeps its drawing.
+const VEIL: f64 = 1.3;
 
 /// The share that a tone counts for at least: what hardly occurs keeps some of its drawing.
 const FLOOR: f64 = 0.35;
@@ -89,7 +90,9 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let middle = sorted[sorted.len() / 2];
     let mut about = tones;
     about.as_mut_slice().iter_mut().for_each(|v| *v -= middle);
-    let guide = Guide::fitted(&grid.logs, &about, grid.side, options.detail as f32);
+    // Detail finer than a cell may be large, and large detail is hardly raised.
+    let finest = 0.6 + 0.4 * options.detail as f32;
+    let guide = Guide::fitted(&grid.logs, &about, grid.side, finest);
     let curve = Curve::new(|v| display.at(v + f64::from(middle)), |_| contrast, options.saturation);
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
@@ -123,8 +126,9 @@ impl Display {
 
     /// Luminance relative to display white.
     fn at(&self, v: f64) -> f64 {
-        let luminance = (libm::exp2(self.curve.at(v)) - self.veil) / (1.0 - self.veil);
-        libm::pow(luminance.max(0.0), self.power)
+        let l = libm::exp2(self.curve.at(v));
+        // l - veil where l is far above it, and never 0.
+        libm::pow(l * l * (1.0 + self.veil) / (l + self.veil), self.power)
     }
 }
 
