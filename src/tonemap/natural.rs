@@ -265,7 +265,7 @@ mod tests {
         let range = |texture| {
             let logs = Plane::from_rows(240, 160, |y, row| {
                 for (x, l) in row.iter_mut().enumerate() {
-                    *l = x as f32 / 24.0 + texture * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
+                    *l = x as f32 / 120.0 + texture * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
                 }
             });
             let mut sorted = logs.as_slice().to_vec();
