@@ -27,7 +27,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, aligned};
+use crate::write::{self, Pending, Whole, aligned};
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
@@ -146,6 +146,43 @@ pub enum Progress {
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
+    prepare(images, options, watch)?.commit()
+}
+
+/// What a run made, whole but for its names.
+#[derive(Debug)]
+pub struct Prepared {
+    /// What was done; the outputs in it are not there yet.
+    pub report: Report,
+    files: Vec<Pending>,
+    overwrite: bool,
+}
+
+impl Prepared {
+    /// Waits until all is on the disk, and gives the files with the report.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn complete(self) -> Result<(Report, Vec<Whole>)> {
+        let files = self.files.into_iter().map(Pending::complete).collect::<Result<_>>()?;
+        Ok((self.report, files))
+    }
+
+    /// Gives all files their names.
+    ///
+    /// # Errors
+    /// [`Error::OutputExists`] where a target has appeared meanwhile and may not be replaced; [`Error::Write`].
+    pub fn commit(self) -> Result<Report> {
+        write::commit(self.files, self.overwrite)?;
+        Ok(self.report)
+    }
+}
+
+/// As [`run`], but nothing is named: the bytes of all files are on their way to the disk, and whoever waits for them takes no core.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Prepared> {
     Ok(merged(images, options, watch, false)?.0)
 }
 
@@ -154,9 +191,10 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
 /// # Errors
 /// Those of [`run`].
 pub fn develop(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
-    let (report, results) = merged(images, options, watch, true)?;
+    let (prepared, results) = merged(images, options, watch, true)?;
     let Results { radiance, display } = results;
-    Ok(Outcome { radiance: radiance.whole()?, display: DisplayImage { pixels: display }, report })
+    let radiance = radiance.whole()?;
+    Ok(Outcome { radiance, display: DisplayImage { pixels: display }, report: prepared.commit()? })
 }
 
 /// What is left when all is written.
@@ -172,7 +210,7 @@ fn merged(
     options: &Options,
     watch: &(dyn Fn(Progress) + Sync),
     keep: bool,
-) -> Result<(Report, Results)> {
+) -> Result<(Prepared, Results)> {
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
@@ -211,8 +249,9 @@ fn merged(
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);
         }
-        line.report(&mut report, files, options)?;
-        Ok((report, Results { radiance: slabs, display }))
+        let files = line.report(&mut report, files, options)?;
+        let prepared = Prepared { report, files, overwrite: options.write.overwrite };
+        Ok((prepared, Results { radiance: slabs, display }))
     })
 }
 
@@ -234,7 +273,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         report.options = Some(asked::report(options, false));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         let files = line.others(&bracket, &alignment, region, None, options)?;
-        line.report(&mut report, files, options)?;
+        let files = line.report(&mut report, files, options)?;
+        write::commit(files, options.write.overwrite)?;
         Ok(report)
     })
 }

@@ -26,7 +26,7 @@ use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
 use crate::write::gain_map::Survey;
-use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
+use crate::write::{self, Files, Format, Metadata, Pending, Settled, Written, aligned, exr};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -400,8 +400,8 @@ impl<'a> Line<'a> {
         written
     }
 
-    /// Completes the report, adds its file to `files`, and gives all of them their names.
-    pub fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<()> {
+    /// Completes the report, and gives all files: `files`, and that of the report.
+    pub fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<Vec<Pending>> {
         let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
         let mut pending = Vec::new();
         for written in files {
@@ -416,6 +416,6 @@ impl<'a> Line<'a> {
             let text = self.page.as_ref().map_or_else(|| Ok(report.to_json()), |page| page.to_html(report))?;
             pending.push(write::text(path, &text)?.file);
         }
-        write::commit(pending, options.write.overwrite)
+        Ok(pending)
     }
 }
