@@ -4,7 +4,9 @@ mod support;
 
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
+use hdralign::error::Error;
 use hdralign::merge::calibration::Calibration;
+use hdralign::pipeline::camera::{self, CameraReport};
 use hdralign::pipeline::{self, Options, Outcome};
 use hdralign::response::ResponseModel;
 use hdralign::response::ratios::Exposures;
@@ -138,4 +140,44 @@ fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
     run(calibrated).unwrap();
     let json: serde_json::Value = serde_json::from_slice(&folder.bytes("c.json")).unwrap();
     assert!(json["radiance"]["unit_exposure_s"].is_null() && json["radiance"]["reference_exposure"].is_number());
+}
+
+/// The response of `brackets`, saved as `name`.
+fn recover(
+    folder: &Folder,
+    brackets: &[Vec<PathBuf>],
+    name: &str,
+    lenient: bool,
+) -> hdralign::error::Result<CameraReport> {
+    let line = Options { response: ResponseModel::default(), ..options(None) };
+    let options = camera::Options { line, curves: vec![folder.at(name)], plots: Vec::new(), lenient };
+    camera::recover(brackets, &options, &|_| ())
+}
+
+#[test]
+fn a_bad_bracket_is_left_out_of_the_response_where_that_is_asked_for() {
+    let folder = scenes();
+    folder.put("bad.jpg", b"\xff\xd8\xff no more");
+    let good = [of(&folder, 1..=3), of(&folder, 2..=4), of(&folder, 3..=5)];
+    let alone = vec![folder.at("s1.jpg")];
+    let bad = vec![folder.at("s1.jpg"), folder.at("bad.jpg")];
+    let report = recover(&folder, &good, "good.json", false).unwrap();
+    assert_eq!((report.brackets.len(), report.is_degraded()), (3, false));
+
+    let mixed = [good[0].clone(), bad.clone(), good[1].clone(), alone.clone(), good[2].clone()];
+    let error = recover(&folder, &mixed, "mixed.json", false).unwrap_err();
+    assert!(error.to_string().contains("bad.jpg") && !folder.at("mixed.json").exists(), "{error}");
+    let report = recover(&folder, &mixed, "mixed.json", true).unwrap();
+    assert_eq!(report.brackets.len(), 3);
+    let told: Vec<&str> = report.warnings.iter().filter(|w| w.degrades).map(|w| w.message.as_str()).collect();
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert!(told[0].contains("s1.jpg: its bracket is left out") && told[0].contains("bad.jpg"), "{told:?}");
+    assert!(told[1].contains("at least two photographs"), "{told:?}");
+    assert_eq!(folder.bytes("mixed.json"), folder.bytes("good.json"), "what is left out takes no part");
+
+    let error = recover(&folder, &[bad, alone], "none.json", true).unwrap_err();
+    assert!(matches!(&error, Error::NoResponse { path, .. } if path.ends_with("s1.jpg")), "{error}");
+    assert!(error.to_string().contains("none of its 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
+    assert!(recover(&folder, &[], "none.json", true).unwrap_err().is_usage());
+    assert!(!folder.at("none.json").exists());
 }
