@@ -306,6 +306,14 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
+    /// A bracket could not be used, and what all brackets of a camera tell was had of the others.
+    #[error("{}: its bracket is left out of the response: {reason}", path.display())]
+    BracketLeftOut {
+        /// The first photograph of the bracket.
+        path: PathBuf,
+        /// The error.
+        reason: String,
+    },
     /// Frames carry different colour profiles; that of the reference was kept.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
     ProfilesDiffer {
@@ -362,6 +370,7 @@ impl Warning {
                 | Warning::ResponseBorrowed { .. }
                 | Warning::ResponseOfAnother { .. }
                 | Warning::CamerasDiffer { .. }
+                | Warning::BracketLeftOut { .. }
         )
     }
 }

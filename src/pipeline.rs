@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::calibration::Calibration;
 use crate::merge::deghost::{Deghost, Ghosts};
-use crate::merge::{MergeOptions, RadianceMap, weight::Weight};
+use crate::merge::{MergeOptions, RadianceMap, normalisation, weight::Weight};
 use crate::page::Developed;
 use crate::plane::Plane;
 use crate::report::{self, Report};
@@ -81,6 +81,9 @@ pub struct Options {
     pub colour: Option<Space>,
     /// What takes radiance to cd/m2.
     pub calibration: Calibration,
+    /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be laid beside each
+    /// other ([normalisation]); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
+    pub unit_exposure: Option<f64>,
     /// How the picture comes about.
     pub rendering: Rendering,
     /// How files are encoded, and whether those that exist are replaced.
@@ -219,13 +222,14 @@ fn merged(
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
         options.calibration.check(bracket.reference())?;
+        options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
         let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
-        let (radiance, statistics) = line.units(radiance, options.colour, &calibration)?;
+        let (radiance, statistics) = line.units(radiance, &calibration, options)?;
         let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
         let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
         let metadata = line::metadata(bracket.reference(), options);
@@ -239,7 +243,7 @@ fn merged(
         report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
-        report.radiance = Some(merged.report(statistics));
+        report.radiance = Some(merged.report(statistics, options.unit_exposure));
         report.calibration = calibration;
         report.colour = Some(slabs.primaries().into());
         report.flare = flare;
@@ -327,6 +331,7 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
     options.calibration.validate()?;
+    options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
     options.write.jpeg.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;

@@ -56,6 +56,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         },
         curves: args.output.clone(),
         plots: args.plot.clone(),
+        lenient: false,
     };
     let mut bar = Bar::new(Plan::unknown(), work.quiet);
     let report = camera::run(images, &options, &|p| bar.show(p));
