@@ -169,6 +169,16 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// A file of steps could not be used.
+    #[error("{}: line {line}: is no plan: {reason}; make one by `hdralign batch --plan FOLDER`", path.display())]
+    PlanFile {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The brackets do not tell the camera's response.
     #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of still scenes, several stops wide", path.display())]
     NoResponse {

@@ -152,21 +152,21 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
     prepare(images, options, watch)?.commit()
 }
 
-/// What a run made, whole but for its names.
+/// What a run made, whole but for its names; and its report.
 #[derive(Debug)]
-pub struct Prepared {
+pub struct Prepared<R> {
     /// What was done; the outputs in it are not there yet.
-    pub report: Report,
+    pub report: R,
     files: Vec<Pending>,
     overwrite: bool,
 }
 
-impl Prepared {
+impl<R> Prepared<R> {
     /// Waits until all is on the disk, and gives the files with the report.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn complete(self) -> Result<(Report, Vec<Whole>)> {
+    pub fn complete(self) -> Result<(R, Vec<Whole>)> {
         let files = self.files.into_iter().map(Pending::complete).collect::<Result<_>>()?;
         Ok((self.report, files))
     }
@@ -175,7 +175,7 @@ impl Prepared {
     ///
     /// # Errors
     /// [`Error::OutputExists`] where a target has appeared meanwhile and may not be replaced; [`Error::Write`].
-    pub fn commit(self) -> Result<Report> {
+    pub fn commit(self) -> Result<R> {
         write::commit(self.files, self.overwrite)?;
         Ok(self.report)
     }
@@ -185,7 +185,7 @@ impl Prepared {
 ///
 /// # Errors
 /// Those of [`run`].
-pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Prepared> {
+pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Prepared<Report>> {
     Ok(merged(images, options, watch, false)?.0)
 }
 
@@ -213,7 +213,7 @@ fn merged(
     options: &Options,
     watch: &(dyn Fn(Progress) + Sync),
     keep: bool,
-) -> Result<(Prepared, Results)> {
+) -> Result<(Prepared<Report>, Results)> {
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;

@@ -151,7 +151,7 @@ fn recover(
 ) -> hdralign::error::Result<CameraReport> {
     let line = Options { response: ResponseModel::default(), ..options(None) };
     let options = camera::Options { line, curves: vec![folder.at(name)], plots: Vec::new(), lenient };
-    camera::recover(brackets, &options, &|_| ())
+    camera::prepare(brackets, &options, &|_| ())?.commit()
 }
 
 #[test]

@@ -9,7 +9,7 @@ mod folders;
 mod seen;
 
 use super::line::Line;
-use super::{Progress, in_pool};
+use super::{Prepared, Progress, in_pool};
 use crate::bracket::ReferenceChoice;
 use crate::error::{Error, Result};
 use crate::inspect::response_plot;
@@ -93,24 +93,24 @@ impl CameraReport {
 /// Recovers the response of the camera that took `images`, photographs and folders; those of one folder are one bracket.
 ///
 /// # Errors
-/// Those of [`recover`]; [`Error::Option`] where a folder holds no bracket, or something is said of one bracket and there are several.
+/// Those of [`prepare`]; [`Error::Option`] where a folder holds no bracket, or something is said of one bracket and there are several.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<CameraReport> {
     let brackets = folders::brackets(images)?;
     check_options(&brackets, options)?;
-    recover(&brackets, options, watch)
+    prepare(&brackets, options, watch)?.commit()
 }
 
-/// Recovers the response of the camera that took the photographs `brackets`, each a list of its own. Of hundreds of brackets no more is in memory
+/// Recovers the response of the camera that took the photographs `brackets`, each a list of its own; its files are not named yet. Of hundreds of brackets no more is in memory
 /// than the frames of one, and [`PATCHES`] patches.
 ///
 /// # Errors
 /// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell, or where
 /// none can be used.
-pub fn recover(
+pub fn prepare(
     brackets: &[Vec<PathBuf>],
     options: &Options,
     watch: &(dyn Fn(Progress) + Sync),
-) -> Result<CameraReport> {
+) -> Result<Prepared<CameraReport>> {
     in_pool(options.line.threads, || {
         options.line.align.validate()?;
         let photographs = brackets.concat();
@@ -146,8 +146,7 @@ pub fn recover(
             line.warnings.extend(written.warnings);
             pending.push(written.file);
         }
-        write::commit(pending, options.line.write.overwrite)?;
-        Ok(CameraReport {
+        let report = CameraReport {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             camera_make: saved.make.clone(),
@@ -157,7 +156,8 @@ pub fn recover(
             outputs: names.iter().map(|p| p.to_string_lossy().into_owned()).collect(),
             warnings: line.warnings.iter().map(WarningReport::from).collect(),
             time_s: line.began.elapsed().as_secs_f64(),
-        })
+        };
+        Ok(Prepared { report, files: pending, overwrite: options.line.write.overwrite })
     })
 }
 
