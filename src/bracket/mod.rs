@@ -11,6 +11,7 @@ pub mod colour;
 mod decode;
 pub mod exposure;
 mod grey;
+pub mod header;
 mod load;
 mod nominal;
 mod photograph;
