@@ -169,6 +169,14 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// No bracket was found.
+    #[error("{}: no bracket was found: {reason}; `hdralign batch FOLDER --dry-run` lists all", path.display())]
+    NoBracket {
+        /// The first of the folders.
+        path: PathBuf,
+        /// What was found instead.
+        reason: String,
+    },
     /// A file of steps could not be used.
     #[error("{}: line {line}: is no plan: {reason}; make one by `hdralign batch --plan FOLDER`", path.display())]
     PlanFile {

@@ -5,6 +5,7 @@
 //! A step needs nothing but its own files: all that acts on its results stands in its line. Paths are absolute.
 
 use super::estimate::Size;
+use super::find::FoundBracket;
 use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -91,6 +92,23 @@ pub struct Planned {
     pub date_time: Option<String>,
     /// The panorama that it belongs to, from 1.
     pub set: usize,
+}
+
+impl From<&FoundBracket> for Planned {
+    fn from(found: &FoundBracket) -> Planned {
+        let first = found.photographs.first().map(|shot| &shot.header);
+        let exposures = found.photographs.iter().filter_map(|shot| Some(libm::exp2(shot.header.ev()?)));
+        Planned {
+            root: found.root.clone(),
+            folder: found.folder.clone(),
+            photographs: found.photographs.iter().map(|shot| shot.path.clone()).collect(),
+            size: first.map_or((0, 0), |header| (header.width, header.height)),
+            exposures: exposures.collect(),
+            camera: first.and_then(|header| header.camera.clone()),
+            date_time: first.and_then(|header| Some(header.taken?.to_string())),
+            set: found.set,
+        }
+    }
 }
 
 /// Whose exposure is the unit of radiance.

@@ -78,7 +78,7 @@ pub fn run(
 /// Takes one step after the other.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Made<'a>)>) {
     while let Some((i, share)) = board.take() {
-        let own = share.options(options, &board.steps[i]);
+        let own = share.options(options);
         let begun = guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
         board.give_back(&share);
         match begun {
@@ -121,14 +121,10 @@ struct Share {
 }
 
 impl Share {
-    fn options(&self, options: &Options, step: &Step) -> Options {
+    fn options(&self, options: &Options) -> Options {
         let mut own = Options { threads: Some(self.threads), ..options.clone() };
         if let Some(limit) = &mut own.load.memory {
-            limit.bytes = self.pixels + MemoryLimit::PROGRAM;
-            // What is named by nobody is where the results go.
-            if limit.folder.as_os_str().is_empty() {
-                limit.folder = step.report.parent().unwrap_or(&step.report).to_owned();
-            }
+            limit.bytes = self.pixels.saturating_add(MemoryLimit::PROGRAM);
         }
         own
     }
