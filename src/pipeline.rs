@@ -32,7 +32,7 @@ use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
 
-pub use names::{default_folder, default_outputs, default_picture};
+pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use tonemapping::{TonemapOptions, tonemap_file};
 
 /// Which part of the reference the results show.

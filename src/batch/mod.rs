@@ -3,10 +3,11 @@
 //! In: folders of photographs. Out: a plan, the results of its steps, and a summary. Cost: a look at the header of every photograph;
 //! then that of the steps.
 //!
-//! [`plan`](plan::plan) makes steps of brackets. [`step::run`] does one, whole or not at all and only where it is not done;
+//! [`find`](find::find) finds brackets, [`plan`](plan::plan) makes steps of brackets. [`step::run`] does one, whole or not at all and only where it is not done;
 //! [`schedule::run`] does all on this machine. [`summary::Summary`] tells how they went.
 
 mod estimate;
+pub mod find;
 pub mod name;
 pub mod plan;
 pub mod record;

@@ -18,6 +18,7 @@ mod photograph;
 mod reference;
 mod window;
 
+pub(crate) use load::identity;
 pub use load::{LoadOptions, load, load_with_progress};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;

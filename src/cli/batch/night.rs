@@ -90,7 +90,7 @@ impl Board {
     fn see(&self, event: &Event) {
         let Event::Ends(step, ending) = event else { return };
         let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
-        let number = format!("[{ended:>1$}/{2}]", self.steps.to_string().len(), self.steps);
+        let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
         let line = match ending {
             Ending::Done(brief) => Some(format!("{number} {}", told(&step.id, brief, true))),
             Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", told(&step.id, brief, false))),
