@@ -150,6 +150,12 @@ pub enum Error {
         /// What the system or the encoder said.
         source: io::Error,
     },
+    /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
+    #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
+    Abandoned {
+        /// The file, or the first of those that were to be named together.
+        path: PathBuf,
+    },
     /// What does not fit into the memory allowed could not be put on disk, or had again.
     #[error(
         "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, name another folder with --scratch, or allow more with --max-memory",
