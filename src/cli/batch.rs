@@ -246,7 +246,8 @@ impl Args {
     }
 
     fn settings(&self, options: Vec<String>, acting: &Options) -> Result<Settings, Error> {
-        let formats: Vec<String> = self.places.formats.iter().map(|f| f.trim_start_matches('.').to_lowercase()).collect();
+        let formats: Vec<String> =
+            self.places.formats.iter().map(|f| f.trim_start_matches('.').to_lowercase()).collect();
         for (i, format) in formats.iter().enumerate() {
             write::Format::of(&Path::new("result").with_extension(format))?;
             if formats[..i].contains(format) {
@@ -260,7 +261,8 @@ impl Args {
             NormalizeArg::All => Normalisation::All,
         };
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
-            let reason = "radiance in cd/m2 has one unit already; leave --absolute and --calibration-factor out, or this";
+            let reason =
+                "radiance in cd/m2 has one unit already; leave --absolute and --calibration-factor out, or this";
             return Err(Error::Option { option: "--normalize", reason: reason.into() });
         }
         Ok(Settings {
@@ -386,7 +388,9 @@ mod tests {
             let (line, options) = typed(words);
             let again = Typed::try_parse_from(&line).unwrap().acting.options().unwrap();
             assert_eq!(again, options, "{words:?} as {line:?}");
-            assert!(!line.iter().any(|word| ["-d", "--output", "--threads", "--force"].iter().any(|o| word.starts_with(o))));
+            assert!(
+                !line.iter().any(|word| ["-d", "--output", "--threads", "--force"].iter().any(|o| word.starts_with(o)))
+            );
         }
         assert_eq!(typed(&["--deghost", "-e=-2,0,2"]).0, ["--ev=-2,0,2", "--deghost=0.5"]);
         assert!(typed(&[]).0.is_empty());

@@ -207,7 +207,11 @@ impl Aligned {
     pub fn options(&self) -> Options {
         let options = self.method.options();
         Options {
-            load: LoadOptions { reference: self.reference(), memory: self.work.memory(std::env::temp_dir), ..options.load },
+            load: LoadOptions {
+                reference: self.reference(),
+                memory: self.work.memory(std::env::temp_dir),
+                ..options.load
+            },
             align: AlignOptions { given: self.given(), ..options.align },
             write: write::Options { overwrite: self.work.force, ..write::Options::default() },
             threads: self.work.threads,

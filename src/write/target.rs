@@ -185,7 +185,7 @@ impl Whole {
     /// # Errors
     /// What the system says.
     pub fn open(&self) -> io::Result<fs::File> {
-        fs::File::open(&self.file)
+        fs::File::open(&self.file.path)
     }
 }
 

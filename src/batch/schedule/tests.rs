@@ -78,12 +78,10 @@ fn memory_and_threads_are_shared_out() {
     let board = Board::new(&all[..1], &little, &stop, &watch);
     let (_, share) = board.take().unwrap();
     assert_eq!(share, Share { threads: 4, pixels: 1000 });
-    let own = share.options(
-        &Options {
-            load: crate::bracket::LoadOptions { memory: little.memory.clone(), ..Default::default() },
-            ..Options::default()
-        },
-    );
+    let own = share.options(&Options {
+        load: crate::bracket::LoadOptions { memory: little.memory.clone(), ..Default::default() },
+        ..Options::default()
+    });
     assert_eq!((own.threads, own.load.memory.map(|m| m.bytes)), (Some(4), Some(MemoryLimit::PROGRAM + 1000)));
 }
 

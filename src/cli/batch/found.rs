@@ -64,7 +64,8 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
 /// The table of `--dry-run`.
 pub fn table(found: &Found, steps: &[Step]) -> String {
     let names: Vec<&Step> = steps.iter().filter(|step| step.kind == Kind::Merge).collect();
-    let mut rows = vec![["bracket", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
+    let mut rows =
+        vec![["bracket", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
     for (bracket, step) in found.brackets.iter().zip(&names) {
         let shots = &bracket.photographs;
         rows.push([

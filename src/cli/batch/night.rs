@@ -73,7 +73,9 @@ impl Board {
             if is_shown(args.work.quiet) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(steps.len() as u64), target);
         let room = Terminal::of_stderr().width.min(79).saturating_sub(50).clamp(8, 30);
-        if let Ok(style) = ProgressStyle::with_template(&format!("brackets [{{bar:{room}}}] {{pos}}/{{len}}  {{prefix}}")) {
+        if let Ok(style) =
+            ProgressStyle::with_template(&format!("brackets [{{bar:{room}}}] {{pos}}/{{len}}  {{prefix}}"))
+        {
             bar.set_style(style.progress_chars("=> "));
         }
         Board {
