@@ -12,6 +12,8 @@ use std::path::PathBuf;
 const SCHEMA: &str = "hdralign-found/1";
 /// Names of photographs that are told of one reason to leave them over; `--json` has all.
 const TOLD: usize = 20;
+/// Exposures of a bracket that are told one by one.
+const EXPOSURES: usize = 9;
 
 /// The brackets, as plans take them.
 pub fn planned(found: &Found) -> Vec<Planned> {
@@ -123,7 +125,7 @@ fn file_name(shot: &Shot) -> String {
     shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Steps from the first exposure, in EV.
+/// Steps from the middle exposure, in EV; of many, the range.
 fn exposures(shots: &[Shot]) -> String {
     let all: Option<Vec<f64>> = shots.iter().map(|shot| shot.header.ev()).collect();
     let Some(all) = all else { return "unknown".into() };
@@ -136,6 +138,10 @@ fn exposures(shots: &[Shot]) -> String {
         let ev = ((ev - middle) * 10.0).round() / 10.0;
         if ev == 0.0 { "0".to_owned() } else { format!("{ev:+}") }
     };
+    if all.len() > EXPOSURES {
+        let range = all.iter().fold((f64::MAX, f64::MIN), |(least, most), &ev| (least.min(ev), most.max(ev)));
+        return format!("{} to {}", tenth(range.0), tenth(range.1));
+    }
     all.iter().map(|&ev| tenth(ev)).collect::<Vec<_>>().join(" ")
 }
 
