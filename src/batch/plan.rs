@@ -97,16 +97,15 @@ pub struct Planned {
 impl From<&FoundBracket> for Planned {
     fn from(found: &FoundBracket) -> Planned {
         let first = found.photographs.first().map(|shot| &shot.header);
-        let exposures = found.photographs.iter().filter_map(|shot| Some(libm::exp2(shot.header.ev()?)));
         Planned {
             root: found.root.clone(),
             folder: found.folder.clone(),
             photographs: found.photographs.iter().map(|shot| shot.path.clone()).collect(),
             size: first.map_or((0, 0), |header| (header.width, header.height)),
-            exposures: exposures.collect(),
+            exposures: found.exposures().into_iter().flatten().collect(),
             camera: first.and_then(|header| header.camera.clone()),
             date_time: first.and_then(|header| Some(header.taken?.to_string())),
-            set: found.set,
+            set: found.set + 1,
         }
     }
 }
