@@ -352,13 +352,11 @@ impl Unique {
             name.push(format!("-{n}"));
             PathBuf::from(name)
         };
-        let path = if self.0.insert(folded(&wanted)) {
-            wanted
-        } else {
-            let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
-            free.unwrap_or(wanted)
-        };
-        path
+        if self.0.insert(folded(&wanted)) {
+            return wanted;
+        }
+        let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
+        free.unwrap_or(wanted)
     }
 
     fn text(&mut self, wanted: String) -> String {
