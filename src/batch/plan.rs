@@ -97,16 +97,15 @@ pub struct Planned {
 impl From<&FoundBracket> for Planned {
     fn from(found: &FoundBracket) -> Planned {
         let first = found.photographs.first().map(|shot| &shot.header);
-        let exposures = found.photographs.iter().filter_map(|shot| Some(libm::exp2(shot.header.ev()?)));
         Planned {
             root: found.root.clone(),
             folder: found.folder.clone(),
             photographs: found.photographs.iter().map(|shot| shot.path.clone()).collect(),
             size: first.map_or((0, 0), |header| (header.width, header.height)),
-            exposures: exposures.collect(),
+            exposures: found.exposures().into_iter().flatten().collect(),
             camera: first.and_then(|header| header.camera.clone()),
             date_time: first.and_then(|header| Some(header.taken?.to_string())),
-            set: found.set,
+            set: found.set + 1,
         }
     }
 }
@@ -353,13 +352,11 @@ impl Unique {
             name.push(format!("-{n}"));
             PathBuf::from(name)
         };
-        let path = if self.0.insert(folded(&wanted)) {
-            wanted
-        } else {
-            let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
-            free.unwrap_or(wanted)
-        };
-        path
+        if self.0.insert(folded(&wanted)) {
+            return wanted;
+        }
+        let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
+        free.unwrap_or(wanted)
     }
 
     fn text(&mut self, wanted: String) -> String {

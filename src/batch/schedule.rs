@@ -76,7 +76,7 @@ pub fn run(
 }
 
 /// Takes one step after the other.
-fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Made<'a>)>) {
+fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
     while let Some((i, share)) = board.take() {
         let own = share.options(options);
         let begun = guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
@@ -95,11 +95,11 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
 }
 
 /// Waits for the disk, and gives names.
-fn name(board: &Board, made: Receiver<(usize, Made)>) {
+fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
     made.iter().for_each(|(i, made)| board.end(i, named(made)));
 }
 
-fn named(made: Made) -> Ending {
+fn named(made: Box<Made>) -> Ending {
     guarded(|| made.commit()).map_or_else(Ending::Failed, Ending::Done)
 }
 

@@ -93,18 +93,12 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     }
     let stop = AtomicBool::new(false);
     let watch = |_: Event| ();
-    let order = |bytes: u64| {
-        let limits = limits(2, Some(bytes));
-        let board = Board::new(&all, &limits, &stop, &watch);
-        let (first, second) = (board.take().unwrap(), board.take().unwrap());
-        [first.0, second.0]
-    };
-    assert_eq!(order(1 << 30), [1, 2]);
-    let mut half_taken = all[0].clone();
-    half_taken.memory_mb = 150;
-    all[0] = half_taken;
-    let limits = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
-    let board = Board::new(&all, &limits, &stop, &watch);
+    let roomy = limits(2, None);
+    let board = Board::new(&all, &roomy, &stop, &watch);
+    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+    all[0].memory_mb = 150;
+    let tight = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
+    let board = Board::new(&all, &tight, &stop, &watch);
     // b takes 133 MB of the 170; beside it is no room but for c and, when that is done, d.
     assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
 }
