@@ -150,6 +150,12 @@ pub enum Error {
         /// What the system or the encoder said.
         source: io::Error,
     },
+    /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
+    #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
+    Abandoned {
+        /// The file, or the first of those that were to be named together.
+        path: PathBuf,
+    },
     /// What does not fit into the memory allowed could not be put on disk, or had again.
     #[error(
         "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, name another folder with --scratch, or allow more with --max-memory",
@@ -166,6 +172,24 @@ pub enum Error {
     TransformsFile {
         /// The file.
         path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// No bracket was found.
+    #[error("{}: no bracket was found: {reason}; `hdralign batch FOLDER --dry-run` lists all", path.display())]
+    NoBracket {
+        /// The first of the folders.
+        path: PathBuf,
+        /// What was found instead.
+        reason: String,
+    },
+    /// A file of steps could not be used.
+    #[error("{}: line {line}: is no plan: {reason}; make one by `hdralign batch --plan FOLDER`", path.display())]
+    PlanFile {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
         /// What is wrong with it.
         reason: String,
     },
@@ -306,6 +330,14 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
+    /// A bracket could not be used, and what all brackets of a camera tell was had of the others.
+    #[error("{}: its bracket is left out of the response: {reason}", path.display())]
+    BracketLeftOut {
+        /// The first photograph of the bracket.
+        path: PathBuf,
+        /// The error.
+        reason: String,
+    },
     /// Frames carry different colour profiles; that of the reference was kept.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
     ProfilesDiffer {
@@ -362,6 +394,7 @@ impl Warning {
                 | Warning::ResponseBorrowed { .. }
                 | Warning::ResponseOfAnother { .. }
                 | Warning::CamerasDiffer { .. }
+                | Warning::BracketLeftOut { .. }
         )
     }
 }

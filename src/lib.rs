@@ -37,7 +37,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -45,6 +45,7 @@
 //! folded in order, and exp, ln, pow and their like come from one portable implementation.
 
 pub mod align;
+pub mod batch;
 pub mod bracket;
 pub mod compare;
 pub mod error;

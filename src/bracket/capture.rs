@@ -32,7 +32,7 @@ impl Capture {
 }
 
 /// `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
-fn is_date(text: &str) -> bool {
+pub(super) fn is_date(text: &str) -> bool {
     let shape = b"0000:00:00 00:00:00";
     text.len() == shape.len()
         && text.bytes().zip(shape).all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })

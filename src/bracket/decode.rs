@@ -16,6 +16,8 @@ use super::Samples;
 use crate::error::{Error, Result};
 use exif::{Exif, In, Tag};
 use sniff::Format;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -65,21 +67,84 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Dec
 
     let mut notes = Vec::new();
     let exif = stored.exif.and_then(|raw| {
-        // Many a writer leaves one bad entry; the others are still good.
-        let parsed = catch_unwind(|| {
-            exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
-        });
-        match parsed {
-            Ok(Ok(exif)) => Some(exif),
-            _ => {
-                notes.push("its EXIF is damaged and was ignored".into());
-                None
-            }
+        let exif = parsed(raw);
+        if exif.is_none() {
+            notes.push("its EXIF is damaged and was ignored".into());
         }
+        exif
     });
-    let turn = exif.as_ref().and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0)).unwrap_or(1);
+    let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
     Ok(Decoded { width, height, samples, exif, icc: stored.icc, notes })
+}
+
+/// The fields of an EXIF block that can be read; `None` where it is no such block.
+fn parsed(raw: Vec<u8>) -> Option<Exif> {
+    // Many a writer leaves one bad entry; the others are still good.
+    let parsed = catch_unwind(|| {
+        exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
+    });
+    parsed.ok()?.ok()
+}
+
+fn orientation(exif: Option<&Exif>) -> u32 {
+    exif.and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0)).unwrap_or(1)
+}
+
+/// What a file says of itself before its picture.
+pub(super) struct Head {
+    /// In pixels, orientation applied: as [`decode`] gives it.
+    pub width: usize,
+    /// In pixels, orientation applied.
+    pub height: usize,
+    /// Bits per sample; fewer than 8 count as 8.
+    pub depth: u8,
+    /// What EXIF there is.
+    pub exif: Option<Exif>,
+    /// The program that a PNG names outside of its EXIF.
+    pub software: Option<String>,
+    /// Why [`decode`] would refuse it for its kind.
+    pub refused: Option<Error>,
+}
+
+/// What a format's walk finds.
+struct Found {
+    width: usize,
+    height: usize,
+    depth: u8,
+    exif: Option<Vec<u8>>,
+    software: Option<String>,
+    refused: Option<Reason>,
+}
+
+/// Bytes read at a time: the EXIF of most cameras is a few times as long, the way from chunk to chunk much shorter.
+const AT_ONCE: usize = 8192;
+
+/// Reads what the file `path` says of itself, without its pixels; of the EXIF of a TIFF, the `wanted` tags. Damage of the pixels is not seen.
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size cannot be told, is none or is of more than `max_pixels`.
+pub(super) fn head(path: &Path, wanted: &[Tag], max_pixels: u64) -> Result<Head> {
+    let unreadable = |source| Error::Read { path: path.into(), source };
+    let mut reader = BufReader::with_capacity(AT_ONCE, File::open(path).map_err(unreadable)?);
+    let begin = reader.fill_buf().map_err(unreadable)?;
+    let format = sniff::format(begin).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
+    let error = |reason| Error::Decode { path: path.into(), format: format.name(), reason };
+    let found = catch_unwind(AssertUnwindSafe(|| match format {
+        Format::Jpeg => jpeg::head(&mut reader),
+        Format::Png => png::head(&mut reader),
+        Format::Tiff => tiff::head(&mut reader, wanted),
+    }))
+    .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
+    .map_err(error)?;
+    check_size(found.width, found.height, max_pixels).map_err(error)?;
+    let exif = found.exif.and_then(parsed);
+    let (width, height) = match orientation(exif.as_ref()) {
+        5..=8 => (found.height, found.width),
+        _ => (found.width, found.height),
+    };
+    let refused = found.refused.map(error);
+    Ok(Head { width, height, depth: found.depth, exif, software: found.software, refused })
 }
 
 /// Refuses sizes that are empty or beyond `max_pixels`, before anything is allocated for them.

@@ -162,6 +162,13 @@ impl ExposureTags {
         ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed }
     }
 
+    /// The relative exposure in EV by these tags alone, as written; `None` without a time. What else is missing counts as a factor of 1.
+    pub fn ev(&self) -> Option<f64> {
+        let value = |tagged: Tagged| tagged.map(|(value, _)| value);
+        let exposure = Exposure::from_camera(value(self.time_s)?, value(self.f_number), value(self.iso), String::new());
+        exposure.map(|exposure| exposure.ev())
+    }
+
     fn numbers(&self) -> Numbers {
         let value = |tagged: Tagged| tagged.map(|(value, _)| value);
         Numbers {

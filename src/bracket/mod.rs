@@ -11,12 +11,14 @@ pub mod colour;
 mod decode;
 pub mod exposure;
 mod grey;
+pub mod header;
 mod load;
 mod nominal;
 mod photograph;
 mod reference;
 mod window;
 
+pub(crate) use load::identity;
 pub use load::{LoadOptions, load, load_with_progress};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;

@@ -38,7 +38,7 @@ fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
 }
 
 /// Names in the order that people give them: numbers in them count as numbers, 9 before 10.
-pub(super) fn natural(a: &Path, b: &Path) -> Ordering {
+pub fn natural(a: &Path, b: &Path) -> Ordering {
     let text = |p: &Path| p.to_string_lossy().into_owned();
     let (left, right) = (text(a), text(b));
     let (mut l, mut r) = (left.as_str(), right.as_str());

@@ -8,8 +8,9 @@
 //! closed with an end marker by a repair tool, sequential data is followed by ones, which are no Huffman code (T.81, annex C):
 //! a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
 
-use super::{Reason, Stored, check_size, cmyk_to_rgb};
+use super::{Found, Reason, Stored, check_size, cmyk_to_rgb};
 use crate::bracket::Samples;
+use std::io::{BufRead, Read, Seek};
 use std::ops::Range;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
@@ -67,6 +68,59 @@ pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reas
     })
 }
 
+/// What stands before the picture's data, by seeking: the size and the EXIF. Damage behind that is not seen.
+pub(super) fn head<R: Read + Seek>(reader: &mut std::io::BufReader<R>) -> Result<Found, Reason> {
+    let damaged = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::UnexpectedEof => "it ends before the picture (truncated); copy the file again".to_owned(),
+        _ => e.to_string(),
+    };
+    let mut layout = Layout::default();
+    let mut exif = None;
+    reader.seek_relative(2).map_err(damaged)?;
+    loop {
+        let code = next_code(reader).map_err(damaged)?;
+        match code {
+            0xD9 => return Err("it holds no picture data; copy the file again".into()),
+            0x01 | 0xD0..=0xD8 => continue,
+            0xDA => break,
+            _ => {}
+        }
+        let mut length = [0; 2];
+        reader.read_exact(&mut length).map_err(damaged)?;
+        let length = usize::from(u16::from_be_bytes(length));
+        let length = length.checked_sub(2).ok_or("one of its segments is damaged; copy the file again")?;
+        if !matches!(code, 0xC0..=0xCF | 0xE1) {
+            reader.seek_relative(length as i64).map_err(damaged)?;
+            continue;
+        }
+        let mut content = vec![0; length];
+        reader.read_exact(&mut content).map_err(damaged)?;
+        let is_first = layout.exif.is_none();
+        layout.segment(code, &content, 0..length)?;
+        if let Some(range) = layout.exif.clone().filter(|_| is_first) {
+            exif = Some(content[range].to_vec());
+        }
+    }
+    let (width, height) = layout.size;
+    Ok(Found { width, height, depth: 8, exif, software: None, refused: None })
+}
+
+/// The code of the next marker; what stands before it is passed over.
+fn next_code(reader: &mut impl BufRead) -> std::io::Result<u8> {
+    let mut byte = [0; 1];
+    loop {
+        while byte[0] != 0xFF {
+            reader.read_exact(&mut byte)?;
+        }
+        while byte[0] == 0xFF {
+            reader.read_exact(&mut byte)?;
+        }
+        if byte[0] != 0 {
+            return Ok(byte[0]);
+        }
+    }
+}
+
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_string()
 }
@@ -76,6 +130,8 @@ fn one_line(message: &str) -> String {
 struct Layout {
     exif: Option<Range<usize>>,
     adobe: bool,
+    /// Width and height, in pixels.
+    size: (usize, usize),
     components: usize,
     progressive: bool,
     /// Bytes between segments that belong to none.
@@ -140,6 +196,8 @@ impl Layout {
                     return Err(format!("its samples are of {depth} bit, which is not supported; save it with 8 bit"));
                 }
                 self.progressive = code == 0xC2;
+                let number = |at: usize| Some(u16::from_be_bytes([*content.get(at)?, *content.get(at + 1)?]).into());
+                self.size = (number(3).unwrap_or(0), number(1).unwrap_or(0));
                 self.components = content.get(5).copied().unwrap_or(0).into();
                 self.sent = content[6.min(content.len())..].chunks_exact(3).map(|c| (c[0], [0; 64])).collect();
             }

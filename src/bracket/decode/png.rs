@@ -3,10 +3,10 @@
 //! In: the file. Out: RGB at the file's depth; fewer than 8 bit and palettes become 8. Cost: that of the `png` crate.
 //! Source: W3C, Portable Network Graphics (third edition), with the eXIf and iCCP chunks.
 
-use super::{Reason, Stored, check_size, to_rgb};
+use super::{Found, Reason, Stored, check_size, to_rgb};
 use crate::bracket::Samples;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
-use std::io::Cursor;
+use std::io::{BufReader, Cursor, Read, Seek};
 
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
 pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Stored, Reason> {
@@ -47,4 +47,55 @@ pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Stored, Reason> {
         exif: info.exif_metadata.as_ref().map(|e| e.to_vec()),
         icc: info.icc_profile.as_ref().map(|i| i.to_vec()),
     })
+}
+
+/// Most bytes of a chunk that is taken for EXIF.
+const MOST_EXIF: u32 = 1 << 20;
+
+/// The size, the EXIF and the program, by seeking from chunk to chunk: each says how long it is.
+pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, Reason> {
+    let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
+    reader.seek_relative(8).map_err(damaged)?;
+    let mut found: Option<Found> = None;
+    loop {
+        let mut head = [0; 8];
+        // EXIF may stand behind the picture, but one that is cut off in its data has its size all the same.
+        match (reader.read_exact(&mut head), found.take()) {
+            (Ok(()), so_far) => found = so_far,
+            (Err(_), Some(so_far)) => return Ok(so_far),
+            (Err(e), None) => return Err(damaged(e)),
+        }
+        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
+        let is_wanted = match &head[4..] {
+            b"IHDR" => length >= 13,
+            b"eXIf" | b"tEXt" => length <= MOST_EXIF,
+            _ => false,
+        };
+        if !is_wanted {
+            match found {
+                Some(found) if &head[4..] == b"IEND" => return Ok(found),
+                Some(_) => {}
+                None => return Err("it does not begin as a PNG does; copy the file again".into()),
+            }
+            reader.seek_relative(i64::from(length) + 4).map_err(damaged)?;
+            continue;
+        }
+        let mut content = vec![0; length as usize + 4];
+        reader.read_exact(&mut content).map_err(damaged)?;
+        content.truncate(length as usize);
+        match (&head[4..], &mut found) {
+            (b"IHDR", _) => {
+                let number = |at: usize| u32::from_be_bytes([0, 1, 2, 3].map(|i| content[at + i])) as usize;
+                let (width, height, depth) = (number(0), number(4), content[8].max(8));
+                found = Some(Found { width, height, depth, exif: None, software: None, refused: None });
+            }
+            (b"eXIf", Some(found)) => found.exif = Some(content),
+            (_, Some(found)) => {
+                if let Some(text) = content.strip_prefix(b"Software\0") {
+                    found.software = Some(String::from_utf8_lossy(text).into_owned());
+                }
+            }
+            _ => return Err("it does not begin as a PNG does; copy the file again".into()),
+        }
+    }
 }

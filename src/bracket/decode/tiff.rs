@@ -3,15 +3,21 @@
 //! In: the file. Out: RGB at the file's depth; grey of fewer than 8 bit becomes 8. Cost: that of the `tiff` crate.
 //! Source: TIFF 6.0; TIFF/EP and DNG for the tags that tell a camera raw file.
 
-use super::{Reason, Stored, check_size, cmyk_to_rgb, to_rgb};
+use super::{Found, Reason, Stored, check_size, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
-use std::io::Cursor;
+use exif::experimental::Writer;
+use exif::{Context, Field, In};
+use std::io::{Cursor, Read, Seek};
 use tiff::ColorType;
+use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 const DNG_VERSION: Tag = Tag::Unknown(50706);
 const ICC: Tag = Tag::Unknown(34675);
+
+const FLOATING_POINT: &str = "it holds floating-point values, which no camera writes and which are linear already; \
+                              give the camera's own 8- or 16-bit pictures";
 
 /// Decodes the first picture of a TIFF file.
 pub(super) fn decode(bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> {
@@ -39,9 +45,7 @@ pub(super) fn decode(bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> 
         DecodingResult::U8(v) => Samples::Eight(rgb(v, kind, layout.planes)?),
         DecodingResult::U16(v) if kind.bit_depth() == 16 => Samples::Sixteen(rgb(v, kind, layout.planes)?),
         DecodingResult::F16(_) | DecodingResult::F32(_) | DecodingResult::F64(_) => {
-            return Err("it holds floating-point values, which no camera writes and which are linear already; \
-                        give the camera's own 8- or 16-bit pictures"
-                .into());
+            return Err(FLOATING_POINT.into());
         }
         _ => {
             return Err(format!(
@@ -130,4 +134,69 @@ impl Bounded for u8 {
 
 impl Bounded for u16 {
     const MAX: u32 = 65535;
+}
+
+/// The size and the EXIF of the first picture, by seeking to its directories. What `decode` refuses for its kind is told beside them.
+pub(super) fn head<R: Read + Seek>(reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
+    let damaged = |e: tiff::TiffError| format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF");
+    let mut decoder = Decoder::new(reader).map_err(damaged)?;
+    let mut refused = refuse_raw(&mut decoder).err();
+    let (width, height) = decoder.dimensions().map_err(damaged)?;
+    let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).ok().flatten().unwrap_or_default();
+    let kinds = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).ok().flatten().unwrap_or_default();
+    // 3 is "floating point" (TIFF 6.0, section 19).
+    if kinds.first() == Some(&3) {
+        refused.get_or_insert_with(|| FLOATING_POINT.into());
+    }
+    let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
+    let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, wanted) };
+    Ok(Found { width: width as usize, height: height as usize, depth, exif, software: None, refused })
+}
+
+/// Whether it is a BigTIFF, of which kamadak-exif, and so `decode`, reads no EXIF.
+fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
+    let mut head = [0; 4];
+    let reader = decoder.inner();
+    reader.rewind().and_then(|()| reader.read_exact(&mut head)).is_ok() && head[2..].contains(&43)
+}
+
+/// The `wanted` fields of the picture and of its EXIF directory, as a TIFF block of their own.
+fn fields<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: &[exif::Tag]) -> Option<Vec<u8>> {
+    let pointer = decoder.find_tag(Tag::ExifDirectory).ok().flatten().and_then(|v| v.into_ifd_pointer().ok());
+    let directory = pointer.and_then(|at| decoder.read_directory(at).ok());
+    let mut fields = Vec::new();
+    for &tag in wanted {
+        let number = Tag::from_u16_exhaustive(tag.number());
+        let value = match (tag.context(), &directory) {
+            (Context::Tiff, _) => decoder.find_tag(number),
+            (_, Some(directory)) => decoder.read_directory_tags(directory).find_tag(number),
+            _ => continue,
+        };
+        if let Some(value) = value.ok().flatten().and_then(exif_value) {
+            fields.push(Field { tag, ifd_num: In::PRIMARY, value });
+        }
+    }
+    let mut writer = Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut block = Cursor::new(Vec::new());
+    writer.write(&mut block, false).ok()?;
+    Some(block.into_inner())
+}
+
+/// The first value of a tag in the words of the other crate; none of a kind that no wanted tag has.
+fn exif_value(value: Value) -> Option<exif::Value> {
+    Some(match value {
+        Value::List(values) => exif_value(values.into_iter().next()?)?,
+        Value::Ascii(text) => exif::Value::Ascii(vec![text.trim_end_matches('\0').as_bytes().to_vec()]),
+        Value::Byte(v) => exif::Value::Byte(vec![v]),
+        Value::Short(v) => exif::Value::Short(vec![v]),
+        Value::SignedShort(v) => exif::Value::SShort(vec![v]),
+        Value::Unsigned(v) => exif::Value::Long(vec![v]),
+        Value::Signed(v) => exif::Value::SLong(vec![v]),
+        Value::Float(v) => exif::Value::Float(vec![v]),
+        Value::Double(v) => exif::Value::Double(vec![v]),
+        Value::Rational(num, denom) => exif::Value::Rational(vec![exif::Rational { num, denom }]),
+        Value::SRational(num, denom) => exif::Value::SRational(vec![exif::SRational { num, denom }]),
+        _ => return None,
+    })
 }

@@ -1,0 +1,343 @@
+//! Cards made up after many habits, and how many of their brackets are found as they were taken.
+
+use super::*;
+
+/// A generator of numbers that are the same for the same seed, everywhere: SplitMix64.
+struct Chance(u64);
+
+impl Chance {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+
+    /// Between `low` and `high`, each factor as likely.
+    fn scaled(&mut self, low: f64, high: f64) -> f64 {
+        libm::exp(self.within(libm::log(low), libm::log(high)))
+    }
+
+    fn of<T: Clone>(&mut self, choices: &[T]) -> T {
+        choices[((self.next() * choices.len() as f64) as usize).min(choices.len() - 1)].clone()
+    }
+
+    fn is(&mut self, probability: f64) -> bool {
+        self.next() < probability
+    }
+}
+
+/// How somebody takes photographs.
+#[derive(Clone)]
+struct Habit {
+    name: &'static str,
+    counts: &'static [usize],
+    steps: &'static [f64],
+    mode: Mode,
+    /// Probability that the camera says which place of the bracket it is.
+    places: f64,
+    /// Pauses in a bracket, in seconds.
+    gaps: (f64, f64),
+    /// How much pauses within a bracket differ: a factor.
+    uneven: f64,
+    /// Pauses between brackets, in seconds.
+    pauses: (f64, f64),
+    /// The shortest and the longest time of the middle frame, in seconds.
+    times: (f64, f64),
+    /// Probability that a bracket is exposed as the one before.
+    alike: f64,
+    /// Probability of single frames before a bracket.
+    singles: f64,
+    /// Probability of a burst of one exposure before a bracket.
+    bursts: f64,
+}
+
+const AUTO: Habit = Habit {
+    name: "automatic brackets",
+    counts: &[3, 5, 7, 9],
+    steps: &[1.0 / 3.0, 2.0 / 3.0, 1.0, 2.0, 3.0],
+    mode: Mode::AutoBracket,
+    places: 0.5,
+    gaps: (0.1, 0.6),
+    uneven: 1.2,
+    pauses: (4.0, 300.0),
+    times: (1e-3, 0.1),
+    alike: 0.3,
+    singles: 0.0,
+    bursts: 0.0,
+};
+
+const MANUAL: Habit = Habit {
+    name: "ladders by hand",
+    counts: &[3, 4, 5, 7, 9, 13, 17],
+    steps: &[1.0, 4.0 / 3.0, 2.0, 3.0],
+    mode: Mode::Manual,
+    places: 0.0,
+    gaps: (3.0, 30.0),
+    uneven: 1.7,
+    pauses: (20.0, 600.0),
+    times: (5e-3, 0.3),
+    alike: 0.3,
+    singles: 0.0,
+    bursts: 0.0,
+};
+
+/// Each with the least share of brackets to be found, in percent: what was reached when this was written, rounded down.
+fn habits() -> Vec<(Habit, f64)> {
+    vec![
+        (AUTO, 0.0),
+        (Habit { name: "automatic, with singles between", singles: 0.5, ..AUTO }, 0.0),
+        (Habit { name: "automatic, with bursts between", bursts: 0.5, ..AUTO }, 0.0),
+        (
+            Habit {
+                name: "automatic, released one by one",
+                gaps: (0.3, 60.0),
+                uneven: 1.5,
+                pauses: (60.0, 600.0),
+                counts: &[3, 5],
+                ..AUTO
+            },
+            0.0,
+        ),
+        (Habit { name: "automatic, the next at once", pauses: (0.5, 5.0), alike: 0.7, ..AUTO }, 0.0),
+        (
+            Habit {
+                name: "panoramas, pauses under the exposure",
+                pauses: (0.7, 3.0),
+                times: (0.3, 2.0),
+                alike: 1.0,
+                counts: &[3, 5],
+                steps: &[1.0, 2.0],
+                ..AUTO
+            },
+            0.0,
+        ),
+        (Habit { name: "automatic, mode not written", mode: Mode::Unknown, places: 0.0, singles: 0.3, ..AUTO }, 0.0),
+        (MANUAL, 0.0),
+        (Habit { name: "ladders by hand, with singles", singles: 0.4, ..MANUAL }, 0.0),
+        (
+            Habit {
+                name: "ladders by hand, panoramas",
+                pauses: (5.0, 40.0),
+                gaps: (3.0, 10.0),
+                alike: 1.0,
+                counts: &[3, 5, 7],
+                ..MANUAL
+            },
+            0.0,
+        ),
+        (
+            Habit {
+                name: "by the compensation dial",
+                mode: Mode::Automatic,
+                places: 1.0,
+                gaps: (2.0, 6.0),
+                counts: &[3, 5],
+                steps: &[1.0, 2.0],
+                pauses: (20.0, 300.0),
+                ..MANUAL
+            },
+            0.0,
+        ),
+    ]
+}
+
+#[derive(Clone, Copy)]
+struct CameraClock {
+    resolution_s: f64,
+    marks_end: bool,
+}
+
+/// The places of a bracket in one of the orders that cameras have, in steps from the middle.
+fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
+    let middle = (count - 1) as f64 / 2.0;
+    let up: Vec<f64> = (0..count).map(|i| i as f64 - middle).collect();
+    let down = || up.iter().rev().copied().collect::<Vec<_>>();
+    let kind = if mode == Mode::AutoBracket || mode == Mode::Unknown { 5 } else { 2 };
+    match (chance.next() * f64::from(kind)) as usize {
+        0 => up,
+        1 => down(),
+        2 if count % 2 == 1 => {
+            let others = up.iter().copied().filter(|&p| p != 0.0);
+            [0.0].into_iter().chain(others).collect()
+        }
+        3 if count % 2 == 1 => {
+            let others = up.iter().rev().copied().filter(|&p| p != 0.0);
+            [0.0].into_iter().chain(others).collect()
+        }
+        4 if count % 2 == 1 => {
+            // 0, -1, 1, -2, 2.
+            (0..count).map(|i| if i % 2 == 1 { -(i.div_ceil(2) as f64) } else { (i / 2) as f64 }).collect()
+        }
+        _ => up,
+    }
+}
+
+struct Card {
+    beats: Vec<Beat>,
+    truth: Vec<Range<usize>>,
+}
+
+/// An exposure for the middle frame, on the thirds of a stop that dials have.
+fn metered(chance: &mut Chance, habit: &Habit) -> f64 {
+    libm::round(3.0 * libm::log2(chance.scaled(habit.times.0, habit.times.1))) / 3.0
+}
+
+/// A card of `brackets` brackets by one photographer with one camera.
+fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
+    let mut chance = Chance(seed.wrapping_mul(0x0123_4567_89AB_CDEF) ^ 77);
+    let clock = CameraClock { resolution_s: chance.of(&[1.0, 1.0, 0.01, 0.001]), marks_end: chance.is(0.25) };
+    let says_places = chance.is(habit.places);
+    let count = chance.of(habit.counts);
+    let step = loop {
+        let step = chance.of(habit.steps);
+        if step * (count - 1) as f64 >= 0.6 && step * (count - 1) as f64 <= 16.0 {
+            break step;
+        }
+    };
+    let places = order(&mut chance, count, habit.mode);
+    let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
+    let (mut now, mut card) = (0.0, Card { beats: Vec::new(), truth: Vec::new() });
+    let mut middle = metered(&mut chance, habit);
+    // Thirds of a stop, as printed: off by up to a tenth, the same exposure always by the same.
+    let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
+    let mut take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
+        let ev = printed(ev);
+        let time = libm::exp2(ev);
+        *now += pause;
+        let mark = if clock.marks_end { *now + time } else { *now };
+        *now += time;
+        card.beats.push(Beat {
+            at_s: Some(libm::floor(mark / clock.resolution_s) * clock.resolution_s),
+            resolution_s: clock.resolution_s,
+            time_s: time,
+            ev: Some(ev),
+            mode,
+            place,
+            focal_length_mm: Some(24.0),
+        });
+    };
+    for _ in 0..brackets {
+        let pause = |chance: &mut Chance| chance.scaled(habit.pauses.0, habit.pauses.1);
+        if !chance.is(habit.alike) {
+            middle = metered(&mut chance, habit);
+        }
+        // Automatic frames beside the bracket are metered; as by hand is as in the bracket.
+        let mode = if habit.mode == Mode::AutoBracket { Mode::Automatic } else { habit.mode };
+        let place = says_places.then_some(0.0);
+        if chance.is(habit.singles) {
+            for _ in 0..chance.of(&[1, 1, 2]) {
+                let ev = if chance.is(0.5) { middle } else { metered(&mut chance, habit) };
+                let pause = pause(&mut chance);
+                take(&mut card, &mut now, ev, mode, place, pause);
+            }
+        }
+        if chance.is(habit.bursts) {
+            let first = pause(&mut chance);
+            for i in 0..chance.of(&[4, 8, 12]) {
+                take(&mut card, &mut now, middle, mode, place, if i == 0 { first } else { 0.15 });
+            }
+        }
+        let begin = card.beats.len();
+        let first = pause(&mut chance);
+        for (i, &p) in places.iter().enumerate() {
+            let gap = tempo * chance.scaled(1.0 / habit.uneven, habit.uneven);
+            let place = says_places.then_some(p * step);
+            take(&mut card, &mut now, middle + p * step, habit.mode, place, if i == 0 { first } else { gap });
+        }
+        card.truth.push(begin..card.beats.len());
+    }
+    card
+}
+
+const RULES: Rules = Rules { frames: None, gap_s: 120.0 };
+
+fn found(beats: &[Beat]) -> Vec<Range<usize>> {
+    brackets(beats, rhythm::clock(beats), &RULES)
+}
+
+/// How many brackets there were, how many of them were found as they were, and how many were found that were none.
+fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
+    (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
+        let card = card(habit, 12, seed + 1000);
+        let found = self::found(&card.beats);
+        let hits = found.iter().filter(|range| card.truth.contains(range)).count();
+        (all + card.truth.len(), right + hits, wrong + found.len() - hits)
+    })
+}
+
+#[test]
+fn brackets_of_many_habits_are_found_as_they_were_taken() {
+    let mut failed = Vec::new();
+    for (habit, least) in habits() {
+        let (all, right, wrong) = score(&habit, 60);
+        let share = 100.0 * right as f64 / all as f64;
+        println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
+        if share < least {
+            failed.push(format!("{}: {share:.1} % of {least} %", habit.name));
+        }
+    }
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn snapshots_are_no_brackets() {
+    let mut chance = Chance(5);
+    let (mut found, mut frames) = (0, 0);
+    for _ in 0..100 {
+        let mut now = 0.0;
+        let beats: Vec<Beat> = (0..100)
+            .map(|_| {
+                now += chance.scaled(1.0, 300.0);
+                let ev = libm::round(3.0 * chance.within(-11.0, -4.0)) / 3.0;
+                Beat {
+                    at_s: Some(libm::floor(now)),
+                    resolution_s: 1.0,
+                    time_s: libm::exp2(ev),
+                    ev: Some(ev),
+                    mode: Mode::Automatic,
+                    place: Some(0.0),
+                    focal_length_mm: Some(35.0),
+                }
+            })
+            .collect();
+        let f = found(&beats);
+        for r in &f {
+            println!(
+                "{r:?} {:?}",
+                beats[r.clone()].iter().map(|b| (b.at_s.unwrap(), b.ev.unwrap())).collect::<Vec<_>>()
+            );
+        }
+        found += f.len();
+        frames += beats.len();
+    }
+    println!("{found} brackets in {frames} snapshots");
+    assert_eq!(found, 0);
+}
+
+#[test]
+fn debug_misses() {
+    let which: usize = std::env::var("HABIT").unwrap().parse().unwrap();
+    let (habit, _) = habits().swap_remove(which);
+    for seed in 0..60 {
+        let card = card(&habit, 12, seed + 1000);
+        let found = self::found(&card.beats);
+        for t in card.truth.iter().filter(|t| !found.contains(t)) {
+            let (a, b) = (t.start.saturating_sub(4), (t.end + 4).min(card.beats.len()));
+            println!(
+                "seed {seed} truth {t:?} found {:?} {:?}",
+                found.iter().filter(|f| f.end > a && f.start < b).collect::<Vec<_>>(),
+                card.beats[t.start].mode
+            );
+            for (i, x) in card.beats[a..b].iter().enumerate() {
+                print!(" {}:{:.2}+{:.2}({:.2}){:?}", a + i, x.at_s.unwrap(), x.time_s, x.ev.unwrap(), x.place);
+            }
+            println!();
+        }
+    }
+}

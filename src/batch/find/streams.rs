@@ -1,0 +1,330 @@
+//! Streams: photographs of which a bracket's frames can follow each other, and their brackets.
+//!
+//! In: photographs. Out: [`Found`]. Cost: that of [`segment`], and of sorting.
+//!
+//! A stream is what one camera took by one lens at one size, with or without flash, into one folder; the numbered folders of a card
+//! (DCF 2.0, section 3.2.3: 100CANON, 101CANON) are one, since the counter rolls over within a bracket.
+
+use super::rhythm::{self, Clock};
+use super::segment::{self, Beat, Mode, Rules, SAME_STOPS};
+use super::twins::Placed;
+use super::walk::Place;
+use super::{FindOptions, Found, FoundBracket, LeftOver, Reason};
+use crate::bracket::header::{ExposureMode, Header};
+use crate::error::{Error, Result};
+use crate::pipeline::natural;
+use rayon::prelude::*;
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// The longest pause in a bracket where the user names none: hands at a dial in the dark need more than a minute.
+const GAP_S: f64 = 120.0;
+/// The longest pause in a panorama: the head is turned, nothing else.
+const SET_S: f64 = 60.0;
+/// A burst has no longer pauses, in seconds.
+const BURST_S: f64 = 10.0;
+
+/// Refuses what cannot be looked for.
+pub(super) fn check(options: &FindOptions) -> Result<()> {
+    if let Some(frames @ (0 | 1)) = options.frames {
+        let reason = format!("{frames} photographs are no bracket; give how many each has, from 2 on");
+        return Err(Error::Option { option: "--bracket", reason });
+    }
+    match options.gap_s {
+        Some(gap) if !(gap >= 0.0) => {
+            let reason = format!("{gap} s is no pause; give the longest one in a bracket, in seconds");
+            Err(Error::Option { option: "--gap", reason })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What the frames of a bracket have in common.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+struct Stream {
+    folder: Folder,
+    make: Option<String>,
+    model: Option<String>,
+    serial: Option<String>,
+    lens: Option<String>,
+    size: (usize, usize),
+    flash: bool,
+    /// What does not say when it was taken goes by its name.
+    is_timed: bool,
+}
+
+/// A folder, or all numbered ones of a card.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Folder {
+    One(PathBuf),
+    Numbered(PathBuf),
+}
+
+impl Folder {
+    fn of(own: &Path) -> Self {
+        let name = own.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let is_numbered = name.len() == 8
+            && name.starts_with(|c: char| ('1'..='9').contains(&c))
+            && name.bytes().take(3).all(|b| b.is_ascii_digit())
+            && name.bytes().skip(3).all(|b| b.is_ascii_alphanumeric() || b == b'_');
+        match own.parent() {
+            Some(parent) if is_numbered => Folder::Numbered(parent.into()),
+            _ => Folder::One(own.into()),
+        }
+    }
+}
+
+/// A bracket, its stream's panoramas counted by themselves.
+struct Grouped {
+    place: std::sync::Arc<Place>,
+    frames: Vec<Placed>,
+    set: usize,
+}
+
+/// The brackets of `photographs`, and those that are in none beside what is `left_over`.
+pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over: Vec<LeftOver>) -> Found {
+    let mut left_over = left_over;
+    let per_stream: Vec<(Vec<Grouped>, Vec<LeftOver>)> =
+        if options.by_folder { by_folder(photographs) } else { by_time(photographs, options) };
+    // Panoramas get their numbers in the order of the brackets, whichever stream they are of.
+    let mut brackets: Vec<(usize, Grouped)> = Vec::new();
+    for (stream, (grouped, left)) in per_stream.into_iter().enumerate() {
+        left_over.extend(left);
+        brackets.extend(grouped.into_iter().map(|bracket| (stream, bracket)));
+    }
+    brackets.sort_by(|(_, a), (_, b)| {
+        let (first, second) = (&a.frames[0].shot, &b.frames[0].shot);
+        natural(&a.place.root, &b.place.root)
+            .then_with(|| natural(&a.place.folder, &b.place.folder))
+            .then_with(|| in_time(&first.header, &second.header))
+            .then_with(|| natural(&first.path, &second.path))
+    });
+    let mut numbers = BTreeMap::new();
+    let brackets = brackets
+        .into_iter()
+        .map(|(stream, bracket)| {
+            let next = numbers.len();
+            FoundBracket {
+                root: bracket.place.root.clone(),
+                folder: bracket.place.folder.clone(),
+                set: *numbers.entry((stream, bracket.set)).or_insert(next),
+                photographs: bracket.frames.into_iter().map(|placed| placed.shot).collect(),
+            }
+        })
+        .collect();
+    left_over.sort_by(|a, b| natural(&a.path, &b.path));
+    Found { brackets, left_over, other_files: 0 }
+}
+
+/// By time, and first what says when it was taken.
+fn in_time(a: &Header, b: &Header) -> Ordering {
+    a.taken.is_none().cmp(&b.taken.is_none()).then(a.taken.cmp(&b.taken))
+}
+
+fn by_time(photographs: Vec<Placed>, options: &FindOptions) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
+    let mut streams: BTreeMap<Stream, Vec<Placed>> = BTreeMap::new();
+    for placed in photographs {
+        let header = &placed.shot.header;
+        let stream = Stream {
+            folder: Folder::of(&placed.place.own),
+            make: header.make.clone(),
+            model: header.model.clone(),
+            serial: header.serial.clone(),
+            lens: header.lens.clone(),
+            size: (header.width, header.height),
+            flash: header.flash,
+            is_timed: header.taken.is_some(),
+        };
+        streams.entry(stream).or_default().push(placed);
+    }
+    let without_flash: BTreeSet<Stream> = streams.keys().filter(|s| !s.flash).cloned().collect();
+    streams
+        .into_iter()
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|(stream, photographs)| {
+            let is_odd = stream.flash && without_flash.contains(&Stream { flash: false, ..stream });
+            divided(photographs, options, is_odd)
+        })
+        .collect()
+}
+
+/// One stream, divided; `is_odd` where its flash fired and that of others did not.
+fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) -> (Vec<Grouped>, Vec<LeftOver>) {
+    let mut left = Vec::new();
+    if options.frames.is_none() {
+        photographs.retain(|placed| {
+            let is_known = placed.shot.header.ev().is_some();
+            if !is_known {
+                left.push(LeftOver { path: placed.shot.path.clone(), reason: Reason::NoExposure });
+            }
+            is_known
+        });
+    }
+    sort(&mut photographs);
+    let beats = beats(&photographs);
+    let clock = rhythm::clock(&beats);
+    let rules = Rules { frames: options.frames, gap_s: options.gap_s.unwrap_or(GAP_S) };
+    let ranges = segment::brackets(&beats, clock, &rules);
+    let sets = sets(&beats, clock, &ranges);
+    let bursts = bursts(&beats, clock, &ranges);
+
+    let mut grouped: Vec<Grouped> = Vec::with_capacity(ranges.len());
+    let mut open = ranges.iter().zip(sets).peekable();
+    for (i, placed) in photographs.into_iter().enumerate() {
+        while open.next_if(|(range, _)| range.end <= i).is_some() {}
+        match open.peek() {
+            Some((range, set)) if range.contains(&i) => {
+                if range.start == i {
+                    grouped.push(Grouped { place: placed.place.clone(), frames: Vec::new(), set: *set });
+                }
+                if let Some(bracket) = grouped.last_mut() {
+                    bracket.frames.push(placed);
+                }
+            }
+            _ => {
+                let reason = match (options.frames, bursts[i]) {
+                    _ if is_odd => Reason::Flash,
+                    (_, Some(count)) => Reason::Burst(count),
+                    (Some(frames), None) => Reason::Remainder(frames),
+                    (None, None) => Reason::Single,
+                };
+                left.push(LeftOver { path: placed.shot.path, reason });
+            }
+        }
+    }
+    (grouped, left)
+}
+
+/// By time, and by name within one tick of the clock, the last number of a counter before its first.
+fn sort(photographs: &mut [Placed]) {
+    let moment = |placed: &Placed| placed.shot.header.taken;
+    photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
+    let is_one_tick = |a: &Placed, b: &Placed| moment(a).is_some() && moment(a) == moment(b);
+    for tick in photographs.chunk_by_mut(is_one_tick) {
+        let numbers: Vec<Option<u32>> = tick.iter().map(|placed| number(&placed.shot.path)).collect();
+        let rolled = numbers.windows(2).position(|w| matches!(w, [Some(a), Some(b)] if a.abs_diff(*b) > 5000));
+        if let Some(at) = rolled {
+            tick.rotate_left(at + 1);
+        }
+    }
+}
+
+/// The number of a name as cameras give it: its last four digits.
+fn number(path: &Path) -> Option<u32> {
+    let stem = path.file_stem()?.to_str()?;
+    stem.get(stem.len().checked_sub(4)?..)?.parse().ok()
+}
+
+/// What the headers of a stream say, in the words of [`segment`].
+fn beats(photographs: &[Placed]) -> Vec<Beat> {
+    let begin = photographs.first().and_then(|placed| placed.shot.header.taken);
+    // Canon's notes say where in its bracket a frame is; others set the compensation.
+    let has_places = photographs.iter().any(|p| p.shot.header.bracket_stops.is_some_and(|stops| stops != 0.0));
+    photographs
+        .iter()
+        .map(|placed| {
+            let header = &placed.shot.header;
+            Beat {
+                at_s: begin.and_then(|begin| Some(header.taken?.since(&begin))),
+                resolution_s: header.taken.map_or(0.0, |taken| taken.resolution_s()),
+                time_s: header.exposure.time_s.map_or(0.0, |(time, _)| time),
+                ev: header.ev(),
+                mode: match header.mode {
+                    Some(ExposureMode::AutoBracket) => Mode::AutoBracket,
+                    Some(ExposureMode::Manual) => Mode::Manual,
+                    Some(ExposureMode::Automatic) => Mode::Automatic,
+                    None => Mode::Unknown,
+                },
+                place: if has_places { header.bracket_stops } else { header.bias_stops },
+                focal_length_mm: header.focal_length_mm,
+            }
+        })
+        .collect()
+}
+
+/// The panorama of each bracket, counted from 0: brackets of the same steps and focal length that follow each other within [`SET_S`].
+fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
+    let steps = |range: &Range<usize>| {
+        let mut evs: Vec<f64> = beats[range.clone()].iter().filter_map(|b| b.ev).collect();
+        evs.sort_by(f64::total_cmp);
+        evs
+    };
+    let is_one_pattern = |a: &Range<usize>, b: &Range<usize>| {
+        let (first, second) = (steps(a), steps(b));
+        // Each end is off by what printing rounds.
+        let is_step = |i: usize| ((first[i] - first[0]) - (second[i] - second[0])).abs() < 2.0 * SAME_STOPS;
+        !first.is_empty() && a.len() == b.len() && first.len() == second.len() && (0..first.len()).all(is_step)
+    };
+    let mut set = 0;
+    let mut sets = Vec::with_capacity(ranges.len());
+    for (i, range) in ranges.iter().enumerate() {
+        if i > 0 {
+            let earlier = &ranges[i - 1];
+            let (last, first) = (&beats[earlier.end - 1], &beats[range.start]);
+            let is_soon = rhythm::gap(last, first, clock).is_some_and(|pause| pause <= SET_S);
+            if !(is_soon && segment::is_one_view(last, first) && is_one_pattern(earlier, range)) {
+                set += 1;
+            }
+        }
+        sets.push(set);
+    }
+    sets
+}
+
+/// For each that is in no bracket, of how many in a row of one exposure it is; `None` for one alone.
+fn bursts(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
+    let mut is_free = vec![true; beats.len()];
+    ranges.iter().for_each(|range| is_free[range.clone()].fill(false));
+    let mut bursts = vec![None; beats.len()];
+    let mut begin = 0;
+    for end in 1..=beats.len() {
+        let goes_on = end < beats.len() && is_free[end - 1] && is_free[end] && {
+            let (a, b) = (&beats[end - 1], &beats[end]);
+            let is_same = matches!((a.ev, b.ev), (Some(a), Some(b)) if (a - b).abs() < SAME_STOPS);
+            is_same && rhythm::gap(a, b, clock).is_none_or(|gap| gap <= BURST_S)
+        };
+        if !goes_on {
+            if end - begin > 1 {
+                bursts[begin..end].fill(Some(end - begin));
+            }
+            begin = end;
+        }
+    }
+    bursts
+}
+
+/// All photographs of a folder as one bracket, in the size that most of them have.
+fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
+    let mut folders: BTreeMap<PathBuf, Vec<Placed>> = BTreeMap::new();
+    for placed in photographs {
+        folders.entry(placed.place.own.clone()).or_default().push(placed);
+    }
+    folders
+        .into_values()
+        .map(|mut photographs| {
+            sort(&mut photographs);
+            let size = |placed: &Placed| (placed.shot.header.width, placed.shot.header.height);
+            let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+            photographs.iter().for_each(|placed| *sizes.entry(size(placed)).or_insert(0) += 1);
+            // Where no size is that of most, the largest: small ones are previews.
+            let most = sizes.into_iter().max_by_key(|&(size, count)| (count, size)).map_or((0, 0), |(size, _)| size);
+            let (frames, others): (Vec<_>, Vec<_>) = photographs.into_iter().partition(|placed| size(placed) == most);
+            let mut left: Vec<LeftOver> = others
+                .into_iter()
+                .map(|placed| {
+                    let reason = Reason::OtherSize(size(&placed), most);
+                    LeftOver { path: placed.shot.path, reason }
+                })
+                .collect();
+            if frames.len() < 2 {
+                left.extend(frames.into_iter().map(|p| LeftOver { path: p.shot.path, reason: Reason::Alone }));
+                return (Vec::new(), left);
+            }
+            let place = frames[0].place.clone();
+            (vec![Grouped { place, frames, set: 0 }], left)
+        })
+        .collect()
+}

@@ -1,0 +1,98 @@
+//! One file of each shot: cameras write a raw file and a JPEG, people develop a TIFF beside them.
+//!
+//! In: the files and their headers. Out: the photographs, each shot once, and what is left over beside them. Cost: nothing to speak of.
+//! Source: DCF 2.0, section 4.4, by which files of one name, but for its extension, are one object.
+
+use super::walk::{Candidate, Kind, Place};
+use super::{LeftOver, Reason, Shot};
+use crate::bracket::header::Header;
+use crate::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// A photograph, and where it was found.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Placed {
+    pub(super) shot: Shot,
+    pub(super) place: Arc<Place>,
+}
+
+/// Clocks of two files of one shot may differ by so much, in seconds: a program that drops the fraction, another that rounds.
+const ONE_SHOT_S: f64 = 2.0;
+
+/// The photographs among `files`, each shot once; all else goes to `left_over`.
+pub(super) fn photographs(
+    files: Vec<(Candidate, Option<Result<Header>>)>,
+    left_over: &mut Vec<LeftOver>,
+) -> Vec<Placed> {
+    let mut leave = |path: &Path, reason| left_over.push(LeftOver { path: path.into(), reason });
+    let mut by_name: BTreeMap<(Arc<Place>, String), Vec<Placed>> = BTreeMap::new();
+    let mut raws = Vec::new();
+    for (candidate, header) in files {
+        let stem = candidate.path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+        let Candidate { path, place, kind } = candidate;
+        let name = (place.clone(), stem);
+        match (kind, header) {
+            (Kind::Raw, _) => raws.push((path, name)),
+            (Kind::Other(format), _) => leave(&path, Reason::Format(format)),
+            (Kind::Picture, None) => {}
+            (Kind::Picture, Some(Err(error))) => {
+                let reason = Reason::Unreadable(without_path(&error, &path));
+                leave(&path, reason);
+            }
+            (Kind::Picture, Some(Ok(header))) if header.is_ours() => {
+                leave(&path, Reason::Result(header.software.unwrap_or_default()));
+            }
+            (Kind::Picture, Some(Ok(header))) => {
+                by_name.entry(name).or_default().push(Placed { shot: Shot { path, header }, place });
+            }
+        }
+    }
+    // What is used of a name, best first.
+    for twins in by_name.values_mut() {
+        twins.sort_by(|a, b| rank(&b.shot).cmp(&rank(&a.shot)).then_with(|| a.shot.path.cmp(&b.shot.path)));
+    }
+    for (path, name) in raws {
+        let used = by_name.get(&name).and_then(|twins| twins.first());
+        leave(&path, Reason::Raw(used.map(|used| used.shot.path.clone())));
+    }
+    let mut kept = Vec::new();
+    for twins in by_name.into_values() {
+        let mut twins = twins.into_iter();
+        let Some(best) = twins.next() else { continue };
+        for other in twins {
+            if is_one_shot(&best.shot, &other.shot) {
+                leave(&other.shot.path, Reason::Twin(best.shot.path.clone()));
+            } else {
+                kept.push(other);
+            }
+        }
+        kept.push(best);
+    }
+    kept
+}
+
+/// What makes a file the one to use: that it says how it was exposed, its depth, and a format that loses nothing.
+fn rank(shot: &Shot) -> (bool, u8, u8) {
+    let extension = shot.path.extension().unwrap_or_default().to_ascii_lowercase();
+    let lossless = match extension.to_str() {
+        Some("tif" | "tiff") => 2,
+        Some("png") => 1,
+        _ => 0,
+    };
+    (shot.header.ev().is_some(), shot.header.depth, lossless)
+}
+
+fn is_one_shot(a: &Shot, b: &Shot) -> bool {
+    match (a.header.taken, b.header.taken) {
+        (Some(a), Some(b)) => a.since(&b).abs() <= ONE_SHOT_S,
+        _ => true,
+    }
+}
+
+/// The words of `error`, but for the file that it names first: that stands beside them.
+fn without_path(error: &Error, path: &Path) -> String {
+    let words = error.to_string();
+    words.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&words).to_owned()
+}

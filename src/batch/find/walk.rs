@@ -1,0 +1,212 @@
+//! The files of the folders: each once, in an order of their own.
+//!
+//! In: folders. Out: the [`Candidate`]s of them by their names, and what was passed over. Cost: that of listing the folders.
+//!
+//! Files by their own name come before links to them, whatever the order of the entries, so that a link is what is left over.
+
+use super::{LeftOver, Reason};
+use crate::bracket::identity;
+use crate::error::{Error, Result};
+use crate::pipeline::natural;
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A file that is a photograph by its name.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Candidate {
+    pub(super) path: PathBuf,
+    pub(super) place: Arc<Place>,
+    pub(super) kind: Kind,
+}
+
+impl Candidate {
+    /// Whether its header can be read.
+    pub(super) fn is_read(&self) -> bool {
+        self.kind == Kind::Picture
+    }
+}
+
+/// A folder that was entered.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct Place {
+    /// The folder given.
+    pub(super) root: PathBuf,
+    /// The way from there.
+    pub(super) folder: PathBuf,
+    /// The same folder by its own name.
+    pub(super) own: PathBuf,
+}
+
+/// What a file is by its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// JPEG, PNG or TIFF.
+    Picture,
+    /// Of a camera's sensor.
+    Raw,
+    /// A photograph in another format.
+    Other(&'static str),
+}
+
+/// Extensions of raw files, as ExifTool lists them.
+const RAW: [&str; 32] = [
+    "3fr", "ari", "arw", "bay", "cr2", "cr3", "crw", "dcr", "dcs", "dng", "erf", "fff", "gpr", "iiq", "k25", "kdc",
+    "mef", "mos", "mrw", "nef", "nrw", "orf", "ori", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
+];
+
+impl Kind {
+    /// `None` for what is no photograph.
+    pub(super) fn of(path: &Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        Some(match extension.as_str() {
+            "jpg" | "jpeg" | "jpe" | "jfif" | "png" | "tif" | "tiff" => Kind::Picture,
+            "heic" | "heif" | "hif" => Kind::Other("HEIC"),
+            "avif" => Kind::Other("AVIF"),
+            "webp" => Kind::Other("WebP"),
+            "jxl" => Kind::Other("JPEG XL"),
+            raw if RAW.contains(&raw) => Kind::Raw,
+            _ => return None,
+        })
+    }
+}
+
+/// What a walk through the folders finds.
+#[derive(Debug, Default)]
+pub(super) struct Walk {
+    pub(super) candidates: Vec<Candidate>,
+    pub(super) left_over: Vec<LeftOver>,
+    pub(super) other_files: usize,
+}
+
+/// Walks through `roots` and all below, but not into `skip`.
+pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
+    let mut roots: Vec<&PathBuf> = roots.iter().collect();
+    roots.sort_by(|a, b| natural(a, b));
+    let mut open = Vec::new();
+    for root in roots.into_iter().rev() {
+        let unreadable = |source| Error::Read { path: root.clone(), source };
+        if !fs::metadata(root).map_err(unreadable)?.is_dir() {
+            let reason = "it is a file; name the folder that it is in";
+            return Err(unreadable(io::Error::new(io::ErrorKind::InvalidInput, reason)));
+        }
+        // A root that cannot be listed is an error; a folder in it is left over.
+        fs::read_dir(root).map_err(unreadable)?;
+        open.push((root.clone(), PathBuf::new()));
+    }
+    let mut seen: HashSet<PathBuf> = skip.iter().filter_map(|path| fs::canonicalize(path).ok()).collect();
+    let mut walk = Walk::default();
+    let (mut linked_files, mut linked_folders) = (Vec::new(), Vec::new());
+    loop {
+        let Some((root, folder)) = open.pop() else {
+            // Now that all is entered by its own name: what is reached only by a link.
+            linked_folders.sort_by(|a: &(PathBuf, PathBuf), b| natural(&a.0.join(&a.1), &b.0.join(&b.1)));
+            linked_folders.reverse();
+            if linked_folders.is_empty() {
+                break;
+            }
+            open.append(&mut linked_folders);
+            continue;
+        };
+        let path = root.join(&folder);
+        let unreadable = |e: io::Error| LeftOver {
+            path: path.clone(),
+            reason: Reason::Unreadable(format!("the folder cannot be read: {e}; check its permissions")),
+        };
+        let listed = fs::canonicalize(&path).and_then(|own| Ok((entries(&path)?, own)));
+        let (entries, own) = match listed {
+            Ok(listed) => listed,
+            Err(e) => {
+                walk.left_over.push(unreadable(e));
+                continue;
+            }
+        };
+        if !seen.insert(own.clone()) {
+            continue;
+        }
+        let place = Arc::new(Place { root: root.clone(), folder: folder.clone(), own });
+        let mut folders = Vec::new();
+        for Entry { name, is_link, is_folder } in entries {
+            match (is_folder, is_link) {
+                (true, false) => folders.push((root.clone(), folder.join(name))),
+                (true, true) => linked_folders.push((root.clone(), folder.join(name))),
+                (false, _) => match Kind::of(&name) {
+                    None => walk.other_files += 1,
+                    Some(kind) => {
+                        let candidate = Candidate { path: path.join(name), place: place.clone(), kind };
+                        if is_link { linked_files.push(candidate) } else { walk.candidates.push(candidate) }
+                    }
+                },
+            }
+        }
+        open.extend(folders.into_iter().rev());
+    }
+    walk.add_once(linked_files);
+    Ok(walk)
+}
+
+/// One entry of a folder.
+struct Entry {
+    name: PathBuf,
+    is_link: bool,
+    is_folder: bool,
+}
+
+/// What is in the folder `path`, by name, but what is hidden, or put there by a file server or by `hdralign inspect`.
+fn entries(path: &Path) -> io::Result<Vec<Entry>> {
+    let mut entries = Vec::new();
+    for entry in fs::read_dir(path)? {
+        let entry = entry?;
+        let name = PathBuf::from(entry.file_name());
+        if name.to_string_lossy().starts_with('.') || name == Path::new("__MACOSX") || name == Path::new("@eaDir") {
+            continue;
+        }
+        let kind = entry.file_type()?;
+        let is_link = kind.is_symlink();
+        // What a broken link points to is nothing; it is left over when its header is read.
+        let is_folder = if is_link { fs::metadata(entry.path()).is_ok_and(|m| m.is_dir()) } else { kind.is_dir() };
+        if is_folder && name.extension().is_some_and(|e| e == "inspect") {
+            continue;
+        }
+        entries.push(Entry { name, is_link, is_folder });
+    }
+    entries.sort_by(|a, b| natural(&a.name, &b.name));
+    Ok(entries)
+}
+
+impl Walk {
+    /// Adds `linked`, and leaves each file in once: those by their own name once a folder, as copies of a card by hard links are; links
+    /// only to what is not there already.
+    fn add_once(&mut self, linked: Vec<Candidate>) {
+        let mut in_folder = HashMap::new();
+        let mut anywhere = HashMap::new();
+        let mut once = Vec::with_capacity(self.candidates.len());
+        for candidate in std::mem::take(&mut self.candidates) {
+            let Some(identity) = identity(&candidate.path) else {
+                once.push(candidate);
+                continue;
+            };
+            let earlier =
+                in_folder.entry((candidate.place.clone(), identity.clone())).or_insert_with(|| candidate.path.clone());
+            anywhere.entry(identity).or_insert_with(|| candidate.path.clone());
+            if *earlier == candidate.path {
+                once.push(candidate);
+            } else {
+                self.left_over.push(LeftOver { path: candidate.path, reason: Reason::SameFile(earlier.clone()) });
+            }
+        }
+        for candidate in linked {
+            let earlier = identity(&candidate.path)
+                .map(|identity| anywhere.entry(identity).or_insert_with(|| candidate.path.clone()));
+            match earlier {
+                Some(earlier) if *earlier != candidate.path => {
+                    self.left_over.push(LeftOver { path: candidate.path, reason: Reason::SameFile(earlier.clone()) });
+                }
+                _ => once.push(candidate),
+            }
+        }
+        self.candidates = once;
+    }
+}
