@@ -84,6 +84,8 @@ pub struct Planned {
     pub photographs: Vec<PathBuf>,
     /// Width and height of each, in pixels, orientation applied.
     pub size: (usize, usize),
+    /// Bits of a sample.
+    pub depth: u8,
     /// Relative exposures t ISO / N^2 (s), of those that say.
     pub exposures: Vec<f64>,
     /// Make and model.
@@ -102,6 +104,7 @@ impl From<&FoundBracket> for Planned {
             folder: found.folder.clone(),
             photographs: found.photographs.iter().map(|shot| shot.path.clone()).collect(),
             size: first.map_or((0, 0), |header| (header.width, header.height)),
+            depth: found.photographs.iter().map(|shot| shot.header.depth).max().unwrap_or(8),
             exposures: found.exposures().into_iter().flatten().collect(),
             camera: first.and_then(|header| header.camera.clone()),
             date_time: first.and_then(|header| Some(header.taken?.to_string())),
@@ -199,6 +202,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             frames: photographs,
             photographs,
             pixels: bracket.size.0 * bracket.size.1,
+            bytes: bytes(bracket.depth),
             seeks_ghosts: settings.seeks_ghosts,
             fuses: settings.fuses,
         };
@@ -256,6 +260,7 @@ fn responses(
             frames: counts.iter().copied().max().unwrap_or(0),
             photographs: counts.iter().sum(),
             pixels: largest.0 * largest.1,
+            bytes: brackets.iter().map(|b| bytes(b.depth)).max().unwrap_or(3),
             seeks_ghosts: false,
             fuses: false,
         };
@@ -285,6 +290,11 @@ fn responses(
         steps.insert(camera, step);
     }
     Ok(steps)
+}
+
+/// Bytes of a pixel in memory.
+fn bytes(depth: u8) -> usize {
+    if depth > 8 { 6 } else { 3 }
 }
 
 fn rounded(seconds: f64) -> f64 {
@@ -406,13 +416,18 @@ impl Step {
         Ok(steps)
     }
 
-    /// The step `id` of the plan in the file `path`.
+    /// The steps `ids` of the plan in the file `path`, in that order.
     ///
     /// # Errors
     /// Those of [`read_all`](Self::read_all); [`Error::Option`] where there is none, or where this version is not the one that planned.
-    pub fn read(path: &Path, id: &str) -> Result<Step> {
+    pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Step>> {
+        let all = Step::read_all(path)?;
+        ids.iter().map(|id| Step::named(path, &all, id)).collect()
+    }
+
+    fn named(path: &Path, all: &[Step], id: &str) -> Result<Step> {
         let refused = |option, reason| Err(Error::Option { option, reason });
-        match Step::read_all(path)?.into_iter().find(|step| step.id == id) {
+        match all.iter().find(|step| step.id == id) {
             None => refused("--id", format!("{}: there is no step {id:?}; `jq -r .id` lists them", path.display())),
             Some(step) if step.software != super::SOFTWARE => refused(
                 "--run",
@@ -423,7 +438,7 @@ impl Step {
                     super::SOFTWARE
                 ),
             ),
-            Some(step) => Ok(step),
+            Some(step) => Ok(step.clone()),
         }
     }
 
