@@ -169,6 +169,16 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// A file of steps could not be used.
+    #[error("{}: line {line}: is no plan: {reason}; make one by `hdralign batch --plan FOLDER`", path.display())]
+    PlanFile {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The brackets do not tell the camera's response.
     #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of still scenes, several stops wide", path.display())]
     NoResponse {
@@ -306,6 +316,14 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
+    /// A bracket could not be used, and what all brackets of a camera tell was had of the others.
+    #[error("{}: its bracket is left out of the response: {reason}", path.display())]
+    BracketLeftOut {
+        /// The first photograph of the bracket.
+        path: PathBuf,
+        /// The error.
+        reason: String,
+    },
     /// Frames carry different colour profiles; that of the reference was kept.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
     ProfilesDiffer {
@@ -362,6 +380,7 @@ impl Warning {
                 | Warning::ResponseBorrowed { .. }
                 | Warning::ResponseOfAnother { .. }
                 | Warning::CamerasDiffer { .. }
+                | Warning::BracketLeftOut { .. }
         )
     }
 }

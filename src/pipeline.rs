@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::calibration::Calibration;
 use crate::merge::deghost::{Deghost, Ghosts};
-use crate::merge::{MergeOptions, RadianceMap, weight::Weight};
+use crate::merge::{MergeOptions, RadianceMap, normalisation, weight::Weight};
 use crate::page::Developed;
 use crate::plane::Plane;
 use crate::report::{self, Report};
@@ -27,7 +27,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, aligned};
+use crate::write::{self, Pending, Whole, aligned};
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
@@ -81,6 +81,9 @@ pub struct Options {
     pub colour: Option<Space>,
     /// What takes radiance to cd/m2.
     pub calibration: Calibration,
+    /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be laid beside each
+    /// other ([normalisation]); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
+    pub unit_exposure: Option<f64>,
     /// How the picture comes about.
     pub rendering: Rendering,
     /// How files are encoded, and whether those that exist are replaced.
@@ -146,6 +149,43 @@ pub enum Progress {
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
+    prepare(images, options, watch)?.commit()
+}
+
+/// What a run made, whole but for its names; and its report.
+#[derive(Debug)]
+pub struct Prepared<R> {
+    /// What was done; the outputs in it are not there yet.
+    pub report: R,
+    files: Vec<Pending>,
+    overwrite: bool,
+}
+
+impl<R> Prepared<R> {
+    /// Waits until all is on the disk, and gives the files with the report.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn complete(self) -> Result<(R, Vec<Whole>)> {
+        let files = self.files.into_iter().map(Pending::complete).collect::<Result<_>>()?;
+        Ok((self.report, files))
+    }
+
+    /// Gives all files their names.
+    ///
+    /// # Errors
+    /// [`Error::OutputExists`] where a target has appeared meanwhile and may not be replaced; [`Error::Write`].
+    pub fn commit(self) -> Result<R> {
+        write::commit(self.files, self.overwrite)?;
+        Ok(self.report)
+    }
+}
+
+/// As [`run`], but nothing is named: the bytes of all files are on their way to the disk, and whoever waits for them takes no core.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Prepared<Report>> {
     Ok(merged(images, options, watch, false)?.0)
 }
 
@@ -154,9 +194,10 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
 /// # Errors
 /// Those of [`run`].
 pub fn develop(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
-    let (report, results) = merged(images, options, watch, true)?;
+    let (prepared, results) = merged(images, options, watch, true)?;
     let Results { radiance, display } = results;
-    Ok(Outcome { radiance: radiance.whole()?, display: DisplayImage { pixels: display }, report })
+    let radiance = radiance.whole()?;
+    Ok(Outcome { radiance, display: DisplayImage { pixels: display }, report: prepared.commit()? })
 }
 
 /// What is left when all is written.
@@ -172,7 +213,7 @@ fn merged(
     options: &Options,
     watch: &(dyn Fn(Progress) + Sync),
     keep: bool,
-) -> Result<(Report, Results)> {
+) -> Result<(Prepared<Report>, Results)> {
     in_pool(options.threads, || {
         check_names(images, options)?;
         let (options, taken) = &with_transforms(options)?;
@@ -181,13 +222,14 @@ fn merged(
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
         options.calibration.check(bracket.reference())?;
+        options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
         let alignment = line.align(&bracket, options)?;
         check_placed(&bracket, &alignment)?;
         let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let calibration = options.calibration.settle(bracket.reference(), &curve)?;
         let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
-        let (radiance, statistics) = line.units(radiance, options.colour, &calibration)?;
+        let (radiance, statistics) = line.units(radiance, &calibration, options)?;
         let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
         let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
         let metadata = line::metadata(bracket.reference(), options);
@@ -201,7 +243,7 @@ fn merged(
         report.options = Some(asked::report(options, true));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         report.response = Some(recovered);
-        report.radiance = Some(merged.report(statistics));
+        report.radiance = Some(merged.report(statistics, options.unit_exposure));
         report.calibration = calibration;
         report.colour = Some(slabs.primaries().into());
         report.flare = flare;
@@ -211,8 +253,9 @@ fn merged(
         if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
             files.push(write::mask::write(path, &ghosts.mask())?);
         }
-        line.report(&mut report, files, options)?;
-        Ok((report, Results { radiance: slabs, display }))
+        let files = line.report(&mut report, files, options)?;
+        let prepared = Prepared { report, files, overwrite: options.write.overwrite };
+        Ok((prepared, Results { radiance: slabs, display }))
     })
 }
 
@@ -234,7 +277,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         report.options = Some(asked::report(options, false));
         report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
         let files = line.others(&bracket, &alignment, region, None, options)?;
-        line.report(&mut report, files, options)?;
+        let files = line.report(&mut report, files, options)?;
+        write::commit(files, options.write.overwrite)?;
         Ok(report)
     })
 }
@@ -287,6 +331,7 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
     options.calibration.validate()?;
+    options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
     options.write.jpeg.validate()?;
     for path in &options.outputs {
         write::Format::of(path)?;

@@ -21,9 +21,12 @@ pub struct MemoryLimit {
 }
 
 impl MemoryLimit {
-    /// What is left for pixels: the program, its threads and their tables take some.
+    /// Bytes that the program, its threads and their tables take.
+    pub const PROGRAM: u64 = 64 << 20;
+
+    /// What is left for pixels.
     pub fn for_pixels(&self) -> u64 {
-        self.bytes.saturating_sub(64 << 20)
+        self.bytes.saturating_sub(MemoryLimit::PROGRAM)
     }
 }
 

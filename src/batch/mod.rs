@@ -1,7 +1,21 @@
-//! A night's worth of brackets: folders in, every bracket of them merged.
+//! Many brackets: found in folders, planned as steps, and done on one machine or by any engine.
 //!
-//! In: folders as they come from a card. Out: the brackets in them. Cost: see the parts.
+//! In: folders of photographs. Out: a plan, the results of its steps, and a summary. Cost: a look at the header of every photograph;
+//! then that of the steps.
+//!
+//! [`find()`] finds brackets. [`plan`](plan::plan) makes steps of brackets. [`step::run`] does one, whole or not at all and only where it is not done;
+//! [`schedule::run`] does all on this machine. [`summary::Summary`] tells how they went.
 
+mod estimate;
 pub mod find;
+pub mod name;
+pub mod plan;
+pub mod record;
+pub mod schedule;
+pub mod step;
+pub mod summary;
 
 pub use find::{FindOptions, Found, FoundBracket, LeftOver, Reason, Shot, find};
+
+/// The program and its version.
+pub const SOFTWARE: &str = concat!("hdralign ", env!("CARGO_PKG_VERSION"));

@@ -25,7 +25,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.quiet);
+    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.work.quiet);
     let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
     let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();

@@ -12,20 +12,12 @@ use hdralign::scratch::MemoryLimit;
 use hdralign::write;
 use std::path::{Path, PathBuf};
 
-/// What the photographs are, and how they are aligned.
+/// How photographs are aligned, whichever they are.
 #[derive(Debug, Args)]
-pub struct Aligned {
-    /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
-    #[arg(required = true, value_name = "IMAGES")]
-    pub images: Vec<PathBuf>,
-
+pub struct Method {
     /// Exposures in EV, one for each photograph in the order given; they win over EXIF
     #[arg(short, long, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
-
-    /// The photograph that the others are aligned to: its number in the order given, from 1, or its file name
-    #[arg(long, value_name = "N|FILE")]
-    reference: Option<String>,
 
     /// How the frames are aligned
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
@@ -38,18 +30,14 @@ pub struct Aligned {
     /// How matches of features that agree on a motion are told from wrong ones
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     robust: RobustArg,
+}
 
-    /// Leave this photograph out; may be repeated
-    #[arg(long, value_name = "FILE")]
-    leave_out: Vec<PathBuf>,
-
-    /// This photograph did not move: take it as it lies; may be repeated
-    #[arg(long, value_name = "FILE")]
-    unmoved: Vec<PathBuf>,
-
+/// What the machine may be used for, what may be replaced, and what is said.
+#[derive(Debug, Args)]
+pub struct Work {
     /// Threads that compute [default: one for each core]; the results are the same
     #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    pub threads: Option<usize>,
 
     /// Memory that may be used at most, as 500MB or 4GB [default: three quarters of what is free]; the results are the same. What does
     /// not fit is on disk for as long as it is needed
@@ -66,11 +54,55 @@ pub struct Aligned {
 
     /// Replace files that exist
     #[arg(short, long)]
-    force: bool,
+    pub force: bool,
 
     /// Say nothing but errors
     #[arg(short, long)]
     pub quiet: bool,
+}
+
+/// What the photographs are, and how they are aligned.
+#[derive(Debug, Args)]
+pub struct Aligned {
+    /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
+    #[arg(required = true, value_name = "IMAGES")]
+    pub images: Vec<PathBuf>,
+
+    /// The photograph that the others are aligned to: its number in the order given, from 1, or its file name
+    #[arg(long, value_name = "N|FILE")]
+    reference: Option<String>,
+
+    #[command(flatten)]
+    method: Method,
+
+    /// Leave this photograph out; may be repeated
+    #[arg(long, value_name = "FILE")]
+    leave_out: Vec<PathBuf>,
+
+    /// This photograph did not move: take it as it lies; may be repeated
+    #[arg(long, value_name = "FILE")]
+    unmoved: Vec<PathBuf>,
+
+    #[command(flatten)]
+    pub work: Work,
+}
+
+/// Which part of the reference is shown.
+#[derive(Debug, Args)]
+pub struct Cut {
+    /// Which part of the reference the results show
+    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
+    crop: CropArg,
+}
+
+impl Cut {
+    /// See [`Crop`].
+    pub fn crop(&self) -> Crop {
+        match self.crop {
+            CropArg::Common => Crop::Common,
+            CropArg::None => Crop::None,
+        }
+    }
 }
 
 /// The same, and how what comes of it is cut and told.
@@ -83,9 +115,8 @@ pub struct Common {
     #[arg(long, value_name = "FILE")]
     transforms: Option<PathBuf>,
 
-    /// Which part of the reference the results show
-    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
-    crop: CropArg,
+    #[command(flatten)]
+    cut: Cut,
 
     /// Write a report of everything that was done; the extension picks the format: .json (programs), .html (a page to look at)
     #[arg(long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
@@ -139,16 +170,11 @@ fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
-impl Aligned {
+impl Method {
     /// The library's options that these arguments stand for; all others as by default.
     pub fn options(&self) -> Options {
         Options {
-            load: LoadOptions {
-                ev: self.ev.clone(),
-                reference: self.reference(),
-                memory: self.memory(None),
-                ..LoadOptions::default()
-            },
+            load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
             align: AlignOptions {
                 mode: match self.align {
                     AlignArg::Auto => AlignMode::Auto,
@@ -161,20 +187,33 @@ impl Aligned {
                     RobustArg::Lmeds => RobustMethod::Lmeds,
                 },
                 mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
-                given: self.given(),
                 ..AlignOptions::default()
             },
-            write: write::Options { overwrite: self.force, ..write::Options::default() },
-            threads: self.threads,
             ..Options::default()
         }
     }
+}
 
+impl Work {
     /// How much memory may be used, where results are written to the folder of `output`.
     pub fn memory(&self, output: Option<&Path>) -> Option<MemoryLimit> {
         let folder = || output.and_then(Path::parent).map_or_else(std::env::temp_dir, Path::to_path_buf);
         let bytes = self.max_memory.or_else(|| Some(memory::free()? / 4 * 3))?;
         Some(MemoryLimit { bytes, folder: self.scratch.clone().unwrap_or_else(folder) })
+    }
+}
+
+impl Aligned {
+    /// The library's options that these arguments stand for; all others as by default.
+    pub fn options(&self) -> Options {
+        let options = self.method.options();
+        Options {
+            load: LoadOptions { reference: self.reference(), memory: self.work.memory(None), ..options.load },
+            align: AlignOptions { given: self.given(), ..options.align },
+            write: write::Options { overwrite: self.work.force, ..write::Options::default() },
+            threads: self.work.threads,
+            ..options
+        }
     }
 
     /// What the user says of single frames.
@@ -203,10 +242,11 @@ impl Aligned {
 impl Common {
     /// The library's options that these arguments stand for; all others as by default.
     pub fn options(&self) -> Options {
-        let crop = match self.crop {
-            CropArg::Common => Crop::Common,
-            CropArg::None => Crop::None,
-        };
-        Options { crop, transforms: self.transforms.clone(), report: self.report.clone(), ..self.aligned.options() }
+        Options {
+            crop: self.cut.crop(),
+            transforms: self.transforms.clone(),
+            report: self.report.clone(),
+            ..self.aligned.options()
+        }
     }
 }

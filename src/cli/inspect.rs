@@ -38,17 +38,17 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let Aligned { images, quiet, strict, .. } = &args.aligned;
+    let Aligned { images, work, .. } = &args.aligned;
     let folder = args.folder.clone().unwrap_or_else(|| pipeline::default_folder(images));
-    let mut bar = Bar::new(Plan::inspect(images), *quiet);
+    let mut bar = Bar::new(Plan::inspect(images), work.quiet);
     let tables = pipeline::inspect(images, &args.aligned.options(), &folder, &|p| bar.show(p));
     bar.clear();
     let tables = tables?;
-    if !quiet {
+    if !work.quiet {
         summary::warn(&tables.warnings, &Terminal::of_stderr());
         eprint!("{}", tables.to_text());
     }
     let paths = || tables.outputs.iter().map(|path| format!("{path}\n")).collect();
     super::tell(&if args.json { tables.to_json() } else { paths() })?;
-    Ok(super::exit_code(*strict && tables.is_degraded()))
+    Ok(super::exit_code(work.strict && tables.is_degraded()))
 }

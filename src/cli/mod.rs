@@ -10,6 +10,7 @@ mod inspect;
 mod man;
 mod memory;
 mod merge;
+mod merging;
 mod progress;
 mod radiance;
 mod recovery;
@@ -122,7 +123,7 @@ pub fn run() -> ExitCode {
 
 /// Tells what was done, and gives the exit code.
 fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
-    if !common.aligned.quiet {
+    if !common.aligned.work.quiet {
         summary::print(report, common.verbose);
     }
     let mut results = String::new();
@@ -135,7 +136,7 @@ fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
         }
     }
     tell(&results)?;
-    Ok(exit_code(common.aligned.strict && report.is_degraded()))
+    Ok(exit_code(common.aligned.work.strict && report.is_degraded()))
 }
 
 /// 3 where the result is less than what was asked for and that matters.

@@ -47,7 +47,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let Aligned { images, quiet, strict, .. } = &args.aligned;
+    let Aligned { images, work, .. } = &args.aligned;
     let options = camera::Options {
         line: pipeline::Options {
             response: args.recovery.model()?,
@@ -56,17 +56,18 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         },
         curves: args.output.clone(),
         plots: args.plot.clone(),
+        lenient: false,
     };
-    let mut bar = Bar::new(Plan::unknown(), *quiet);
+    let mut bar = Bar::new(Plan::unknown(), work.quiet);
     let report = camera::run(images, &options, &|p| bar.show(p));
     bar.clear();
     let report = report?;
-    if !quiet {
+    if !work.quiet {
         summarise(&report);
     }
     let paths = || report.outputs.iter().map(|path| format!("{path}\n")).collect();
     super::tell(&if args.json { report.to_json() } else { paths() })?;
-    Ok(super::exit_code(*strict && report.is_degraded()))
+    Ok(super::exit_code(work.strict && report.is_degraded()))
 }
 
 /// Warnings, and how well the curve is known, on stderr.

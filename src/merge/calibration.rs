@@ -129,10 +129,10 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
     Ok(CAMERA_CONSTANT * f_number * f_number / (time * iso))
 }
 
-/// Multiplies `map` by `cd_m2_per_unit`; what a float does not hold becomes the nearest that it does.
-pub fn calibrate(map: &mut RadianceMap, cd_m2_per_unit: f64) {
+/// Multiplies `map` by `factor`, into cd/m2 or another unit; what a float does not hold becomes the nearest that it does.
+pub fn calibrate(map: &mut RadianceMap, factor: f64) {
     let band = (BAND_ROWS * map.pixels.width()).max(1);
-    let scaled = |v: f32| ((f64::from(v) * cd_m2_per_unit) as f32).clamp(f32::MIN_POSITIVE, f32::MAX);
+    let scaled = |v: f32| ((f64::from(v) * factor) as f32).clamp(f32::MIN_POSITIVE, f32::MAX);
     map.pixels.as_mut_slice().par_chunks_mut(band).for_each(|pixels| {
         for pixel in pixels {
             *pixel = pixel.map(scaled);

@@ -22,7 +22,8 @@
 //!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
-//! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure.
+//! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure, or have
+//! them [normalised](normalisation).
 
 pub mod calibration;
 pub mod deghost;
@@ -31,6 +32,7 @@ pub mod gamut;
 mod layer;
 mod mean;
 mod noise;
+pub mod normalisation;
 pub mod share;
 pub mod statistics;
 pub mod weight;
@@ -42,6 +44,7 @@ use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
 use crate::simd::vectorised;
+use calibration::Unit;
 use deghost::Ghosts;
 use layer::{COLUMNS, Layer, ROWS, Tile, layers};
 use mean::{Bounds, Means, MergedRow};
@@ -86,10 +89,12 @@ pub struct Merged {
 }
 
 impl Merged {
-    /// The report of it, when the radiance has its unit and its colours.
-    pub fn report(self, radiance: Statistics) -> MergeReport {
+    /// The report of it, when the radiance has its unit and its colours: relative to `unit_exposure`, or to the reference's.
+    pub fn report(self, radiance: Statistics, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
-        MergeReport { frames, all_clipped, all_black, reference_exposure, radiance }
+        let is_relative = radiance.unit == Unit::Relative;
+        let unit_exposure_s = is_relative.then_some(unit_exposure.unwrap_or(reference_exposure));
+        MergeReport { frames, all_clipped, all_black, reference_exposure, unit_exposure_s, radiance }
     }
 }
 
@@ -104,6 +109,9 @@ pub struct MergeReport {
     pub all_black: usize,
     /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
+    /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code: the reference's, or that which the radiance is
+    /// [normalised](normalisation) to. Null in cd/m2.
+    pub unit_exposure_s: Option<f64>,
     /// Of the luminance.
     pub radiance: Statistics,
 }

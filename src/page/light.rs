@@ -37,7 +37,12 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let per_stop = Page::PER_STOP as f64;
     let step = |i: usize| (*first + i as i64) as f64 / per_stop;
     // Radiance as it was before it was given its unit.
-    let unit = libm::log2(report.calibration.as_ref().map_or(1.0, |c| c.cd_m2_per_unit));
+    let normalised = report.radiance.as_ref().and_then(|r| Some(r.unit_exposure_s? / r.reference_exposure));
+    let unit = report.calibration.as_ref().map(|c| c.cd_m2_per_unit).or(normalised).map_or(0.0, libm::log2);
+    let middle = match normalised {
+        Some(factor) if factor != 1.0 => "luminance, stops over what gives the middle code at the exposure of the unit",
+        _ => "luminance, stops over what gave the reference its middle code",
+    };
     let stops = stops_over_reference(report);
     let tells = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;
     let placed: Vec<usize> =
@@ -47,7 +52,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let (low, high) = (step(from) - 0.5, step(to + 1) + 0.5);
     let x = match report.calibration {
         Some(_) => decades(low, high),
-        None => Axis::within(low, high, 9, "luminance, stops over what gave the reference its middle code"),
+        None => Axis::within(low, high, 9, middle),
     };
     let most = counts.iter().max().copied().unwrap_or(1) as f64 / all as f64 * 100.0;
     let more = RANGE * ranges.len() as f64 + 12.0;

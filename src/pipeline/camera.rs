@@ -1,31 +1,32 @@
 //! A camera's response from one or many brackets: load, align and fine-tune each, pool their samples, save the curve and draw it.
 //!
-//! In: photographs and folders of them, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost: loading and aligning
+//! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost: loading and aligning
 //! each bracket, one after the other; of each, what its flat places show is kept.
 //! Source: the pooling is that of `response::recover_from`: what a camera does is the same in all its brackets, and together they show
 //! more of its codes.
 
+mod folders;
+mod seen;
+
 use super::line::Line;
-use super::names::natural;
-use super::{Progress, check_placed, in_pool};
-use crate::align::given::Given;
-use crate::bracket::{Capture, ReferenceChoice};
-use crate::error::{Error, Result, Warning};
+use super::{Prepared, Progress, in_pool};
+use crate::bracket::ReferenceChoice;
+use crate::error::{Error, Result};
 use crate::inspect::response_plot;
-use crate::report::{FrameReport, Report, WarningReport};
+use crate::report::{FrameReport, WarningReport};
 use crate::response::file::{Format, SavedResponse};
-use crate::response::ratios::{self, Exposures};
 use crate::response::samples::{self, Places};
 use crate::response::{self, ResponseReport};
 use crate::write::{self, Written};
+use seen::Seen;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// The version of the report's format: keys are only ever added to it.
 pub const SCHEMA: &str = "hdralign-response-report/1";
 
-/// Extensions of the photographs that are taken from a folder, in any case.
-const PHOTOGRAPHS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+/// Patches that are kept of all brackets together, at most: 72 bytes each, and as many of every bracket.
+pub const PATCHES: usize = 500_000;
 /// Places of each channel in a plot.
 const DRAWN: usize = 600;
 
@@ -40,6 +41,8 @@ pub struct Options {
     pub curves: Vec<PathBuf>,
     /// The curve is drawn here, by extension as `.svg` or `.png`.
     pub plots: Vec<PathBuf>,
+    /// Whether a bracket that cannot be loaded or aligned is left out with a warning, instead of stopping all.
+    pub lenient: bool,
 }
 
 /// What was done.
@@ -87,57 +90,34 @@ impl CameraReport {
     }
 }
 
-/// What is kept of a bracket: its frames are not.
-struct Seen {
-    /// The reference's file.
-    path: PathBuf,
-    capture: Capture,
-    places: Places,
-    report: BracketReport,
-}
-
 /// Recovers the response of the camera that took `images`, photographs and folders; those of one folder are one bracket.
 ///
 /// # Errors
-/// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell.
+/// Those of [`prepare`]; [`Error::Option`] where a folder holds no bracket, or something is said of one bracket and there are several.
 pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<CameraReport> {
+    let brackets = folders::brackets(images)?;
+    check_options(&brackets, options)?;
+    prepare(&brackets, options, watch)?.commit()
+}
+
+/// Recovers the response of the camera that took the photographs `brackets`, each a list of its own; its files are not named yet. Of hundreds of brackets no more is in memory
+/// than the frames of one, and [`PATCHES`] patches.
+///
+/// # Errors
+/// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell, or where
+/// none can be used.
+pub fn prepare(
+    brackets: &[Vec<PathBuf>],
+    options: &Options,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<Prepared<CameraReport>> {
     in_pool(options.line.threads, || {
         options.line.align.validate()?;
-        let brackets = brackets(images)?;
-        check_options(&brackets, options)?;
         let photographs = brackets.concat();
         check_names(&photographs, options)?;
         let mut line = Line::new(watch);
-        let mut seen: Vec<Seen> = Vec::with_capacity(brackets.len());
-        let mut found_given = 0;
-        for paths in &brackets {
-            let mut own = options.line.clone();
-            let bracket = line.load(paths, &own)?;
-            if brackets.len() > 1 {
-                own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
-            }
-            found_given += own.align.given.len();
-            let alignment = line.align(&bracket, &own)?;
-            check_placed(&bracket, &alignment)?;
-            let mut places = Places::of(&bracket, &alignment)?;
-            let mut bracket = bracket;
-            if own.exposures == Exposures::FineTuned {
-                let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
-                line.warnings.extend(warnings);
-                bracket = tuned;
-            }
-            let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
-            let first = bracket.reference();
-            let (path, capture) = (first.path().to_owned(), first.capture.clone());
-            seen.push(Seen { path, capture, places, report: BracketReport { reference, frames } });
-        }
-        if found_given < options.line.align.given.len() {
-            let reason = "a photograph named there is in none of the brackets".to_owned();
-            return Err(Error::Option { option: "--leave-out or --unmoved", reason });
-        }
-        line.warnings.extend(differing_cameras(&seen));
-        let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
-        let (curve, recovered, warnings) = response::recover_from(&places, &options.line.response)?;
+        let seen = seen::see(brackets, options, &mut line)?;
+        let (curve, recovered, warnings) = response::recover_from(&places(&seen), &options.line.response)?;
         line.warnings.extend(warnings);
         let first = &seen[0];
         if let Some(reason) = recovered.fallback {
@@ -166,8 +146,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             line.warnings.extend(written.warnings);
             pending.push(written.file);
         }
-        write::commit(pending, options.line.write.overwrite)?;
-        Ok(CameraReport {
+        let report = CameraReport {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             camera_make: saved.make.clone(),
@@ -177,53 +156,9 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
             outputs: names.iter().map(|p| p.to_string_lossy().into_owned()).collect(),
             warnings: line.warnings.iter().map(WarningReport::from).collect(),
             time_s: line.began.elapsed().as_secs_f64(),
-        })
+        };
+        Ok(Prepared { report, files: pending, overwrite: options.line.write.overwrite })
     })
-}
-
-/// `images` by the folders that they are in, in the order of the first of each; of a folder, the photographs in it by name.
-fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
-    let mut found: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
-    for image in images {
-        let paths = if image.is_dir() { photographs(image)? } else { vec![image.clone()] };
-        for path in paths {
-            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-            match found.iter_mut().find(|(name, _)| *name == folder) {
-                Some((_, bracket)) => bracket.push(path),
-                None => found.push((folder, vec![path])),
-            }
-        }
-    }
-    if let Some((folder, bracket)) = found.iter().find(|(_, bracket)| bracket.len() < 2) {
-        if found.len() == 1 && images.len() == 1 && !images[0].is_dir() {
-            return Err(Error::TooFewFrames { given: bracket.len() });
-        }
-        let reason = format!(
-            "of the folder {:?} only {} is given; the photographs of one folder are one bracket, and need to be two or more",
-            folder.display().to_string(),
-            bracket[0].display()
-        );
-        return Err(Error::Option { option: "IMAGES", reason });
-    }
-    Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
-}
-
-/// The photographs in `folder`, by their extensions and in the order of their names.
-fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
-    let unreadable = |source| Error::Read { path: folder.to_owned(), source };
-    let entries = std::fs::read_dir(folder).map_err(unreadable)?;
-    let mut paths = entries.map(|e| Ok(e?.path())).collect::<std::io::Result<Vec<_>>>().map_err(unreadable)?;
-    let extension = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let is_hidden = |p: &Path| p.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    paths.retain(|p| PHOTOGRAPHS.contains(&extension(p).as_str()) && !is_hidden(p) && p.is_file());
-    paths.sort_by(|a, b| natural(a, b));
-    if paths.len() < 2 {
-        let found = paths.len();
-        let reason =
-            format!("{} holds {found} photographs (.jpg, .png, .tif), and a bracket needs two", folder.display());
-        return Err(Error::Option { option: "IMAGES", reason });
-    }
-    Ok(paths)
 }
 
 /// What is said of single frames by their number in one bracket is for one bracket.
@@ -258,20 +193,13 @@ fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
     first.with_file_name(name + ".json")
 }
 
-fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
-    let name = |bracket: &Seen| bracket.capture.camera();
-    let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
-    let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
-    let others = others.filter(|(_, found)| *found != kept);
-    others
-        .map(|(bracket, found)| Warning::CamerasDiffer { path: bracket.path.clone(), found, kept: kept.clone() })
-        .collect()
+fn places(seen: &[Seen]) -> Vec<&Places> {
+    seen.iter().map(|bracket| &bracket.places).collect()
 }
 
 /// The plots, whole but not yet named.
 fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
-    let places: Vec<&Places> = seen.iter().map(|bracket| &bracket.places).collect();
-    let drawn = samples::draw(&places, DRAWN);
+    let drawn = samples::draw(&places(seen), DRAWN);
     let title = saved.camera().unwrap_or_else(|| "Camera response".to_owned());
     let frames: usize = seen.iter().map(|bracket| bracket.report.frames.len()).sum();
     let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(seen.len(), "bracket"));
@@ -291,23 +219,6 @@ fn counted(n: usize, what: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn photographs_of_a_folder_are_a_bracket() {
-        let dir = tempfile::tempdir().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        for folder in ["a", "b", "empty"] {
-            std::fs::create_dir(at(folder)).unwrap();
-        }
-        for name in ["a/10.JPG", "a/9.jpg", "a/notes.txt", "a/.10.jpg", "b/1.png", "b/2.tif"] {
-            std::fs::write(at(name), "").unwrap();
-        }
-        let all = brackets(&[at("a"), at("b/2.tif"), at("b/1.png")]).unwrap();
-        assert_eq!(all, [[at("a/9.jpg"), at("a/10.JPG")], [at("b/2.tif"), at("b/1.png")]]);
-        assert!(brackets(&[at("empty")]).unwrap_err().to_string().contains("0 photographs"));
-        assert!(brackets(&[at("a"), at("b/1.png")]).unwrap_err().to_string().contains("only"));
-        assert!(matches!(brackets(&[at("b/1.png")]), Err(Error::TooFewFrames { given: 1 })));
-    }
 
     #[test]
     fn the_response_is_named_after_the_camera() {

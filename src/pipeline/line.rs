@@ -7,14 +7,13 @@ use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
 use crate::align::{self, Alignment, Rect};
-use crate::bracket::colour::Space;
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::error::{Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::statistics::{Statistics, Tally};
-use crate::merge::{MergeOptions, Merged, Merging, gamut};
+use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane, fold_bands};
 use crate::report::{self, Report, Times, WarningReport};
@@ -26,7 +25,7 @@ use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
 use crate::write::gain_map::Survey;
-use crate::write::{self, Files, Format, Metadata, Settled, Written, aligned, exr};
+use crate::write::{self, Files, Format, Metadata, Pending, Settled, Written, aligned, exr};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -112,7 +111,9 @@ fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> 
 /// What headers say of a result.
 pub(super) fn metadata(reference: &Frame, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
-    Metadata { cd_m2_per_unit, ..Metadata::of(reference) }
+    let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");
+    let comments = options.unit_exposure.map(unit).into_iter().collect();
+    Metadata { cd_m2_per_unit, comments, ..Metadata::of(reference) }
 }
 
 /// The stages with a clock, and what they have warned of so far.
@@ -253,21 +254,24 @@ impl<'a> Line<'a> {
     pub fn units(
         &mut self,
         radiance: Radiance,
-        colour: Option<Space>,
         calibration: &Option<CalibrationReport>,
+        options: &Options,
     ) -> Result<(Radiance, Statistics)> {
         let began = Instant::now();
         let mut slabs = radiance.slabs;
         let mut outside = 0;
-        if colour.is_some() || calibration.is_some() {
+        let normalised = |unit| normalisation::factor(unit, radiance.merged.reference_exposure);
+        let calibrated = calibration.as_ref().map(|calibration| calibration.cd_m2_per_unit);
+        let factor = calibrated.or(options.unit_exposure.map(normalised));
+        if options.colour.is_some() || factor.is_some() {
             slabs = slabs.changed(|_, map| {
-                let (mut map, drawn) = match colour {
+                let (mut map, drawn) = match options.colour {
                     Some(space) => gamut::converted(map, space),
                     None => (map, 0),
                 };
                 outside += drawn;
-                if let Some(calibration) = calibration {
-                    calibration::calibrate(&mut map, calibration.cd_m2_per_unit);
+                if let Some(factor) = factor {
+                    calibration::calibrate(&mut map, factor);
                 }
                 map
             })?;
@@ -392,7 +396,9 @@ impl<'a> Line<'a> {
                 files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
             }
             if let Some(prefix) = &options.save_aligned {
-                files.extend(aligned::write(bracket, alignment, region, prefix, &metadata(reference, options))?);
+                // What the unit of radiance is says nothing of frames.
+                let metadata = Metadata { comments: Vec::new(), ..metadata(reference, options) };
+                files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);
             }
             Ok(files)
         });
@@ -400,8 +406,8 @@ impl<'a> Line<'a> {
         written
     }
 
-    /// Completes the report, adds its file to `files`, and gives all of them their names.
-    pub fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<()> {
+    /// Completes the report, and gives all files: `files`, and that of the report.
+    pub fn report(mut self, report: &mut Report, files: Vec<Written>, options: &Options) -> Result<Vec<Pending>> {
         let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
         let mut pending = Vec::new();
         for written in files {
@@ -416,6 +422,6 @@ impl<'a> Line<'a> {
             let text = self.page.as_ref().map_or_else(|| Ok(report.to_json()), |page| page.to_html(report))?;
             pending.push(write::text(path, &text)?.file);
         }
-        write::commit(pending, options.write.overwrite)
+        Ok(pending)
     }
 }

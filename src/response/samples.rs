@@ -143,6 +143,20 @@ impl Places {
         Ok(seen)
     }
 
+    /// Keeps places that have no more than `patches` patches together, evenly over the picture; where there are fewer, all.
+    pub fn thin(&mut self, patches: usize) {
+        let (all, kept) = (self.places.len(), patches / self.frames.len().max(1));
+        if all <= kept {
+            return;
+        }
+        let mut index = 0;
+        self.places.retain(|_| {
+            index += 1;
+            index * kept / all > (index - 1) * kept / all
+        });
+        self.places.shrink_to_fit();
+    }
+
     /// Takes the exposures that `bracket`, of which the places are, has now.
     pub fn time(&mut self, bracket: &Bracket) {
         let reference = bracket.reference().exposure.relative();
@@ -334,6 +348,28 @@ mod tests {
             let seen = |from: f64| samples.iter().flat_map(|s| &s.views).any(|v| (from..from + 16.0).contains(&v.code));
             assert!((0..15).all(|k| seen(8.0 + 16.0 * k as f64)));
         }
+    }
+
+    #[test]
+    fn thinned_places_are_even_and_tell_the_same() {
+        let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
+        let all = Places::of(&bracket, &alignment).unwrap();
+        let mut same = all.clone();
+        same.thin(3 * all.places.len());
+        assert_eq!(draw(&[&same], 500), draw(&[&all], 500), "there is room for all");
+        let mut few = all.clone();
+        few.thin(3 * 100 + 2);
+        assert_eq!(few.places.len(), 100);
+        // One of every so many, from the first rows to the last.
+        let step = all.places.len() / 100;
+        let kept = |place: &Candidate| {
+            few.places.iter().filter(|p| p.patches[1].unwrap()[0].mean == place.patches[1].unwrap()[0].mean).count()
+        };
+        assert!(step > 3 && kept(all.places.last().unwrap()) > 0);
+        let drawn = draw(&[&few], 500);
+        assert!(drawn.channels.iter().all(|samples| samples.len() > 30 && samples.len() <= 100));
+        few.thin(0);
+        assert!(few.places.is_empty());
     }
 
     #[test]

@@ -159,6 +159,14 @@ impl Whole {
     pub fn target(&self) -> &Path {
         &self.target
     }
+
+    /// Its bytes, to be read.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn open(&self) -> io::Result<fs::File> {
+        fs::File::open(&self.file)
+    }
 }
 
 impl Pending {

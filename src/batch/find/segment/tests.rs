@@ -206,7 +206,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let mut middle = metered(&mut chance, habit);
     // Thirds of a stop, as printed: off by up to a tenth, the same exposure always by the same.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
-    let mut take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
+    let take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
         let ev = printed(ev);
         let time = libm::exp2(ev);
         *now += pause;
@@ -306,7 +306,7 @@ fn snapshots_are_no_brackets() {
                 }
             })
             .collect();
-        let f = found(&beats);
+        let f = self::found(&beats);
         for r in &f {
             println!(
                 "{r:?} {:?}",

@@ -1,0 +1,80 @@
+//! What a step takes, before it is done: memory and time.
+//!
+//! In: how many photographs, and of what size. Out: bytes and seconds of one core. Cost: none.
+//! Source: measured, `docs/batch.md` says how; memory is meant to be enough, time to be about right on a core of a server of 2023.
+
+use super::plan::Kind;
+use crate::scratch::MemoryLimit;
+
+/// What a step is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Size {
+    /// What is done.
+    pub kind: Kind,
+    /// Photographs of the bracket; of the largest one where there are several.
+    pub frames: usize,
+    /// Photographs of all brackets.
+    pub photographs: usize,
+    /// Pixels of one.
+    pub pixels: usize,
+    /// Whether what moved is sought.
+    pub seeks_ghosts: bool,
+    /// Whether the frames are fused.
+    pub fuses: bool,
+}
+
+impl Size {
+    /// Bytes of the whole process at its peak, if it may have them: with less, what does not fit is put on disk.
+    pub fn memory(&self) -> u64 {
+        let pixels = self.pixels as u64;
+        let frames = self.frames as u64;
+        // Codes and pyramids of all frames; the radiance, or what comparing two frames needs, whichever is more, with room to spare.
+        let of_frames = pixels * frames * 9 / 2;
+        let of_results = if self.fuses { 64 } else { 22 } * pixels;
+        let of_small = 24 * pixels.min(4_000_000);
+        let of_ghosts = if self.seeks_ghosts { 80 * pixels.min(1_000_000) } else { 0 };
+        MemoryLimit::PROGRAM + of_frames + of_results + of_small + of_ghosts
+    }
+
+    /// Seconds of one core.
+    pub fn time_s(&self) -> f64 {
+        let megapixels = self.pixels as f64 / 1e6;
+        let photographs = self.photographs as f64;
+        let aligning = photographs * (0.08 + 0.055 * megapixels);
+        if self.kind == Kind::Response {
+            return 0.3 + aligning;
+        }
+        let merging = photographs * megapixels * if self.seeks_ghosts { 0.15 } else { 0.05 };
+        let fusing = if self.fuses { 0.15 * photographs * megapixels } else { 0.0 };
+        aligning + merging + fusing + 0.15 + 0.1 * megapixels
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_takes_more() {
+        let size = |frames, pixels, seeks_ghosts, fuses| Size {
+            kind: Kind::Merge,
+            frames,
+            photographs: frames,
+            pixels,
+            seeks_ghosts,
+            fuses,
+        };
+        let plain = size(3, 12_000_000, false, false);
+        for more in [
+            size(5, 12_000_000, false, false),
+            size(3, 24_000_000, false, false),
+            size(3, 12_000_000, true, false),
+            size(3, 12_000_000, false, true),
+        ] {
+            assert!(more.memory() > plain.memory() && more.time_s() > plain.time_s(), "{more:?}");
+        }
+        // Three frames of 12 MP were seen to take 320 to 343 MB, nine 494.
+        assert!((343..700).contains(&(plain.memory() / 1_000_000)), "{}", plain.memory());
+        assert!((494..1000).contains(&(size(9, 12_000_000, false, false).memory() / 1_000_000)));
+    }
+}

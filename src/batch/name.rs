@@ -1,0 +1,222 @@
+//! Names of results, by a template.
+//!
+//! In: a template as `{folder}/{first}-{last}`, and a bracket. Out: a path without extension, below the folder for results. Cost: none.
+
+use crate::error::{Error, Result};
+use std::path::{Component, Path, PathBuf};
+
+/// What a template is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Field {
+    Folder,
+    First,
+    Last,
+    Number,
+    Count,
+    Set,
+    Camera,
+    Date,
+    Time,
+}
+
+/// The fields, as they are typed, and what they stand for.
+const FIELDS: [(&str, Field, &str); 9] = [
+    ("folder", Field::Folder, "the folder of the photographs, below the one that was searched"),
+    ("first", Field::First, "the first photograph's name"),
+    ("last", Field::Last, "the last photograph's name"),
+    ("number", Field::Number, "the bracket's number, from 0001"),
+    ("count", Field::Count, "how many photographs it has"),
+    ("set", Field::Set, "the number of the panorama that it belongs to, from 001"),
+    ("camera", Field::Camera, "the camera, as Canon_EOS_5D"),
+    ("date", Field::Date, "when it was taken, as 2026-11-21"),
+    ("time", Field::Time, "when it was taken, as 17-05-59"),
+];
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Part {
+    Text(String),
+    Field(Field),
+}
+
+/// A template, known to be one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Template(Vec<Part>);
+
+/// What the fields stand for in one bracket; what is not known is `unknown`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Values {
+    /// The folder of the photographs, relative.
+    pub folder: PathBuf,
+    /// The first photograph's name, without extension.
+    pub first: String,
+    /// The last photograph's name, without extension.
+    pub last: String,
+    /// The bracket's number, from 1.
+    pub number: usize,
+    /// How many photographs it has.
+    pub count: usize,
+    /// The number of its panorama, from 1.
+    pub set: usize,
+    /// The camera.
+    pub camera: Option<String>,
+    /// `YYYY:MM:DD HH:MM:SS`, as EXIF has it.
+    pub date_time: Option<String>,
+}
+
+impl Default for Template {
+    /// `{folder}/{first}-{last}`: the results lie as the photographs do.
+    fn default() -> Self {
+        let text = |t: &str| Part::Text(t.into());
+        Template(vec![
+            Part::Field(Field::Folder),
+            text("/"),
+            Part::Field(Field::First),
+            text("-"),
+            Part::Field(Field::Last),
+        ])
+    }
+}
+
+impl Template {
+    /// The template `text`.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for a field that there is none of, and for a name outside of the folder for results.
+    pub fn parse(text: &str) -> Result<Template> {
+        let refused = |reason: String| Error::Option { option: "--name", reason };
+        let mut parts = Vec::new();
+        let mut rest = text;
+        while let Some(begin) = rest.find(['{', '}']) {
+            let end = rest[begin..].find('}').filter(|_| rest[begin..].starts_with('{'));
+            let Some(end) = end.map(|end| begin + end) else {
+                return Err(refused(format!("{text:?} has a brace without its other; fields are {}", listed())));
+            };
+            let name = &rest[begin + 1..end];
+            let Some((_, field, _)) = FIELDS.iter().find(|(known, ..)| *known == name) else {
+                return Err(refused(format!("there is no field {{{name}}}; there are {}", listed())));
+            };
+            if begin > 0 {
+                parts.push(Part::Text(rest[..begin].into()));
+            }
+            parts.push(Part::Field(*field));
+            rest = &rest[end + 1..];
+        }
+        if !rest.is_empty() {
+            parts.push(Part::Text(rest.into()));
+        }
+        if Path::new(text).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
+            return Err(refused(format!("{text:?} leads out of the folder for results; name a path below it")));
+        }
+        if text.is_empty() || text.ends_with('/') {
+            return Err(refused(format!("{text:?} ends with no name; put `{{first}}-{{last}}` behind it")));
+        }
+        Ok(Template(parts))
+    }
+
+    /// What fields there are, a line each.
+    pub fn help() -> String {
+        FIELDS.iter().map(|(name, _, about)| format!("  {:<10} {about}\n", format!("{{{name}}}"))).collect()
+    }
+
+    /// The path of a bracket's results, without extension.
+    pub fn path(&self, values: &Values) -> PathBuf {
+        let mut text = std::ffi::OsString::new();
+        for part in &self.0 {
+            match part {
+                Part::Text(t) => text.push(t),
+                Part::Field(Field::Folder) => text.push(&values.folder),
+                Part::Field(field) => text.push(values.text(*field)),
+            }
+        }
+        // A bracket in the searched folder itself has no folder: nothing must begin with `/` for that.
+        Path::new(&text).components().filter(|c| matches!(c, Component::Normal(_))).collect()
+    }
+}
+
+impl Values {
+    fn text(&self, field: Field) -> String {
+        let date_time = self.date_time.as_deref().unwrap_or("unknown unknown");
+        let (date, time) = date_time.split_once(' ').unwrap_or((date_time, "unknown"));
+        match field {
+            Field::Folder => String::new(),
+            Field::First => self.first.clone(),
+            Field::Last => self.last.clone(),
+            Field::Number => format!("{:04}", self.number),
+            Field::Count => self.count.to_string(),
+            Field::Set => format!("{:03}", self.set),
+            Field::Camera => plain(self.camera.as_deref().unwrap_or("unknown")),
+            Field::Date => date.replace(':', "-"),
+            Field::Time => time.replace(':', "-"),
+        }
+    }
+}
+
+/// `text` in letters that no shell, job or file system takes for something else: others become `_`.
+pub fn plain(text: &str) -> String {
+    let letter = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '.') { c } else { '_' };
+    let plain: String = text.chars().map(letter).collect();
+    // What begins with a dot is hidden, with a dash an option.
+    if plain.starts_with(['.', '-']) { format!("_{}", &plain[1..]) } else { plain }
+}
+
+fn listed() -> String {
+    FIELDS.iter().map(|(name, ..)| format!("{{{name}}}")).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values() -> Values {
+        Values {
+            folder: "night/a".into(),
+            first: "IMG_1".into(),
+            last: "IMG_3".into(),
+            number: 7,
+            count: 3,
+            set: 2,
+            camera: Some("Canon EOS 5D".into()),
+            date_time: Some("2026:11:21 17:05:59".into()),
+        }
+    }
+
+    #[test]
+    fn fields_are_filled_in() {
+        let path = |template: &str| Template::parse(template).unwrap().path(&values());
+        assert_eq!(Template::parse("{folder}/{first}-{last}").unwrap(), Template::default());
+        assert_eq!(Template::default().path(&values()), Path::new("night/a/IMG_1-IMG_3"));
+        let here = Values { folder: PathBuf::new(), ..values() };
+        assert_eq!(Template::default().path(&here), Path::new("IMG_1-IMG_3"));
+        assert_eq!(
+            path("{date}/{camera} {time} {number}x{count}"),
+            Path::new("2026-11-21/Canon_EOS_5D 17-05-59 0007x3")
+        );
+        assert_eq!(path("set{set}/{first}"), Path::new("set002/IMG_1"));
+        let unknown = Values { camera: None, date_time: None, ..values() };
+        assert_eq!(
+            Template::parse("{date} {time} {camera}").unwrap().path(&unknown),
+            Path::new("unknown unknown unknown")
+        );
+    }
+
+    #[test]
+    fn what_is_no_template_is_refused_with_the_fields() {
+        for (wrong, said) in [
+            ("{lens}", "{folder}"),
+            ("{first", "brace"),
+            ("first}", "brace"),
+            ("../{first}", "leads out"),
+            ("/tmp/{first}", "leads out"),
+            ("{folder}/", "no name"),
+            ("", "no name"),
+        ] {
+            let error = Template::parse(wrong).unwrap_err();
+            assert!(error.is_usage() && error.to_string().contains(said), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
+    fn plain_names_are_plain() {
+        assert_eq!(["a b/ü.jpg", "-x", ".x", "Canon EOS"].map(plain), ["a_b__.jpg", "_x", "_x", "Canon_EOS"]);
+    }
+}

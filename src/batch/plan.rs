@@ -1,0 +1,423 @@
+//! The plan: a line for each step, that any engine can run anywhere, in any order that its needs allow.
+//!
+//! In: brackets that were found, and where their results go. Out: [`Step`]s, and JSON lines of them. Cost: none to speak of.
+//!
+//! A step needs nothing but its own files: all that acts on its results stands in its line. Paths are absolute.
+
+use super::estimate::Size;
+use super::name::{Template, Values, plain};
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The version of the format: keys are only ever added to it.
+pub const SCHEMA: &str = "hdralign-plan/1";
+
+/// What is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// A bracket is merged.
+    Merge,
+    /// A camera's response is recovered from brackets.
+    Response,
+}
+
+/// A step of a plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Step {
+    /// [`SCHEMA`].
+    pub schema: String,
+    /// The program and its version: another version may give other bytes.
+    pub software: String,
+    /// What is done.
+    pub kind: Kind,
+    /// Its name in the plan: letters, digits, `.`, `_` and `-`.
+    pub id: String,
+    /// Steps that must be done before.
+    pub needs: Vec<String>,
+    /// The photographs, in their order; of all brackets, one after the other.
+    pub inputs: Vec<PathBuf>,
+    /// How many of the inputs each bracket has.
+    pub brackets: Vec<usize>,
+    /// The panorama that the bracket belongs to, from 1; none for a response.
+    pub set: Option<usize>,
+    /// The results.
+    pub outputs: Vec<PathBuf>,
+    /// The report as a page to look at, where that is wanted.
+    pub page: Option<PathBuf>,
+    /// The report, as JSON; the step's record is in it.
+    pub report: PathBuf,
+    /// Where it is told, as JSON, why the step failed, if it does.
+    pub failure: PathBuf,
+    /// The response that is used; none where the bracket's own is recovered.
+    pub response: Option<PathBuf>,
+    /// The relative exposure t ISO / N^2 (s) of which radiance 1 gives the middle code; none for that of the bracket's reference.
+    pub unit_exposure_s: Option<f64>,
+    /// Options of `hdralign batch` that act on the results, as they are typed.
+    pub options: Vec<String>,
+    /// Width of the photographs.
+    pub width_px: usize,
+    /// Height of the photographs.
+    pub height_px: usize,
+    /// Threads that the estimates are for.
+    pub threads: usize,
+    /// Memory that is enough, in units of 10^6 bytes.
+    pub memory_mb: u64,
+    /// Wall time on one core of a server of 2023, about.
+    pub time_s: f64,
+    /// The summary of all steps.
+    pub summary: PathBuf,
+}
+
+/// A bracket, as far as its step depends on it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Planned {
+    /// Folder for its results when none is named: the one that was searched.
+    pub root: PathBuf,
+    /// The folder of the photographs below that.
+    pub folder: PathBuf,
+    /// The photographs, in their order.
+    pub photographs: Vec<PathBuf>,
+    /// Width and height of each, in pixels, orientation applied.
+    pub size: (usize, usize),
+    /// Relative exposures t ISO / N^2 (s), of those that say.
+    pub exposures: Vec<f64>,
+    /// Make and model.
+    pub camera: Option<String>,
+    /// When it was taken, as EXIF has it.
+    pub date_time: Option<String>,
+    /// The panorama that it belongs to, from 1.
+    pub set: usize,
+}
+
+/// Whose exposure is the unit of radiance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Normalisation {
+    /// Each bracket's own reference.
+    #[default]
+    Bracket,
+    /// One for the brackets of a panorama: what two of them show alike has the same radiance.
+    Set,
+    /// One for all.
+    All,
+}
+
+/// Where the response is from.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum Responses {
+    /// Each bracket's own.
+    #[default]
+    Own,
+    /// A file, for all.
+    Given(PathBuf),
+    /// One for each camera, recovered from all its brackets.
+    Shared,
+}
+
+/// Where results go, and what they have in common.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Settings {
+    /// The folder for results; none for beside the photographs.
+    pub output: Option<PathBuf>,
+    /// Names below that.
+    pub template: Template,
+    /// Extensions of the results, without dots; there must be one.
+    pub formats: Vec<String>,
+    /// Whether a page is made of each.
+    pub page: bool,
+    /// Where the response is from.
+    pub responses: Responses,
+    /// Whose exposure is the unit of radiance.
+    pub normalisation: Normalisation,
+    /// Options that act on the results, as they are typed.
+    pub options: Vec<String>,
+    /// Whether what moved is sought.
+    pub seeks_ghosts: bool,
+    /// Whether frames are fused.
+    pub fuses: bool,
+}
+
+/// The steps for `brackets`, responses first; ids and names are unique, and do not depend on the order of `brackets` where they differ.
+///
+/// # Errors
+/// [`Error::Option`] where a path cannot be made absolute.
+pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
+    let absolute = |path: &Path| {
+        let reason = |e| Error::Option { option: "FOLDER", reason: format!("{}: {e}", path.display()) };
+        std::path::absolute(path).map_err(reason)
+    };
+    let roots: BTreeSet<&Path> = brackets.iter().map(|b| b.root.as_path()).collect();
+    let first_root = brackets.first().map_or(Path::new("."), |b| &b.root);
+    let home = absolute(settings.output.as_deref().unwrap_or(first_root))?;
+    let units = units(brackets, settings.normalisation);
+    let mut names = Unique::default();
+    let mut ids = Unique::default();
+    let mut steps = Vec::with_capacity(brackets.len());
+    let shared = match settings.responses {
+        Responses::Shared => responses(brackets, settings, &home, &mut ids, absolute)?,
+        Responses::Own | Responses::Given(_) => BTreeMap::new(),
+    };
+    for (i, bracket) in brackets.iter().enumerate() {
+        let name =
+            settings.template.path(&values(bracket, i, if roots.len() > 1 { Some(&bracket.root) } else { None }));
+        let base = match &settings.output {
+            Some(_) => home.join(&name),
+            // Beside the photographs, and below the folder that was searched; several of those are several places already.
+            None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
+        };
+        let base = names.path(base);
+        let id = ids.text(plain(&name.to_string_lossy()));
+        let own = shared.get(&bracket.camera);
+        let response = match &settings.responses {
+            Responses::Own => None,
+            Responses::Given(path) => Some(absolute(path)?),
+            Responses::Shared => own.and_then(|step: &Step| step.outputs.first().cloned()),
+        };
+        let photographs = bracket.photographs.len();
+        let size = Size {
+            kind: Kind::Merge,
+            frames: photographs,
+            photographs,
+            pixels: bracket.size.0 * bracket.size.1,
+            seeks_ghosts: settings.seeks_ghosts,
+            fuses: settings.fuses,
+        };
+        steps.push(Step {
+            schema: SCHEMA.into(),
+            software: super::SOFTWARE.into(),
+            kind: Kind::Merge,
+            needs: own.map(|step| step.id.clone()).into_iter().collect(),
+            inputs: bracket.photographs.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
+            brackets: vec![photographs],
+            set: Some(bracket.set),
+            outputs: settings.formats.iter().map(|format| with(&base, format)).collect(),
+            page: settings.page.then(|| with(&base, "html")),
+            report: with(&base, "json"),
+            failure: with(&base, "failed.json"),
+            response,
+            unit_exposure_s: units.get(&unit_of(bracket, settings.normalisation)).copied().flatten(),
+            options: settings.options.clone(),
+            width_px: bracket.size.0,
+            height_px: bracket.size.1,
+            threads: 1,
+            memory_mb: size.memory().div_ceil(1_000_000),
+            time_s: rounded(size.time_s()),
+            summary: home.join("batch.json"),
+            id,
+        });
+    }
+    let mut all: Vec<Step> = shared.into_values().collect();
+    all.extend(steps);
+    Ok(all)
+}
+
+/// The steps that recover a response for each camera.
+fn responses(
+    brackets: &[Planned],
+    settings: &Settings,
+    home: &Path,
+    ids: &mut Unique,
+    absolute: impl Fn(&Path) -> Result<PathBuf>,
+) -> Result<BTreeMap<Option<String>, Step>> {
+    let mut cameras: BTreeMap<Option<String>, Vec<&Planned>> = BTreeMap::new();
+    for bracket in brackets {
+        cameras.entry(bracket.camera.clone()).or_default().push(bracket);
+    }
+    let mut steps = BTreeMap::new();
+    for (camera, brackets) in cameras {
+        let name = plain(camera.as_deref().unwrap_or("unknown_camera"));
+        let id = ids.text(format!("response-{name}"));
+        let base = home.join(&id);
+        let inputs = brackets.iter().flat_map(|b| &b.photographs).map(|path| absolute(path));
+        let largest = brackets.iter().map(|b| b.size).max_by_key(|(w, h)| w * h).unwrap_or_default();
+        let counts: Vec<usize> = brackets.iter().map(|b| b.photographs.len()).collect();
+        let size = Size {
+            kind: Kind::Response,
+            frames: counts.iter().copied().max().unwrap_or(0),
+            photographs: counts.iter().sum(),
+            pixels: largest.0 * largest.1,
+            seeks_ghosts: false,
+            fuses: false,
+        };
+        let step = Step {
+            schema: SCHEMA.into(),
+            software: super::SOFTWARE.into(),
+            kind: Kind::Response,
+            needs: Vec::new(),
+            inputs: inputs.collect::<Result<_>>()?,
+            brackets: counts,
+            set: None,
+            outputs: vec![with(&base, "response.json")],
+            page: None,
+            report: with(&base, "json"),
+            failure: with(&base, "failed.json"),
+            response: None,
+            unit_exposure_s: None,
+            options: settings.options.clone(),
+            width_px: largest.0,
+            height_px: largest.1,
+            threads: 1,
+            memory_mb: size.memory().div_ceil(1_000_000),
+            time_s: rounded(size.time_s()),
+            summary: home.join("batch.json"),
+            id,
+        };
+        steps.insert(camera, step);
+    }
+    Ok(steps)
+}
+
+fn rounded(seconds: f64) -> f64 {
+    (seconds * 100.0).round() / 100.0
+}
+
+/// `base` and an extension behind whatever dots it has.
+fn with(base: &Path, extension: &str) -> PathBuf {
+    let mut name = base.as_os_str().to_owned();
+    name.push(".");
+    name.push(extension);
+    name.into()
+}
+
+fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
+    let stem =
+        |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
+    // Where several folders were searched, what came of each is in a folder of its own.
+    let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
+    Values {
+        folder: below.join(&bracket.folder),
+        first: stem(bracket.photographs.first()),
+        last: stem(bracket.photographs.last()),
+        number: index + 1,
+        count: bracket.photographs.len(),
+        set: bracket.set,
+        camera: bracket.camera.clone(),
+        date_time: bracket.date_time.clone(),
+    }
+}
+
+/// Of which brackets the unit is.
+fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
+    match normalisation {
+        Normalisation::Bracket => None,
+        Normalisation::Set => Some(bracket.set),
+        Normalisation::All => Some(0),
+    }
+}
+
+/// The middle one of the exposures of all brackets that share a unit: about that of their references. Where none is known it is 1 s,
+/// and the step says that the photographs do not tell.
+fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<usize>, Option<f64>> {
+    let mut exposures: BTreeMap<Option<usize>, Vec<f64>> = BTreeMap::new();
+    for bracket in brackets {
+        exposures.entry(unit_of(bracket, normalisation)).or_default().extend(&bracket.exposures);
+    }
+    let middle = |mut all: Vec<f64>| {
+        all.sort_by(f64::total_cmp);
+        all.get(all.len().saturating_sub(1) / 2).copied().unwrap_or(1.0)
+    };
+    exposures.into_iter().map(|(unit, all)| (unit, unit.map(|_| middle(all)))).collect()
+}
+
+/// Names that were given; who comes second has `-2` behind it.
+#[derive(Default)]
+struct Unique(BTreeSet<PathBuf>);
+
+impl Unique {
+    fn path(&mut self, wanted: PathBuf) -> PathBuf {
+        // Some file systems take names that differ in case for one.
+        let folded = |path: &Path| PathBuf::from(path.to_string_lossy().to_lowercase());
+        let nth = |n: usize| {
+            let mut name = wanted.as_os_str().to_owned();
+            name.push(format!("-{n}"));
+            PathBuf::from(name)
+        };
+        let path = if self.0.insert(folded(&wanted)) {
+            wanted
+        } else {
+            let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
+            free.unwrap_or(wanted)
+        };
+        path
+    }
+
+    fn text(&mut self, wanted: String) -> String {
+        self.path(wanted.into()).to_string_lossy().into_owned()
+    }
+}
+
+impl Step {
+    /// The step as a line of JSON, without its end.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for a path that is no UTF-8: JSON cannot hold it.
+    pub fn to_line(&self) -> Result<String> {
+        let all = self.inputs.iter().chain(&self.outputs).chain([&self.report, &self.summary]).chain(&self.response);
+        if let Some(path) = all.into_iter().find(|path| path.to_str().is_none()) {
+            let reason = format!(
+                "{}: the name is no UTF-8, which a plan cannot hold; rename it, or merge without a plan",
+                path.display()
+            );
+            return Err(Error::Option { option: "--plan", reason });
+        }
+        serde_json::to_string(self).map_err(|e| Error::Option { option: "--plan", reason: e.to_string() })
+    }
+
+    /// The steps in the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::Read`]; [`Error::PlanFile`] for what is no plan, of another version, or has an id twice.
+    pub fn read_all(path: &Path) -> Result<Vec<Step>> {
+        let text = fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let refused = |line: usize, reason: String| Error::PlanFile { path: path.to_owned(), line, reason };
+        let mut steps: Vec<Step> = Vec::new();
+        let mut ids = BTreeSet::new();
+        for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+            let step: Step = serde_json::from_str(line).map_err(|e| refused(i + 1, e.to_string()))?;
+            if step.schema != SCHEMA {
+                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is read", step.schema)));
+            }
+            if step.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(step.inputs.len()) {
+                return Err(refused(i + 1, "its brackets do not have as many photographs as there are inputs".into()));
+            }
+            if !ids.insert(step.id.clone()) {
+                return Err(refused(i + 1, format!("the id {:?} stands there twice", step.id)));
+            }
+            steps.push(step);
+        }
+        Ok(steps)
+    }
+
+    /// The step `id` of the plan in the file `path`.
+    ///
+    /// # Errors
+    /// Those of [`read_all`](Self::read_all); [`Error::Option`] where there is none, or where this version is not the one that planned.
+    pub fn read(path: &Path, id: &str) -> Result<Step> {
+        let refused = |option, reason| Err(Error::Option { option, reason });
+        match Step::read_all(path)?.into_iter().find(|step| step.id == id) {
+            None => refused("--id", format!("{}: there is no step {id:?}; `jq -r .id` lists them", path.display())),
+            Some(step) if step.software != super::SOFTWARE => refused(
+                "--run",
+                format!(
+                    "{}: was planned by {}, and this is {}, which may give other bytes; plan again",
+                    path.display(),
+                    step.software,
+                    super::SOFTWARE
+                ),
+            ),
+            Some(step) => Ok(step),
+        }
+    }
+
+    /// The photographs of each bracket.
+    pub fn by_bracket(&self) -> Vec<Vec<PathBuf>> {
+        let mut rest = self.inputs.iter();
+        self.brackets.iter().map(|&n| rest.by_ref().take(n).cloned().collect()).collect()
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests;

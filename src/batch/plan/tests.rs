@@ -1,0 +1,113 @@
+use super::*;
+
+/// A bracket of two in `folder`, at the exposures 1 and 4.
+fn planned(root: &str, folder: &str, first: usize) -> Planned {
+    let photographs = [first, first + 1].map(|n| Path::new(root).join(folder).join(format!("IMG_{n}.JPG"))).to_vec();
+    Planned {
+        root: root.into(),
+        folder: folder.into(),
+        photographs,
+        size: (640, 480),
+        exposures: vec![1.0, 4.0],
+        camera: Some("Canon EOS 5D".into()),
+        date_time: Some("2026:11:21 17:05:59".into()),
+        set: 1,
+    }
+}
+
+fn settings() -> Settings {
+    Settings { formats: vec!["exr".into(), "png".into()], ..Settings::default() }
+}
+
+/// Any step.
+pub fn step() -> Step {
+    plan(&[planned("/in", "a", 1)], &settings()).unwrap().remove(0)
+}
+
+#[test]
+fn results_lie_as_the_photographs_do() {
+    let brackets = [planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "", 5)];
+    let beside = plan(&brackets, &settings()).unwrap();
+    let reports = |steps: &[Step]| steps.iter().map(|s| s.report.to_str().unwrap().to_owned()).collect::<Vec<_>>();
+    assert_eq!(reports(&beside), ["/in/a/IMG_1-IMG_2.json", "/in/b/IMG_1-IMG_2.json", "/in/IMG_5-IMG_6.json"]);
+    assert_eq!(beside[0].outputs, ["/in/a/IMG_1-IMG_2.exr", "/in/a/IMG_1-IMG_2.png"].map(PathBuf::from));
+    assert_eq!(beside[0].failure, Path::new("/in/a/IMG_1-IMG_2.failed.json"));
+    assert_eq!(beside[0].id, "a_IMG_1-IMG_2");
+    assert!(beside.iter().all(|s| s.summary == Path::new("/in/batch.json")));
+    let elsewhere = plan(&brackets, &Settings { output: Some("/out".into()), page: true, ..settings() }).unwrap();
+    assert_eq!(elsewhere[1].page.as_deref(), Some(Path::new("/out/b/IMG_1-IMG_2.html")));
+    assert_eq!(elsewhere[2].summary, Path::new("/out/batch.json"));
+    let several = [planned("/in/x", "a", 1), planned("/in/y", "a", 1)];
+    let apart = plan(&several, &Settings { output: Some("/out".into()), ..settings() }).unwrap();
+    assert_eq!(reports(&apart), ["/out/x/a/IMG_1-IMG_2.json", "/out/y/a/IMG_1-IMG_2.json"]);
+    assert_eq!(
+        reports(&plan(&several, &settings()).unwrap()),
+        ["/in/x/a/IMG_1-IMG_2.json", "/in/y/a/IMG_1-IMG_2.json"]
+    );
+}
+
+#[test]
+fn no_two_results_have_one_name() {
+    let template = Template::parse("all").unwrap();
+    let steps = plan(
+        &[planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)],
+        &Settings { template, ..settings() },
+    )
+    .unwrap();
+    let reports: Vec<_> = steps.iter().map(|s| s.report.to_str().unwrap()).collect();
+    assert_eq!(reports, ["/in/all.json", "/in/all-2.json", "/in/all-3.json"]);
+    let ids: Vec<_> = steps.iter().map(|s| s.id.as_str()).collect();
+    assert_eq!(ids, ["all", "all-2", "all-3"]);
+}
+
+#[test]
+fn a_camera_has_one_response() {
+    let mut brackets = vec![planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)];
+    brackets[2].camera = None;
+    let steps = plan(&brackets, &Settings { responses: Responses::Shared, ..settings() }).unwrap();
+    let kinds: Vec<_> = steps.iter().map(|s| (s.kind, s.id.as_str())).collect();
+    assert_eq!(kinds[..2], [(Kind::Response, "response-unknown_camera"), (Kind::Response, "response-Canon_EOS_5D")]);
+    assert_eq!(steps[1].outputs, [PathBuf::from("/in/response-Canon_EOS_5D.response.json")]);
+    assert_eq!(steps[1].by_bracket(), [brackets[0].photographs.clone(), brackets[1].photographs.clone()]);
+    assert_eq!(steps[2].needs, ["response-Canon_EOS_5D"]);
+    assert_eq!(steps[2].response.as_ref(), Some(&steps[1].outputs[0]));
+    assert_eq!(steps[4].needs, ["response-unknown_camera"]);
+}
+
+#[test]
+fn a_panorama_has_one_unit() {
+    let mut brackets = vec![planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)];
+    brackets[1].exposures = vec![2.0, 8.0, 9.0];
+    brackets[2].set = 2;
+    brackets[2].exposures = Vec::new();
+    let units = |normalisation| {
+        let steps = plan(&brackets, &Settings { normalisation, ..settings() }).unwrap();
+        steps.iter().map(|s| s.unit_exposure_s).collect::<Vec<_>>()
+    };
+    assert_eq!(units(Normalisation::Bracket), [None, None, None]);
+    assert_eq!(units(Normalisation::Set), [Some(4.0), Some(4.0), Some(1.0)]);
+    assert_eq!(units(Normalisation::All), [Some(4.0), Some(4.0), Some(4.0)]);
+}
+
+#[test]
+fn a_plan_is_read_as_it_was_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("plan.jsonl");
+    let steps = plan(&[planned("/in", "a", 1), planned("/in", "b \u{fc}", 1)], &settings()).unwrap();
+    let text: String = steps.iter().map(|s| s.to_line().unwrap() + "\n").collect();
+    fs::write(&path, &text).unwrap();
+    assert_eq!(Step::read_all(&path).unwrap(), steps);
+    assert_eq!(Step::read(&path, "a_IMG_1-IMG_2").unwrap(), steps[0]);
+    assert!(Step::read(&path, "c").unwrap_err().to_string().contains("no step"));
+    let wrong = |text: String, said: &str| {
+        fs::write(&path, text).unwrap();
+        let error = Step::read(&path, &steps[0].id).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    };
+    let line = steps[0].to_line().unwrap();
+    wrong(format!("{line}\n{line}\n"), "line 2");
+    wrong("{}".into(), "line 1");
+    wrong(line.replace("hdralign-plan/1", "hdralign-plan/9"), "hdralign-plan/9");
+    wrong(line.replace("\"brackets\":[2]", "\"brackets\":[3]"), "brackets");
+    wrong(line.replace(super::super::SOFTWARE, "hdralign 99"), "plan again");
+}

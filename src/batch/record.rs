@@ -1,0 +1,224 @@
+//! What a step leaves behind of itself, by which a later run knows what is whole, and what is its own.
+//!
+//! In: a step, what it would be done with, and its files. Out: a key of its inputs, options and version, by content and never by date; and
+//! a record of the files that were made, kept in the step's report under `step`. Cost: every input and output is read once, for SHA-256.
+//!
+//! The report gets its name before the results do. Whoever is killed between the two leaves a record whose results are missing or are
+//! still those of the run before; [`Record::is_whole`] says so, and the record knows the older ones as [replaced](Record::replaced), so
+//! that the next run may put its own in their place. What nobody recorded is the user's and is never replaced.
+
+use super::plan::Step;
+use crate::error::{Error, Result};
+use crate::pipeline::Options;
+use crate::write::Format;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+/// Bytes that are read at once.
+const AT_ONCE: usize = 1 << 18;
+
+/// What a file holds.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Content {
+    /// Its name, without the folder; what is no UTF-8 in it becomes a replacement character.
+    pub name: String,
+    /// Its length.
+    pub bytes: u64,
+    /// SHA-256 of its bytes, in hexadecimal digits.
+    pub sha256: String,
+}
+
+impl Content {
+    /// Of the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn of(path: &Path) -> Result<Content> {
+        let failed = |source| Error::Read { path: path.to_owned(), source };
+        Content::read(path, File::open(path).map_err(failed)?).map_err(failed)
+    }
+
+    /// Of what `file` gives, which is or will be named `path`.
+    ///
+    /// # Errors
+    /// Those of reading.
+    pub fn read(path: &Path, mut file: impl Read) -> io::Result<Content> {
+        let mut hash = Sha256::new();
+        let mut buffer = vec![0; AT_ONCE];
+        let mut bytes = 0;
+        loop {
+            match file.read(&mut buffer) {
+                Ok(0) => return Ok(Content { name: name(path), bytes, sha256: hex(hash) }),
+                Ok(n) => {
+                    hash.update(&buffer[..n]);
+                    bytes += n as u64;
+                }
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
+            }
+        }
+    }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn hex(hash: Sha256) -> String {
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// What was done, and what came of it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Record {
+    /// [`Step::id`].
+    pub id: String,
+    /// SHA-256 over the content of all inputs, the options and the version: what is equal would give the same bytes.
+    pub key: String,
+    /// The program and its version.
+    pub software: String,
+    /// [`Step::options`].
+    pub options: Vec<String>,
+    /// The photographs, in their order.
+    pub inputs: Vec<Content>,
+    /// The results.
+    pub outputs: Vec<Content>,
+    /// SHA-256 of results of earlier runs that these take the place of.
+    pub replaced: Vec<String>,
+}
+
+/// The report with its record, as far as that is of interest.
+#[derive(Deserialize)]
+struct Report {
+    step: Record,
+}
+
+impl Record {
+    /// The record in the report `path`; none where there is no such file, or none of ours.
+    pub fn read(path: &Path) -> Option<Record> {
+        let text = fs::read(path).ok()?;
+        Some(serde_json::from_slice::<Report>(&text).ok()?.step)
+    }
+
+    /// Whether all of `outputs` are there as this record has them, by their length. Content is not looked at: names are given to whole
+    /// files alone, and a result that was changed since is the user's now.
+    pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
+        let is_there = |path: &PathBuf| {
+            let content = self.outputs.iter().find(|content| content.name == name(path));
+            content.is_some_and(|content| fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() == content.bytes))
+        };
+        outputs.iter().all(is_there)
+    }
+
+    /// Whether the file `path` is one that this run, or one before it, made: by content.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn made(&self, path: &Path) -> Result<bool> {
+        let found = Content::of(path)?.sha256;
+        Ok(self.outputs.iter().any(|content| content.sha256 == found) || self.replaced.contains(&found))
+    }
+}
+
+/// The key of `step`, done to `inputs` with `options`.
+///
+/// # Errors
+/// [`Error::Read`] for the response file.
+pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String> {
+    let mut hash = Sha256::new();
+    let mut take = |text: &str| {
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    };
+    take(super::SOFTWARE);
+    // Every option, so that none can be forgotten here; where results go and what they may use up is none of their content.
+    let mut acting =
+        Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
+    acting.load.memory = None;
+    acting.write.overwrite = false;
+    take(&format!("{:?} {acting:?}", step.kind));
+    for output in &step.outputs {
+        take(&Format::of(output).map_or_else(|_| name(output), |format| format!("{format:?}")));
+    }
+    take(if step.page.is_some() { "page" } else { "" });
+    match &options.response_file {
+        Some(path) => take(&Content::of(path)?.sha256),
+        None => take(""),
+    }
+    take(&format!("{:?}", step.brackets));
+    inputs.iter().for_each(|content| take(&content.sha256));
+    Ok(hex(hash))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plan::tests::step;
+    use super::*;
+
+    #[test]
+    fn the_digest_is_sha_256() {
+        let content = Content::read(Path::new("d/abc.txt"), &b"abc"[..]).unwrap();
+        // FIPS 180-4's example.
+        assert_eq!(content.sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+        assert_eq!((content.name.as_str(), content.bytes), ("abc.txt", 3));
+    }
+
+    #[test]
+    fn the_key_is_of_contents_options_and_order_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::write(at("a"), "A").unwrap();
+        std::fs::write(at("b"), "B").unwrap();
+        std::fs::write(at("c"), "A").unwrap();
+        let contents = |names: [&str; 2]| names.map(|n| Content::of(&at(n)).unwrap());
+        let plain = Options::default();
+        let of = |names, options: &Options| key(&step(), &contents(names), options).unwrap();
+        let first = of(["a", "b"], &plain);
+        assert_eq!(first, of(["c", "b"], &plain), "names do not count");
+        assert_ne!(first, of(["b", "a"], &plain));
+        let flare = Options { flare: true, ..Options::default() };
+        assert_ne!(first, of(["a", "b"], &flare));
+        let elsewhere = Options { threads: Some(3), outputs: vec!["x.exr".into()], ..Options::default() };
+        assert_eq!(first, of(["a", "b"], &elsewhere));
+        let mut other = step();
+        other.outputs.pop();
+        assert_ne!(first, key(&other, &contents(["a", "b"]), &plain).unwrap());
+        let with_response = |name| Options { response_file: Some(at(name)), ..Options::default() };
+        assert_ne!(of(["a", "b"], &with_response("a")), of(["a", "b"], &with_response("b")));
+        assert_eq!(of(["a", "b"], &with_response("a")), of(["a", "b"], &with_response("c")));
+    }
+
+    #[test]
+    fn what_was_made_is_known_by_its_content() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for (name, text) in [("a.exr", "A"), ("old.exr", "old"), ("mine.exr", "m")] {
+            std::fs::write(at(name), text).unwrap();
+        }
+        let outputs = vec![Content::of(&at("a.exr")).unwrap()];
+        let replaced = vec![Content::of(&at("old.exr")).unwrap().sha256];
+        let record = Record {
+            id: "x".into(),
+            key: String::new(),
+            software: String::new(),
+            options: Vec::new(),
+            inputs: Vec::new(),
+            outputs,
+            replaced,
+        };
+        assert!(record.made(&at("a.exr")).unwrap() && record.made(&at("old.exr")).unwrap());
+        assert!(!record.made(&at("mine.exr")).unwrap());
+        assert!(record.is_whole(&[at("a.exr")]));
+        assert!(!record.is_whole(&[at("a.exr"), at("mine.exr")]), "not in the record");
+        std::fs::write(at("a.exr"), "").unwrap();
+        assert!(!record.is_whole(&[at("a.exr")]));
+        std::fs::write(at("r.json"), "{\"step\": 3}").unwrap();
+        assert_eq!(Record::read(&at("r.json")), None);
+        std::fs::write(at("r.json"), serde_json::json!({ "step": record }).to_string()).unwrap();
+        assert_eq!(Record::read(&at("r.json")), Some(record));
+        assert_eq!(Record::read(&at("none.json")), None);
+    }
+}

@@ -1,0 +1,278 @@
+//! All steps of a plan on one machine: as many at a time as cores and memory allow.
+//!
+//! In: steps, in an order in which what is needed comes first. Out: how each ended. Cost: that of the steps; a step runs on one core while
+//! there are enough of them, which takes less than several cores for one step, and the last ones share what is left.
+//!
+//! A thread of its own waits for the disk and gives files their names, so that no core does. One bad step stops nothing but those that
+//! need it. Results do not depend on what runs beside what.
+
+use super::plan::Step;
+use super::step::{self, Begun, Brief, Made};
+use crate::error::Result;
+use crate::pipeline::Options;
+use crate::scratch::MemoryLimit;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Steps that may wait for the disk before those that compute do too.
+const WAITING: usize = 4;
+
+/// What the machine may be used for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Limits {
+    /// Steps at a time; at least 1.
+    pub jobs: usize,
+    /// Threads that compute, of all steps together; at least 1.
+    pub threads: usize,
+    /// Memory of all steps together.
+    pub memory: Option<MemoryLimit>,
+}
+
+/// How a step ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Ending {
+    /// It was done.
+    Done(Brief),
+    /// It was done before, with the same inputs, options and version.
+    Unchanged(Brief),
+    /// It failed, and why.
+    Failed(String),
+    /// It was not begun: the run was stopped before.
+    NotBegun,
+}
+
+/// What is going on; told from any thread.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// A step begins.
+    Begins(&'a Step),
+    /// A step ended.
+    Ends(&'a Step, &'a Ending),
+}
+
+/// Does `steps` with `options`, and gives how each ended, in their order. With `force` what was done is done again. Once `stop` is set, what
+/// has begun is ended and nothing else is begun.
+pub fn run(
+    steps: &[Step],
+    options: &Options,
+    limits: &Limits,
+    force: bool,
+    stop: &AtomicBool,
+    watch: &(dyn Fn(Event) + Sync),
+) -> Vec<Ending> {
+    let board = Board::new(steps, limits, stop, watch);
+    let (to_namer, made) = sync_channel(WAITING);
+    std::thread::scope(|scope| {
+        scope.spawn(|| name(&board, made));
+        for _ in 0..limits.jobs.clamp(1, steps.len().max(1)) {
+            let (to_namer, board) = (to_namer.clone(), &board);
+            scope.spawn(move || work(board, options, force, &to_namer));
+        }
+        drop(to_namer);
+    });
+    board.endings()
+}
+
+/// Takes one step after the other.
+fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Made<'a>)>) {
+    while let Some((i, share)) = board.take() {
+        let own = share.options(options, &board.steps[i]);
+        let begun = guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
+        board.give_back(&share);
+        match begun {
+            Ok(Begun::Unchanged(brief)) => board.end(i, Ending::Unchanged(brief)),
+            Ok(Begun::Made(made)) => {
+                if let Err(back) = to_namer.send((i, made)) {
+                    let (i, made) = back.0;
+                    board.end(i, named(made));
+                }
+            }
+            Err(error) => board.end(i, Ending::Failed(error)),
+        }
+    }
+}
+
+/// Waits for the disk, and gives names.
+fn name(board: &Board, made: Receiver<(usize, Made)>) {
+    made.iter().for_each(|(i, made)| board.end(i, named(made)));
+}
+
+fn named(made: Made) -> Ending {
+    guarded(|| made.commit()).map_or_else(Ending::Failed, Ending::Done)
+}
+
+/// What `work` gives; should it panic, that is this step's failure alone.
+fn guarded<R>(work: impl FnOnce() -> Result<R>) -> std::result::Result<R, String> {
+    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+    outcome.map_or_else(
+        |_| Err("the program failed in an unforeseen way; please report it with these photographs".to_owned()),
+        |result| result.map_err(|error| error.to_string()),
+    )
+}
+
+/// What one step may use.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Share {
+    threads: usize,
+    /// Bytes for pixels.
+    pixels: u64,
+}
+
+impl Share {
+    fn options(&self, options: &Options, step: &Step) -> Options {
+        let mut own = Options { threads: Some(self.threads), ..options.clone() };
+        if let Some(limit) = &mut own.load.memory {
+            limit.bytes = self.pixels + MemoryLimit::PROGRAM;
+            // What is named by nobody is where the results go.
+            if limit.folder.as_os_str().is_empty() {
+                limit.folder = step.report.parent().unwrap_or(&step.report).to_owned();
+            }
+        }
+        own
+    }
+}
+
+#[derive(Debug)]
+enum State {
+    Open,
+    Going,
+    Ended(Ending),
+}
+
+/// Which steps are open, going on, ended; and what is free.
+struct Board<'a> {
+    steps: &'a [Step],
+    places: BTreeMap<&'a str, usize>,
+    limits: &'a Limits,
+    stop: &'a AtomicBool,
+    watch: &'a (dyn Fn(Event) + Sync),
+    open: Mutex<Open>,
+    changed: Condvar,
+}
+
+struct Open {
+    states: Vec<State>,
+    /// Bytes for pixels that no step has.
+    free: u64,
+    /// Steps that compute.
+    going: usize,
+}
+
+impl<'a> Board<'a> {
+    fn new(steps: &'a [Step], limits: &'a Limits, stop: &'a AtomicBool, watch: &'a (dyn Fn(Event) + Sync)) -> Self {
+        let states = steps.iter().map(|_| State::Open).collect();
+        let open = Open { states, free: capacity(limits), going: 0 };
+        Board {
+            steps,
+            places: steps.iter().enumerate().map(|(i, step)| (step.id.as_str(), i)).collect(),
+            limits,
+            stop,
+            watch,
+            open: Mutex::new(open),
+            changed: Condvar::new(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Open> {
+        // Whoever holds it does nothing that could panic half-way.
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The next step, and what it may use; none when there is nothing left to begin.
+    fn take(&self) -> Option<(usize, Share)> {
+        let mut open = self.lock();
+        loop {
+            if self.stop.load(Ordering::SeqCst) {
+                return None;
+            }
+            let failed = self.with_failed_need(&open);
+            for (i, reason) in failed {
+                self.set(&mut open, i, Ending::Failed(reason));
+            }
+            let ready: Vec<usize> =
+                (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).take(self.limits.jobs).collect();
+            if let Some(&i) = ready.first() {
+                let pixels = pixels(&self.steps[i]).min(capacity(self.limits));
+                if pixels <= open.free {
+                    let at_once = (ready.len() + open.going).clamp(1, self.limits.jobs.max(1));
+                    let threads = (self.limits.threads / at_once).max(1);
+                    open.states[i] = State::Going;
+                    open.free -= pixels;
+                    open.going += 1;
+                    drop(open);
+                    (self.watch)(Event::Begins(&self.steps[i]));
+                    return Some((i, Share { threads, pixels }));
+                }
+            } else if !open.states.iter().any(|state| matches!(state, State::Open)) {
+                return None;
+            }
+            open = self.changed.wait(open).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn is_ready(&self, open: &Open, i: usize) -> bool {
+        let is_done = |id: &String| {
+            let state = self.places.get(id.as_str()).map(|&i| &open.states[i]);
+            matches!(state, Some(State::Ended(Ending::Done(_) | Ending::Unchanged(_))))
+        };
+        matches!(open.states[i], State::Open) && self.steps[i].needs.iter().all(is_done)
+    }
+
+    /// Open steps that need one that failed, or that there is none of.
+    fn with_failed_need(&self, open: &Open) -> Vec<(usize, String)> {
+        let reason = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
+            None => Some(format!("it needs the step {id}, which the plan does not have")),
+            Some(State::Ended(Ending::Failed(why))) => Some(format!("it needs {id}, which failed: {why}")),
+            _ => None,
+        };
+        let is_open = |i: &usize| matches!(open.states[*i], State::Open);
+        let open_steps = (0..self.steps.len()).filter(is_open);
+        open_steps.filter_map(|i| Some((i, self.steps[i].needs.iter().find_map(reason)?))).collect()
+    }
+
+    /// The step computes no more.
+    fn give_back(&self, share: &Share) {
+        let mut open = self.lock();
+        open.free += share.pixels;
+        open.going -= 1;
+        self.changed.notify_all();
+    }
+
+    fn end(&self, i: usize, ending: Ending) {
+        let mut open = self.lock();
+        self.set(&mut open, i, ending);
+        self.changed.notify_all();
+    }
+
+    fn set(&self, open: &mut Open, i: usize, ending: Ending) {
+        if let Ending::Failed(error) = &ending {
+            step::remember_failure(&self.steps[i], error);
+        }
+        (self.watch)(Event::Ends(&self.steps[i], &ending));
+        open.states[i] = State::Ended(ending);
+    }
+
+    fn endings(self) -> Vec<Ending> {
+        let open = self.open.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let ending = |state| match state {
+            State::Ended(ending) => ending,
+            State::Open | State::Going => Ending::NotBegun,
+        };
+        open.states.into_iter().map(ending).collect()
+    }
+}
+
+/// Bytes for the pixels of all steps together.
+fn capacity(limits: &Limits) -> u64 {
+    limits.memory.as_ref().map_or(u64::MAX, MemoryLimit::for_pixels)
+}
+
+/// Bytes for the pixels of `step`, if it may have them.
+fn pixels(step: &Step) -> u64 {
+    (step.memory_mb * 1_000_000).saturating_sub(MemoryLimit::PROGRAM)
+}
+
+#[cfg(test)]
+mod tests;

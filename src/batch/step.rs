@@ -1,0 +1,263 @@
+//! One step: a bracket merged, or a response recovered, whole or not at all, and only where that was not done before.
+//!
+//! In: a [`Step`] and the options it stands for. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`, and
+//! reading inputs and outputs once for their digests.
+//!
+//! A step may be begun again at any time, by anyone: what is whole is left alone, what was interrupted is done again, and what a step made
+//! may be replaced by the same step, but nothing else is. Two that do the same step at once both end with the same files.
+
+use super::plan::{Kind, Step};
+use super::record::{self, Content, Record};
+use crate::error::{Error, Result};
+use crate::pipeline::camera::{self, CameraReport};
+use crate::pipeline::{self, Options, Progress};
+use crate::report::Report;
+use crate::write::{self, Whole};
+use serde::Serialize;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// What a summary tells of a step that was done.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Brief {
+    /// Whether the result is less than what was asked for: a frame left out or doubtful, an exposure or the response guessed.
+    pub degraded: bool,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// Photographs that were left out.
+    pub left_out: usize,
+    /// The least confidence of the frames that were placed.
+    pub least_confidence: Option<f64>,
+    /// Wall time of the run that made the files.
+    pub time_s: Option<f64>,
+}
+
+impl Brief {
+    /// Of a report.
+    pub fn of(report: &Value) -> Brief {
+        let list = |value: &Value, key: &str| value[key].as_array().cloned().unwrap_or_default();
+        let warnings = list(report, "warnings");
+        let mut frames = list(report, "frames");
+        frames.extend(list(report, "brackets").iter().flat_map(|bracket| list(bracket, "frames")));
+        let places: Vec<&Value> = frames.iter().map(|frame| &frame["alignment"]).collect();
+        let is_left_out = |place: &&&Value| place["status"] == "rejected";
+        let confidences = places.iter().filter(|p| !is_left_out(p)).filter_map(|p| p["confidence"].as_f64());
+        Brief {
+            degraded: warnings.iter().any(|w| w["degrades"] == true),
+            warnings: warnings.iter().filter_map(|w| w["message"].as_str().map(str::to_owned)).collect(),
+            left_out: places.iter().filter(is_left_out).count(),
+            least_confidence: confidences.reduce(f64::min),
+            time_s: report["time_s"].as_f64().or_else(|| report["time_s"]["total"].as_f64()),
+        }
+    }
+
+    /// Of the report in the file `path`.
+    pub fn read(path: &Path) -> Option<Brief> {
+        Some(Brief::of(&serde_json::from_slice(&fs::read(path).ok()?).ok()?))
+    }
+}
+
+/// How far a step is when its pixels are done.
+#[derive(Debug)]
+pub enum Begun<'a> {
+    /// It was done before, with the same inputs, options and version.
+    Unchanged(Brief),
+    /// All is made but for the names.
+    Made(Made<'a>),
+}
+
+/// Files of a step that wait for the disk and for their names.
+#[derive(Debug)]
+pub struct Made<'a> {
+    step: &'a Step,
+    key: String,
+    inputs: Vec<Content>,
+    replaced: Vec<String>,
+    /// Results and report that are there, and are ours.
+    existing: Vec<PathBuf>,
+    prepared: Prepared,
+}
+
+/// What either kind of step prepares.
+#[derive(Debug)]
+enum Prepared {
+    Merged(pipeline::Prepared<Report>),
+    Recovered(pipeline::Prepared<CameraReport>),
+}
+
+/// Does `step` up to the names of its files. Of `options` all counts but what the step says itself: files, and the response. With `force`
+/// it is done again, and files that somebody else made are replaced.
+///
+/// # Errors
+/// Those of [`pipeline::run`]; [`Error::OutputExists`] for a result that neither this step nor an earlier form of it made.
+pub fn begin<'a>(
+    step: &'a Step,
+    options: &Options,
+    force: bool,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<Begun<'a>> {
+    let inputs: Vec<Content> = step.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
+    let options = &acting(step, options);
+    let key = record::key(step, &inputs, options)?;
+    let known = Record::read(&step.report);
+    let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
+    let is_same = known.as_ref().is_some_and(|record| record.key == key && record.is_whole(&results));
+    if let Some(brief) = Brief::read(&step.report).filter(|_| is_same && !force) {
+        forget_failure(step);
+        return Ok(Begun::Unchanged(brief));
+    }
+    let existing: Vec<PathBuf> =
+        results.iter().chain([&step.report]).filter(|path| fs::symlink_metadata(path).is_ok()).cloned().collect();
+    for path in existing.iter().filter(|_| !force) {
+        let is_ours = match &known {
+            Some(record) => *path == step.report || record.made(path)?,
+            None => false,
+        };
+        if !is_ours {
+            return Err(Error::OutputExists { path: path.clone() });
+        }
+    }
+    let folder = step.report.parent().unwrap_or(Path::new("."));
+    fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
+    let replaced = known.map_or_else(Vec::new, |record| {
+        let made = record.outputs.into_iter().map(|content| content.sha256);
+        made.chain(record.replaced).collect()
+    });
+    let prepared = match step.kind {
+        Kind::Merge => Prepared::Merged(pipeline::prepare(&step.inputs, options, watch)?),
+        Kind::Response => {
+            let options = camera::Options {
+                line: options.clone(),
+                curves: step.outputs.clone(),
+                plots: Vec::new(),
+                // One bad bracket stops nothing.
+                lenient: true,
+            };
+            Prepared::Recovered(camera::prepare(&step.by_bracket(), &options, watch)?)
+        }
+    };
+    Ok(Begun::Made(Made { step, key, inputs, replaced, existing, prepared }))
+}
+
+/// The options of a run of the pipeline that does `step`.
+fn acting(step: &Step, options: &Options) -> Options {
+    let mut options = options.clone();
+    options.outputs.clone_from(&step.outputs);
+    options.report.clone_from(&step.page);
+    options.response_file.clone_from(&step.response);
+    options.unit_exposure = step.unit_exposure_s;
+    // What exists is looked at here, file by file.
+    options.write.overwrite = true;
+    options
+}
+
+impl Made<'_> {
+    /// Waits until all is on the disk and gives the files their names: first the report, that what follows is known as this step's even if
+    /// it is interrupted.
+    ///
+    /// # Errors
+    /// [`Error::Write`]; [`Error::OutputExists`] where a file appeared meanwhile.
+    pub fn commit(self) -> Result<Brief> {
+        let Made { step, key, inputs, replaced, existing, prepared } = self;
+        let (mut report, files) = match prepared {
+            Prepared::Merged(prepared) => {
+                let (report, files) = prepared.complete()?;
+                (as_value(&report), files)
+            }
+            Prepared::Recovered(prepared) => {
+                let (report, files) = prepared.complete()?;
+                (as_value(&report), files)
+            }
+        };
+        let outputs = files.iter().map(content).collect::<Result<Vec<_>>>()?;
+        let mut older: Vec<String> = replaced;
+        older.retain(|digest| outputs.iter().all(|content| content.sha256 != *digest));
+        older.sort();
+        older.dedup();
+        let record = Record {
+            id: step.id.clone(),
+            key,
+            software: step.software.clone(),
+            options: step.options.clone(),
+            inputs,
+            outputs,
+            replaced: older,
+        };
+        report["step"] = as_value(&record);
+        let text = serde_json::to_string_pretty(&report).unwrap_or_default() + "\n";
+        let is_there = |path: &Path| existing.iter().any(|there| there == path);
+        write::place(vec![write::whole(&step.report, text.as_bytes())?], is_there(&step.report))?;
+        let (replacing, new): (Vec<Whole>, Vec<Whole>) = files.into_iter().partition(|file| is_there(file.target()));
+        write::place(replacing, true)?;
+        write::place(new, false)?;
+        forget_failure(step);
+        Ok(Brief::of(&report))
+    }
+}
+
+/// What a whole file holds, before it has its name.
+fn content(file: &Whole) -> Result<Content> {
+    let target = file.target();
+    let failed = |source| Error::Write { path: target.to_owned(), source };
+    Content::read(target, file.open().map_err(failed)?).map_err(failed)
+}
+
+/// Strings, numbers and lists of them: nothing in it can fail.
+fn as_value(report: &impl Serialize) -> Value {
+    serde_json::to_value(report).unwrap_or_default()
+}
+
+/// Does `step` as a whole; and whether there was something to do.
+///
+/// # Errors
+/// Those of [`begin`] and [`Made::commit`]; they are told in [`Step::failure`] too.
+pub fn run(step: &Step, options: &Options, force: bool, watch: &(dyn Fn(Progress) + Sync)) -> Result<(Brief, bool)> {
+    let outcome = begin(step, options, force, watch).and_then(|begun| match begun {
+        Begun::Unchanged(brief) => Ok((brief, false)),
+        Begun::Made(made) => Ok((made.commit()?, true)),
+    });
+    if let Err(error) = &outcome {
+        remember_failure(step, &error.to_string());
+    }
+    outcome
+}
+
+/// Why a step failed, beside its results.
+#[derive(Debug, Clone, PartialEq, Serialize, serde::Deserialize)]
+pub struct Failure {
+    /// `hdralign-failure/1`.
+    pub schema: String,
+    /// [`Step::id`].
+    pub id: String,
+    /// What went wrong, and the remedy.
+    pub error: String,
+}
+
+impl Failure {
+    /// The failure of `step`, if one is told.
+    pub fn read(step: &Step) -> Option<Failure> {
+        let failure: Failure = serde_json::from_slice(&fs::read(&step.failure).ok()?).ok()?;
+        (failure.schema == FAILURE).then_some(failure)
+    }
+}
+
+/// The version of the format of failures.
+const FAILURE: &str = "hdralign-failure/1";
+
+/// Tells beside the results of `step` why it failed. Where even that cannot be written, nothing more can be done for it.
+pub fn remember_failure(step: &Step, error: &str) {
+    let failure = Failure { schema: FAILURE.into(), id: step.id.clone(), error: error.into() };
+    let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
+    let folder = step.failure.parent().unwrap_or(Path::new("."));
+    let _ = fs::create_dir_all(folder);
+    let _ = write::whole(&step.failure, text.as_bytes()).and_then(|whole| write::place(vec![whole], true));
+}
+
+/// The step is whole now.
+fn forget_failure(step: &Step) {
+    if Failure::read(step).is_some() {
+        // A note that cannot be removed is older than the report, and the summary goes by that.
+        let _ = fs::remove_file(&step.failure);
+    }
+}

@@ -1,0 +1,293 @@
+//! The summary of a batch: a row for each step, for programs (JSON) and for tables (CSV).
+//!
+//! In: steps and how they ended; or steps alone, whose files then tell. Out: a [`Summary`]. Cost: none; or reading the steps' reports.
+
+use super::plan::{Kind, Step};
+use super::record::Record;
+use super::schedule::Ending;
+use super::step::{Brief, Failure};
+use crate::error::{Error, Result};
+use crate::write;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// The version of the format: keys are only ever added to it.
+pub const SCHEMA: &str = "hdralign-batch/1";
+
+/// What became of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Status {
+    /// Done in this run; or, where only files tell, done.
+    Done,
+    /// Done in a run before, with the same inputs, options and version.
+    Unchanged,
+    /// Failed.
+    Failed,
+    /// Not begun, or interrupted.
+    NotDone,
+}
+
+impl Status {
+    /// As it is written.
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Done => "done",
+            Status::Unchanged => "unchanged",
+            Status::Failed => "failed",
+            Status::NotDone => "not-done",
+        }
+    }
+}
+
+/// A step.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// [`Step::id`].
+    pub id: String,
+    /// What was to be done.
+    pub kind: Kind,
+    /// What became of it.
+    pub status: Status,
+    /// The panorama that it belongs to.
+    pub set: Option<usize>,
+    /// The photographs.
+    pub photographs: Vec<String>,
+    /// The results, where it is done.
+    pub outputs: Vec<String>,
+    /// The report, where it is done.
+    pub report: Option<String>,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// What its report says.
+    #[serde(flatten)]
+    pub brief: Brief,
+}
+
+/// A photograph that belongs to no bracket.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Unused {
+    /// The file.
+    pub path: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// How many steps ended how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Counts {
+    /// All steps.
+    pub steps: usize,
+    /// [`Status::Done`].
+    pub done: usize,
+    /// [`Status::Unchanged`].
+    pub unchanged: usize,
+    /// [`Status::Failed`].
+    pub failed: usize,
+    /// [`Status::NotDone`].
+    pub not_done: usize,
+    /// Done, but with less than was asked for.
+    pub degraded: usize,
+}
+
+/// A batch.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// [`SCHEMA`].
+    pub schema: &'static str,
+    /// The program and its version.
+    pub software: &'static str,
+    /// How many ended how.
+    pub counts: Counts,
+    /// The steps, in the order of the plan.
+    pub steps: Vec<Row>,
+    /// Photographs that belong to no bracket; null where only the plan is known.
+    pub left_over: Option<Vec<Unused>>,
+    /// Wall time in seconds; null where steps were done elsewhere.
+    pub time_s: Option<f64>,
+}
+
+/// How a batch went, all in all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// Every step is done.
+    All,
+    /// No step is done.
+    None,
+    /// Some are.
+    Some,
+}
+
+impl Summary {
+    /// Of `steps` that ended as `endings` say.
+    pub fn new(steps: &[Step], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
+        let rows = steps.iter().zip(endings).map(|(step, ending)| {
+            let (status, brief, error) = match ending {
+                Ending::Done(brief) => (Status::Done, brief.clone(), None),
+                Ending::Unchanged(brief) => (Status::Unchanged, brief.clone(), None),
+                Ending::Failed(error) => (Status::Failed, Brief::default(), Some(error.clone())),
+                Ending::NotBegun => (Status::NotDone, Brief::default(), None),
+            };
+            row(step, status, brief, error)
+        });
+        Summary::of(rows.collect(), Some(left_over), Some(time_s))
+    }
+
+    /// Of `steps` that were done elsewhere, by what their files tell: a report of the same options and version, and whole results; else a
+    /// failure.
+    pub fn collected(steps: &[Step]) -> Summary {
+        let rows = steps.iter().map(|step| {
+            let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
+            let record = Record::read(&step.report).filter(|record| {
+                record.options == step.options && record.software == step.software && record.is_whole(&results)
+            });
+            match (record.and_then(|_| Brief::read(&step.report)), Failure::read(step)) {
+                // A step takes its failure away when it is done: where both are there, what was done is of an earlier form of it.
+                (_, Some(failure)) => row(step, Status::Failed, Brief::default(), Some(failure.error)),
+                (Some(brief), None) => row(step, Status::Done, brief, None),
+                (None, None) => row(step, Status::NotDone, Brief::default(), None),
+            }
+        });
+        Summary::of(rows.collect(), None, None)
+    }
+
+    fn of(steps: Vec<Row>, left_over: Option<Vec<Unused>>, time_s: Option<f64>) -> Summary {
+        let count = |status| steps.iter().filter(|row| row.status == status).count();
+        let counts = Counts {
+            steps: steps.len(),
+            done: count(Status::Done),
+            unchanged: count(Status::Unchanged),
+            failed: count(Status::Failed),
+            not_done: count(Status::NotDone),
+            degraded: steps.iter().filter(|row| row.brief.degraded).count(),
+        };
+        Summary { schema: SCHEMA, software: super::SOFTWARE, counts, steps, left_over, time_s }
+    }
+
+    /// How it went.
+    pub fn verdict(&self) -> Verdict {
+        match self.counts.done + self.counts.unchanged {
+            0 => Verdict::None,
+            n if n == self.counts.steps => Verdict::All,
+            _ => Verdict::Some,
+        }
+    }
+
+    /// As JSON, ended by a line feed.
+    pub fn to_json(&self) -> String {
+        // Strings, numbers and lists of them: nothing in it can fail.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
+    /// As CSV (RFC 4180), a row for each step under a row of names.
+    pub fn to_csv(&self) -> String {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        // Writing to memory does not fail, and all rows have one length.
+        let _ = writer.write_record(COLUMNS);
+        for row in &self.steps {
+            let number = |n: Option<f64>| n.map(|n| n.to_string()).unwrap_or_default();
+            let _ = writer.write_record([
+                row.id.clone(),
+                row.status.name().to_owned(),
+                row.set.map(|set| set.to_string()).unwrap_or_default(),
+                row.photographs.len().to_string(),
+                row.photographs.first().cloned().unwrap_or_default(),
+                row.photographs.last().cloned().unwrap_or_default(),
+                row.outputs.join(";"),
+                row.brief.left_out.to_string(),
+                number(row.brief.least_confidence),
+                row.brief.degraded.to_string(),
+                row.brief.warnings.join("; "),
+                row.error.clone().unwrap_or_default(),
+                number(row.brief.time_s),
+            ]);
+        }
+        writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
+    }
+
+    /// Writes the summary to `path`, and beside it as `.csv`; what is there is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2]> {
+        let table = path.with_extension("csv");
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(|source| Error::Write { path: path.to_owned(), source })?;
+        }
+        let files =
+            vec![write::whole(path, self.to_json().as_bytes())?, write::whole(&table, self.to_csv().as_bytes())?];
+        write::place(files, true)?;
+        Ok([path.to_owned(), table])
+    }
+}
+
+const COLUMNS: [&str; 13] = [
+    "id",
+    "status",
+    "set",
+    "photographs",
+    "first",
+    "last",
+    "outputs",
+    "left_out",
+    "least_confidence",
+    "degraded",
+    "warnings",
+    "error",
+    "time_s",
+];
+
+fn row(step: &Step, status: Status, brief: Brief, error: Option<String>) -> Row {
+    let text = |path: &PathBuf| path.to_string_lossy().into_owned();
+    let is_done = matches!(status, Status::Done | Status::Unchanged);
+    let results = step.outputs.iter().chain(&step.page);
+    Row {
+        id: step.id.clone(),
+        kind: step.kind,
+        status,
+        set: step.set,
+        photographs: step.inputs.iter().map(text).collect(),
+        outputs: results.filter(|_| is_done).map(text).collect(),
+        report: is_done.then(|| text(&step.report)),
+        error,
+        brief,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plan::tests::step;
+    use super::*;
+
+    fn summary(endings: &[Ending]) -> Summary {
+        let steps: Vec<Step> = endings.iter().map(|_| step()).collect();
+        Summary::new(&steps, endings, Vec::new(), 1.5)
+    }
+
+    #[test]
+    fn the_verdict_is_all_some_or_none() {
+        let done = || Ending::Done(Brief::default());
+        let failed = || Ending::Failed("x, \"y\"\nz".into());
+        assert_eq!(summary(&[done(), Ending::Unchanged(Brief::default())]).verdict(), Verdict::All);
+        assert_eq!(summary(&[done(), failed()]).verdict(), Verdict::Some);
+        assert_eq!(summary(&[Ending::NotBegun, failed()]).verdict(), Verdict::None);
+        assert_eq!(summary(&[]).verdict(), Verdict::None);
+    }
+
+    #[test]
+    fn every_step_has_a_row() {
+        let degraded = Brief { degraded: true, left_out: 1, least_confidence: Some(0.25), ..Brief::default() };
+        let all = summary(&[Ending::Done(degraded), Ending::Failed("a, \"b\"".into())]);
+        let json: serde_json::Value = serde_json::from_str(&all.to_json()).unwrap();
+        assert_eq!((&json["schema"], &json["time_s"]), (&SCHEMA.into(), &1.5.into()));
+        assert_eq!((&json["counts"]["done"], &json["counts"]["degraded"]), (&1.into(), &1.into()));
+        assert_eq!(json["steps"][0]["least_confidence"], 0.25);
+        assert_eq!(json["steps"][1]["status"], "failed");
+        assert!(json["steps"][1]["outputs"].as_array().unwrap().is_empty());
+        let table = all.to_csv();
+        let mut reader = csv::Reader::from_reader(table.as_bytes());
+        let rows: Vec<csv::StringRecord> = reader.records().map(|r| r.unwrap()).collect();
+        assert_eq!((rows.len(), &rows[1][11]), (2, "a, \"b\""));
+        assert_eq!(&rows[0][6], "/in/a/IMG_1-IMG_2.exr;/in/a/IMG_1-IMG_2.png");
+    }
+}

@@ -1,0 +1,95 @@
+//! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
+
+use super::radiance::Radiance;
+use super::recovery::Recovery;
+use super::tone::Tone;
+use clap::{Args, ValueEnum};
+use hdralign::bracket::LoadOptions;
+use hdralign::error::Error;
+use hdralign::merge::calibration::Calibration;
+use hdralign::merge::deghost::Deghost;
+use hdralign::merge::weight::Weight;
+use hdralign::pipeline::Options;
+
+/// How radiance and the picture come about.
+#[derive(Debug, Args)]
+pub struct Merging {
+    #[command(flatten)]
+    recovery: Recovery,
+
+    /// How far a code value is trusted
+    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
+    weight: WeightArg,
+
+    /// Leave out of the other photographs what is not as the reference shows it: people, cars, leaves, water. STRENGTH is 0 (only what is
+    /// plainly different) to 1 (whatever may be); 0.5 where none is given
+    #[arg(long, value_name = "STRENGTH", num_args = 0..=1, require_equals = true, default_missing_value = "0.5")]
+    pub deghost: Option<f64>,
+
+    /// Take off the veil that lens and sensor scatter over the picture, where there is one
+    #[arg(long)]
+    flare: bool,
+
+    #[command(flatten)]
+    pub tone: Tone,
+
+    #[command(flatten)]
+    radiance: Radiance,
+
+    /// Radiance in cd/m2 by the reference's exposure: its top code is 87 N^2 / (t ISO), within about half a stop
+    #[arg(long)]
+    absolute: bool,
+
+    /// Multiply the radiance, which is then in cd/m2: with --absolute luminance measured over luminance reported,
+    /// near 1; alone the cd/m2 of a radiance of 1, which is what gave the reference its middle code
+    #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
+    calibration_factor: Option<f64>,
+
+    /// Let the .jpg tell where the photograph was taken, as the reference does
+    #[arg(long)]
+    keep_gps: bool,
+}
+
+/// See [`Weight`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum WeightArg {
+    /// Rises linearly from both ends to the middle
+    #[default]
+    Hat,
+    /// A bell about the middle
+    Gaussian,
+    /// Nearly 1 but for the ends
+    Plateau,
+    /// 1 for all
+    Uniform,
+    /// Mann & Picard's certainty: the slope of the response
+    MannPicard,
+    /// The inverse of the variance: light, rounding and the frame's noise as measured
+    Noise,
+}
+
+impl Merging {
+    /// `options` with what these arguments say.
+    pub fn options(&self, options: Options) -> Result<Options, Error> {
+        Ok(Options {
+            load: LoadOptions { keep_gps: self.keep_gps, ..options.load },
+            exposures: self.recovery.exposures(),
+            response: self.recovery.model()?,
+            weight: match self.weight {
+                WeightArg::Hat => Weight::Hat,
+                WeightArg::Gaussian => Weight::Gaussian,
+                WeightArg::Plateau => Weight::Plateau,
+                WeightArg::Uniform => Weight::Uniform,
+                WeightArg::MannPicard => Weight::MannPicard,
+                WeightArg::Noise => Weight::Noise,
+            },
+            deghost: self.deghost.map(|strength| Deghost { strength }),
+            flare: self.flare,
+            colour: self.radiance.colour(),
+            calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
+            rendering: self.tone.rendering()?,
+            write: self.radiance.write(options.write.overwrite),
+            ..options
+        })
+    }
+}

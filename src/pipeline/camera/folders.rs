@@ -1,0 +1,77 @@
+//! Folders of photographs as brackets: those of one folder are one.
+//!
+//! In: photographs and folders, as they are typed. Out: the photographs of each bracket. Cost: reading the folders.
+
+use super::super::names::natural;
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Extensions of the photographs that are taken from a folder, in any case.
+const PHOTOGRAPHS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+
+/// `images` by the folders that they are in, in the order of the first of each; of a folder, the photographs in it by name.
+pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
+    let mut found: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
+    for image in images {
+        let paths = if image.is_dir() { photographs(image)? } else { vec![image.clone()] };
+        for path in paths {
+            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
+            match found.iter_mut().find(|(name, _)| *name == folder) {
+                Some((_, bracket)) => bracket.push(path),
+                None => found.push((folder, vec![path])),
+            }
+        }
+    }
+    if let Some((folder, bracket)) = found.iter().find(|(_, bracket)| bracket.len() < 2) {
+        if found.len() == 1 && images.len() == 1 && !images[0].is_dir() {
+            return Err(Error::TooFewFrames { given: bracket.len() });
+        }
+        let reason = format!(
+            "of the folder {:?} only {} is given; the photographs of one folder are one bracket, and need to be two or more",
+            folder.display().to_string(),
+            bracket[0].display()
+        );
+        return Err(Error::Option { option: "IMAGES", reason });
+    }
+    Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
+}
+
+/// The photographs in `folder`, by their extensions and in the order of their names.
+fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
+    let unreadable = |source| Error::Read { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(unreadable)?;
+    let mut paths = entries.map(|e| Ok(e?.path())).collect::<std::io::Result<Vec<_>>>().map_err(unreadable)?;
+    let extension = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let is_hidden = |p: &Path| p.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    paths.retain(|p| PHOTOGRAPHS.contains(&extension(p).as_str()) && !is_hidden(p) && p.is_file());
+    paths.sort_by(|a, b| natural(a, b));
+    if paths.len() < 2 {
+        let found = paths.len();
+        let reason =
+            format!("{} holds {found} photographs (.jpg, .png, .tif), and a bracket needs two", folder.display());
+        return Err(Error::Option { option: "IMAGES", reason });
+    }
+    Ok(paths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_of_a_folder_are_a_bracket() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["a", "b", "empty"] {
+            std::fs::create_dir(at(folder)).unwrap();
+        }
+        for name in ["a/10.JPG", "a/9.jpg", "a/notes.txt", "a/.10.jpg", "b/1.png", "b/2.tif"] {
+            std::fs::write(at(name), "").unwrap();
+        }
+        let all = brackets(&[at("a"), at("b/2.tif"), at("b/1.png")]).unwrap();
+        assert_eq!(all, [[at("a/9.jpg"), at("a/10.JPG")], [at("b/2.tif"), at("b/1.png")]]);
+        assert!(brackets(&[at("empty")]).unwrap_err().to_string().contains("0 photographs"));
+        assert!(brackets(&[at("a"), at("b/1.png")]).unwrap_err().to_string().contains("only"));
+        assert!(matches!(brackets(&[at("b/1.png")]), Err(Error::TooFewFrames { given: 1 })));
+    }
+}

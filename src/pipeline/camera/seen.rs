@@ -1,0 +1,100 @@
+//! Brackets of one camera, one after the other: what each shows of the response.
+//!
+//! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
+//! and aligning.
+
+use super::super::check_placed;
+use super::super::line::Line;
+use super::{BracketReport, Options, PATCHES};
+use crate::align::given::Given;
+use crate::bracket::Capture;
+use crate::error::{Error, Result, Warning};
+use crate::report::Report;
+use crate::response::ratios::{self, Exposures};
+use crate::response::samples::Places;
+use std::path::PathBuf;
+
+/// What is kept of a bracket: its frames are not.
+pub(super) struct Seen {
+    /// The reference's file.
+    pub path: PathBuf,
+    pub capture: Capture,
+    pub places: Places,
+    pub report: BracketReport,
+}
+
+/// All of `brackets` that can be used, at least one.
+///
+/// # Errors
+/// That of the first bracket that cannot be used; where those are left out, [`Error::NoResponse`] if none is left, and [`Error::Scratch`],
+/// which is no fault of a bracket.
+pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line) -> Result<Vec<Seen>> {
+    let most = PATCHES / brackets.len().max(1);
+    let mut seen = Vec::with_capacity(brackets.len());
+    let mut found_given = 0;
+    let mut left_out = Vec::new();
+    for paths in brackets {
+        let warned = line.warnings.len();
+        match one(paths, brackets.len() > 1, options, line) {
+            Ok((mut bracket, given)) => {
+                bracket.places.thin(most);
+                found_given += given;
+                seen.push(bracket);
+            }
+            Err(error) if options.lenient && !matches!(error, Error::Scratch { .. }) => {
+                // What was said of it before is of no use to a result that it has no part in.
+                line.warnings.truncate(warned);
+                let path = paths.first().cloned().unwrap_or_default();
+                left_out.push(Warning::BracketLeftOut { path, reason: error.to_string() });
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if seen.is_empty() {
+        let Some(Warning::BracketLeftOut { path, reason }) = left_out.into_iter().next() else {
+            return Err(Error::TooFewFrames { given: 0 });
+        };
+        let reason = format!("none of its {} brackets can be used; of the first: {reason}", brackets.len());
+        return Err(Error::NoResponse { path, reason });
+    }
+    if left_out.is_empty() && found_given < options.line.align.given.len() {
+        let reason = "a photograph named there is in none of the brackets".to_owned();
+        return Err(Error::Option { option: "--leave-out or --unmoved", reason });
+    }
+    line.warnings.extend(left_out);
+    line.warnings.extend(differing_cameras(&seen));
+    Ok(seen)
+}
+
+/// The bracket `paths`, and how many of the places that the user gave are of its frames.
+fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Line) -> Result<(Seen, usize)> {
+    let mut own = options.line.clone();
+    let bracket = line.load(paths, &own)?;
+    if is_one_of_many {
+        own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
+    }
+    let alignment = line.align(&bracket, &own)?;
+    check_placed(&bracket, &alignment)?;
+    let mut places = Places::of(&bracket, &alignment)?;
+    let mut bracket = bracket;
+    if own.exposures == Exposures::FineTuned {
+        let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
+        line.warnings.extend(warnings);
+        bracket = tuned;
+    }
+    let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
+    let first = bracket.reference();
+    let (path, capture) = (first.path().to_owned(), first.capture.clone());
+    let seen = Seen { path, capture, places, report: BracketReport { reference, frames } };
+    Ok((seen, own.align.given.len()))
+}
+
+fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
+    let name = |bracket: &Seen| bracket.capture.camera();
+    let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
+    let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
+    let others = others.filter(|(_, found)| *found != kept);
+    others
+        .map(|(bracket, found)| Warning::CamerasDiffer { path: bracket.path.clone(), found, kept: kept.clone() })
+        .collect()
+}

@@ -1,0 +1,183 @@
+//! Several brackets of one camera and one scene: one unit of radiance, one response.
+
+mod support;
+
+use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::bracket::{LoadOptions, ReferenceChoice};
+use hdralign::error::Error;
+use hdralign::merge::calibration::Calibration;
+use hdralign::pipeline::camera::{self, CameraReport};
+use hdralign::pipeline::{self, Options, Outcome};
+use hdralign::response::ResponseModel;
+use hdralign::response::ratios::Exposures;
+use image::{Rgb, RgbImage};
+use std::path::PathBuf;
+use support::{FRAMES, Folder, jpeg};
+
+const SIZE: (u32, u32) = (160, 120);
+
+/// t ISO / N^2 of frame `i`, as its EXIF has it: from 1/512 s by two stops, f/8, ISO 100.
+fn exposure(i: usize) -> f64 {
+    f64::powi(4.0, i as i32 - 1) / 512.0 * 100.0 / 64.0
+}
+
+/// Tiles of ten pixels, over ten stops: grey, so that no chroma is subsampled.
+fn scene(x: u32, y: u32) -> f64 {
+    f64::exp2(f64::from((x / 10) * 7 + (y / 10) * 13) % 101.0 / 10.0 - 3.0)
+}
+
+/// Frames of [`scene`] through the sRGB curve, `s1.jpg` to `s5.jpg`.
+fn scenes() -> Folder {
+    let folder = Folder::empty();
+    for i in 1..=FRAMES {
+        let picture = RgbImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+            let light = (scene(x, y) * exposure(i)).clamp(0.0, 1.0);
+            let encoded = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
+            Rgb([(255.0 * encoded + 0.5) as u8; 3])
+        });
+        folder.put(&format!("s{i}.jpg"), &jpeg(&picture, Some(i)));
+    }
+    folder
+}
+
+fn of(folder: &Folder, frames: std::ops::RangeInclusive<usize>) -> Vec<PathBuf> {
+    frames.map(|i| folder.at(format!("s{i}.jpg"))).collect()
+}
+
+fn options(unit_exposure: Option<f64>) -> Options {
+    Options {
+        load: LoadOptions { reference: ReferenceChoice::Number(2), ..LoadOptions::default() },
+        align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() },
+        exposures: Exposures::AsGiven,
+        response: ResponseModel::Srgb,
+        unit_exposure,
+        ..Options::default()
+    }
+}
+
+/// The median ratio of their greens over the pixels that frame 3, which both have, shows best.
+fn ratio(a: &Outcome, b: &Outcome) -> f64 {
+    let mut ratios = Vec::new();
+    for y in 0..SIZE.1 {
+        for x in 0..SIZE.0 {
+            // By the sRGB curve codes of 63 to 188.
+            if (0.05..0.5).contains(&(scene(x, y) * exposure(3))) {
+                let at = |o: &Outcome| f64::from(o.radiance.pixels.at(x as usize, y as usize)[1]);
+                ratios.push(at(b) / at(a));
+            }
+        }
+    }
+    assert!(ratios.len() > 1000, "{}", ratios.len());
+    ratios.sort_by(f64::total_cmp);
+    ratios[ratios.len() / 2]
+}
+
+#[test]
+fn brackets_of_different_exposure_have_one_unit_where_it_is_asked_for() {
+    let folder = scenes();
+    let develop = |frames, unit| pipeline::develop(&of(&folder, frames), &options(unit), &|_| ()).unwrap();
+    let (short, long) = (develop(1..=3, None), develop(3..=5, None));
+    let unit_of = |o: &Outcome| {
+        let radiance = o.report.radiance.as_ref().unwrap();
+        (radiance.reference_exposure, radiance.unit_exposure_s)
+    };
+    assert_eq!(unit_of(&short), (exposure(2), Some(exposure(2))));
+    // A code is rounded, and coded as JPEG with steps of 2: a pixel is within one code or 3 %, and the median over thousands of pixels, whose
+    // errors are of either sign, within 1 %.
+    let own = ratio(&short, &long);
+    assert!((own / (exposure(4) / exposure(2)) - 1.0).abs() < 0.01, "{own}");
+
+    let unit = 0.037;
+    let (short_in_unit, long_in_unit) = (develop(1..=3, Some(unit)), develop(3..=5, Some(unit)));
+    let common = ratio(&short_in_unit, &long_in_unit);
+    assert!((common - 1.0).abs() < 0.01, "{common}");
+    assert_eq!(unit_of(&short_in_unit), (exposure(2), Some(unit)));
+    assert_eq!(unit_of(&long_in_unit), (exposure(4), Some(unit)));
+    // Of one bracket it is the same light in another unit: two roundings to a float of 2^-24 each.
+    let factor = unit / exposure(2);
+    for (a, b) in short.radiance.pixels.as_slice().iter().zip(short_in_unit.radiance.pixels.as_slice()) {
+        assert!((0..3).all(|c| (f64::from(b[c]) / (f64::from(a[c]) * factor) - 1.0).abs() < 1.2e-7), "{a:?} {b:?}");
+    }
+    // The unit is that at which radiance 1 is the middle code, 0.2158 of the top by the sRGB curve, as the scene has it.
+    let (x, y) = (0..SIZE.0).map(|x| (x, 5)).find(|&(x, y)| (0.1..0.3).contains(&(scene(x, y) * exposure(3)))).unwrap();
+    let light = f64::from(long_in_unit.radiance.pixels.at(x as usize, y as usize)[1]) * 0.2158 / unit;
+    assert!((light / scene(x, y) - 1.0).abs() < 0.03, "{light} {}", scene(x, y));
+}
+
+#[test]
+fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
+    let folder = scenes();
+    let files: Vec<PathBuf> = ["a.exr", "a.json", "a.html"].map(|name| folder.at(name)).into();
+    let run = |o: Options| pipeline::run(&of(&folder, 1..=3), &o, &|_| ());
+    run(Options {
+        outputs: vec![files[0].clone()],
+        report: Some(files[1].clone()),
+        save_aligned: Some(folder.at("al_")),
+        ..options(Some(0.25))
+    })
+    .unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&folder.bytes("a.json")).unwrap();
+    assert_eq!(json["radiance"]["unit_exposure_s"], 0.25);
+    let comment = "radiance 1 is the middle code at t ISO / N^2 = 0.25 s";
+    assert_eq!(hdralign::read::read(&files[0]).unwrap().1.comments, [comment]);
+    let has = |name: &str| folder.bytes(name).windows(comment.len()).any(|bytes| bytes == comment.as_bytes());
+    let aligned = folder.listing().into_iter().find(|(name, _)| name.starts_with("al_")).unwrap().0;
+    assert!(has("a.exr") && !has(&aligned), "a frame has no unit");
+    run(Options { report: Some(files[2].clone()), ..options(Some(0.25)) }).unwrap();
+    assert!(String::from_utf8_lossy(&folder.bytes("a.html")).contains("exposure of the unit"));
+
+    let given = LoadOptions { ev: Some(vec![-2.0, 0.0, 2.0]), ..LoadOptions::default() };
+    let absolute = Calibration { camera: true, factor: None };
+    for (o, said) in [
+        (Options { load: given, ..options(Some(0.25)) }, "given by -e"),
+        (Options { calibration: absolute, ..options(Some(0.25)) }, "--absolute"),
+        (options(Some(-1.0)), "above 0"),
+    ] {
+        let error = run(o).unwrap_err();
+        assert!(error.is_usage() && error.to_string().contains(said), "{error}");
+    }
+    let calibrated = Options { calibration: absolute, report: Some(folder.at("c.json")), ..options(None) };
+    run(calibrated).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&folder.bytes("c.json")).unwrap();
+    assert!(json["radiance"]["unit_exposure_s"].is_null() && json["radiance"]["reference_exposure"].is_number());
+}
+
+/// The response of `brackets`, saved as `name`.
+fn recover(
+    folder: &Folder,
+    brackets: &[Vec<PathBuf>],
+    name: &str,
+    lenient: bool,
+) -> hdralign::error::Result<CameraReport> {
+    let line = Options { response: ResponseModel::default(), ..options(None) };
+    let options = camera::Options { line, curves: vec![folder.at(name)], plots: Vec::new(), lenient };
+    camera::prepare(brackets, &options, &|_| ())?.commit()
+}
+
+#[test]
+fn a_bad_bracket_is_left_out_of_the_response_where_that_is_asked_for() {
+    let folder = scenes();
+    folder.put("bad.jpg", b"\xff\xd8\xff no more");
+    let good = [of(&folder, 1..=3), of(&folder, 2..=4), of(&folder, 3..=5)];
+    let alone = vec![folder.at("s1.jpg")];
+    let bad = vec![folder.at("s1.jpg"), folder.at("bad.jpg")];
+    let report = recover(&folder, &good, "good.json", false).unwrap();
+    assert_eq!((report.brackets.len(), report.is_degraded()), (3, false));
+
+    let mixed = [good[0].clone(), bad.clone(), good[1].clone(), alone.clone(), good[2].clone()];
+    let error = recover(&folder, &mixed, "mixed.json", false).unwrap_err();
+    assert!(error.to_string().contains("bad.jpg") && !folder.at("mixed.json").exists(), "{error}");
+    let report = recover(&folder, &mixed, "mixed.json", true).unwrap();
+    assert_eq!(report.brackets.len(), 3);
+    let told: Vec<&str> = report.warnings.iter().filter(|w| w.degrades).map(|w| w.message.as_str()).collect();
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert!(told[0].contains("s1.jpg: its bracket is left out") && told[0].contains("bad.jpg"), "{told:?}");
+    assert!(told[1].contains("at least two photographs"), "{told:?}");
+    assert_eq!(folder.bytes("mixed.json"), folder.bytes("good.json"), "what is left out takes no part");
+
+    let error = recover(&folder, &[bad, alone], "none.json", true).unwrap_err();
+    assert!(matches!(&error, Error::NoResponse { path, .. } if path.ends_with("s1.jpg")), "{error}");
+    assert!(error.to_string().contains("none of its 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
+    assert!(recover(&folder, &[], "none.json", true).unwrap_err().is_usage());
+    assert!(!folder.at("none.json").exists());
+}
