@@ -177,3 +177,6 @@ pub fn find(roots: &[PathBuf], options: &FindOptions, watch: &(dyn Fn(usize) + S
     found.other_files = other_files;
     Ok(found)
 }
+
+#[cfg(test)]
+mod tests;
