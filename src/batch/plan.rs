@@ -198,7 +198,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
         };
         let photographs = bracket.photographs.len();
         let size = Size {
-            kind: Kind::Merge,
+            merges: true,
             frames: photographs,
             photographs,
             pixels: bracket.size.0 * bracket.size.1,
@@ -256,7 +256,7 @@ fn responses(
         let largest = brackets.iter().map(|b| b.size).max_by_key(|(w, h)| w * h).unwrap_or_default();
         let counts: Vec<usize> = brackets.iter().map(|b| b.photographs.len()).collect();
         let size = Size {
-            kind: Kind::Response,
+            merges: false,
             frames: counts.iter().copied().max().unwrap_or(0),
             photographs: counts.iter().sum(),
             pixels: largest.0 * largest.1,
