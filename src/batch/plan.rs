@@ -8,6 +8,7 @@ use super::estimate::Size;
 use super::find::FoundBracket;
 use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
+use crate::pipeline::natural;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -312,12 +313,13 @@ fn with(base: &Path, extension: &str) -> PathBuf {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem =
         |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
+    let names = || bracket.photographs.iter();
     // Where several folders were searched, what came of each is in a folder of its own.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),
-        first: stem(bracket.photographs.first()),
-        last: stem(bracket.photographs.last()),
+        first: stem(names().min_by(|a, b| natural(a, b))),
+        last: stem(names().max_by(|a, b| natural(a, b))),
         number: index + 1,
         count: bracket.photographs.len(),
         set: bracket.set,
