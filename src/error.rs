@@ -150,6 +150,12 @@ pub enum Error {
         /// What the system or the encoder said.
         source: io::Error,
     },
+    /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
+    #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
+    Abandoned {
+        /// The file, or the first of those that were to be named together.
+        path: PathBuf,
+    },
     /// What does not fit into the memory allowed could not be put on disk, or had again.
     #[error(
         "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, name another folder with --scratch, or allow more with --max-memory",
@@ -167,6 +173,14 @@ pub enum Error {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
+        reason: String,
+    },
+    /// No bracket was found.
+    #[error("{}: no bracket was found: {reason}; `hdralign batch FOLDER --dry-run` lists all", path.display())]
+    NoBracket {
+        /// The first of the folders.
+        path: PathBuf,
+        /// What was found instead.
         reason: String,
     },
     /// A file of steps could not be used.

@@ -10,6 +10,7 @@ use super::exposure::{ExposureTags, first_number};
 use super::{Capture, LoadOptions};
 use crate::error::Result;
 use exif::{DateTime, Exif, In, Tag, Value};
+use std::fmt;
 use std::path::Path;
 
 /// When a photograph was taken, by the clock of its camera, in no time zone.
@@ -50,6 +51,27 @@ impl Moment {
 fn days(year: i64, month: i64, day: i64) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + (153 * month + 2) / 5 + day - 1
+}
+
+impl fmt::Display for Moment {
+    /// As EXIF writes it, without the fraction: `2026:11:21 17:05:59`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (year, month, day) = date(self.seconds.div_euclid(86_400));
+        let clock = self.seconds.rem_euclid(86_400);
+        write!(f, "{year:04}:{month:02}:{day:02} {:02}:{:02}:{:02}", clock / 3600, clock / 60 % 60, clock % 60)
+    }
+}
+
+/// Year, month and day of what [`days`] gives.
+fn date(days: i64) -> (i64, i64, i64) {
+    // 400 years have 146,097 days; within them, years begin in March, so that the leap day is the last.
+    let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * month + 2) / 5 + 1;
+    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    (era * 400 + year_of_era + next, month, day)
 }
 
 /// What set the exposure.

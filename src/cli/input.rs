@@ -10,7 +10,7 @@ use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::pipeline::{Crop, Options};
 use hdralign::scratch::MemoryLimit;
 use hdralign::write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// How photographs are aligned, whichever they are.
 #[derive(Debug, Args)]
@@ -195,9 +195,8 @@ impl Method {
 }
 
 impl Work {
-    /// How much memory may be used, where results are written to the folder of `output`.
-    pub fn memory(&self, output: Option<&Path>) -> Option<MemoryLimit> {
-        let folder = || output.and_then(Path::parent).map_or_else(std::env::temp_dir, Path::to_path_buf);
+    /// How much memory may be used; what does not fit goes to `folder`, unless another is named.
+    pub fn memory(&self, folder: impl FnOnce() -> PathBuf) -> Option<MemoryLimit> {
         let bytes = self.max_memory.or_else(|| Some(memory::free()? / 4 * 3))?;
         Some(MemoryLimit { bytes, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
@@ -208,7 +207,11 @@ impl Aligned {
     pub fn options(&self) -> Options {
         let options = self.method.options();
         Options {
-            load: LoadOptions { reference: self.reference(), memory: self.work.memory(None), ..options.load },
+            load: LoadOptions {
+                reference: self.reference(),
+                memory: self.work.memory(std::env::temp_dir),
+                ..options.load
+            },
             align: AlignOptions { given: self.given(), ..options.align },
             write: write::Options { overwrite: self.work.force, ..write::Options::default() },
             threads: self.work.threads,

@@ -57,7 +57,8 @@ impl Args {
         } else {
             self.output.clone()
         };
-        let memory = self.common.aligned.work.memory(outputs.first().map(PathBuf::as_path));
+        let folder = || outputs.first().and_then(|path| path.parent()).map_or_else(std::env::temp_dir, PathBuf::from);
+        let memory = self.common.aligned.work.memory(folder);
         let options = self.merging.options(self.common.options())?;
         Ok(Options {
             load: LoadOptions { memory, ..options.load },

@@ -3,10 +3,12 @@
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
 mod align;
+mod batch;
 mod compare;
 mod completions;
 mod input;
 mod inspect;
+mod interrupt;
 mod man;
 mod memory;
 mod merge;
@@ -20,7 +22,7 @@ mod terminal;
 mod tone;
 mod tonemap;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use hdralign::error::Error;
 use hdralign::report::Report;
 use input::Common;
@@ -40,6 +42,8 @@ pub struct Cli {
 enum Command {
     /// Align, calibrate, merge, tone-map and write
     Merge(merge::Args),
+    /// Find the brackets in folders, and merge them all
+    Batch(Box<batch::Args>),
     /// Align only: transforms as JSON, aligned frames as TIFF
     Align(align::Args),
     /// Recover a camera's response from one or many brackets, save and draw it
@@ -63,10 +67,12 @@ Exit codes:
   2  wrong usage
   3  with --strict: written, but a frame was left out or doubtful, or an exposure or the response guessed
   compare: 0 the same, 1 they differ, 2 trouble
+  batch: 0 all brackets done, 1 none, 3 some
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
   hdralign merge *.jpg -o room.exr -o room.png
+  hdralign batch /media/card -d merged
   hdralign align *.jpg --save-aligned aligned_
   hdralign response *.jpg -o camera.json --plot camera.svg
   hdralign inspect *.jpg -d look
@@ -78,6 +84,7 @@ impl Command {
     fn name(&self) -> &'static str {
         match self {
             Command::Merge(_) => "merge",
+            Command::Batch(_) => "batch",
             Command::Align(_) => "align",
             Command::Response(_) => "response",
             Command::Inspect(_) => "inspect",
@@ -91,10 +98,13 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let command = Cli::parse().command;
+    let matches = Cli::command().get_matches();
+    let command = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit()).command;
     let name = command.name();
+    interrupt::listen();
     let outcome = match command {
         Command::Merge(args) => merge::run(&args),
+        Command::Batch(args) => batch::run(&args, matches.subcommand().map(|(_, matches)| matches)),
         Command::Align(args) => align::run(&args),
         Command::Response(args) => response::run(&args),
         Command::Inspect(args) => inspect::run(&args),

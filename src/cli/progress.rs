@@ -175,13 +175,14 @@ impl Course {
 }
 
 /// Time left, in words; rounded the more the longer it is, as it is known.
-fn left(estimate: &Estimate) -> String {
-    match estimate.left_s {
+pub fn left(left_s: Option<f64>) -> String {
+    match left_s {
         None => String::new(),
         Some(s) if s < 1.0 => "nearly done".into(),
         Some(s) if s < 10.0 => format!("{s:.0} s left"),
         Some(s) if s < 90.0 => format!("{:.0} s left", (s / 5.0).round() * 5.0),
-        Some(s) => format!("{:.0} min left", s / 60.0),
+        Some(s) if s < 5400.0 => format!("{:.0} min left", s / 60.0),
+        Some(s) => format!("{:.1} h left", s / 3600.0),
     }
 }
 
@@ -272,7 +273,7 @@ impl Drop for Bar {
 fn draw(bar: &ProgressBar, course: &mut Course, began: Instant) {
     let estimate = course.estimate(began.elapsed().as_secs_f64());
     bar.set_message(course.words());
-    bar.set_prefix(left(&estimate));
+    bar.set_prefix(left(estimate.left_s));
     bar.set_position((estimate.done * STEPS as f64) as u64);
 }
 
@@ -298,7 +299,7 @@ mod tests {
         course.begins(Stage::Merge, 6.0);
         let estimate = course.estimate(10.0);
         assert!((estimate.left_s.unwrap() - 6.0).abs() < 1e-9 && (estimate.done - 10.0 / 16.0).abs() < 1e-9);
-        assert_eq!((course.words().as_str(), left(&estimate).as_str()), ("3/4 merging", "6 s left"));
+        assert_eq!((course.words().as_str(), left(estimate.left_s).as_str()), ("3/4 merging", "6 s left"));
     }
 
     #[test]
@@ -336,8 +337,8 @@ mod tests {
 
     #[test]
     fn time_left_is_no_more_exact_than_it_is_known() {
-        let words = |s| left(&Estimate { done: 0.0, left_s: Some(s) });
+        let words = |s| left(Some(s));
         assert_eq!([0.3, 4.4, 33.0, 200.0].map(words), ["nearly done", "4 s left", "35 s left", "3 min left"]);
-        assert_eq!(left(&Estimate { done: 0.0, left_s: None }), "");
+        assert_eq!((words(9000.0).as_str(), left(None).as_str()), ("2.5 h left", ""));
     }
 }

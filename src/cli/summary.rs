@@ -182,7 +182,8 @@ fn name(path: &str) -> &str {
     Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
 }
 
-fn duration(seconds: f64) -> String {
+/// Time that went by, in words.
+pub fn duration(seconds: f64) -> String {
     if seconds < 90.0 {
         format!("{seconds:.1} s")
     } else {

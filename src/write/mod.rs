@@ -25,6 +25,7 @@ pub(crate) mod rgbe;
 mod target;
 pub mod tiff;
 pub mod ultra_hdr;
+mod unnamed;
 
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
@@ -35,6 +36,7 @@ use std::path::Path;
 use bands::Bands;
 pub use files::{Files, Settled, is_among, write};
 pub use target::{Pending, Whole, check_targets, commit, place};
+pub use unnamed::{abandon, sweep};
 
 /// The formats written, told by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,12 +3,13 @@
 //! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
 //! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file, begun when the file has its last byte.
 
+use super::unnamed::{Entry, Kept, OF_PROCESS, Registry, Unnamed};
 use crate::error::{Error, Result};
-use std::fs;
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
-use tempfile::{NamedTempFile, TempPath};
+use tempfile::TempPath;
 
 /// Whether all `outputs` can be written, before any work is done: folders that exist, no name twice, none of the
 /// `inputs`, and nothing there already unless `overwrite`.
@@ -81,23 +82,42 @@ fn write_error(path: &Path, source: io::Error) -> Error {
 #[derive(Debug)]
 pub struct Pending {
     target: PathBuf,
-    file: BufWriter<NamedTempFile>,
+    file: BufWriter<Open>,
     /// A thread that brings to the disk what was written until it began.
     syncing: Option<JoinHandle<io::Result<()>>>,
+}
+
+/// What the buffer writes to.
+#[derive(Debug)]
+struct Open(Unnamed);
+
+impl Write for Open {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.file_mut().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.file_mut().flush()
+    }
+}
+
+impl Seek for Open {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.file_mut().seek(to)
+    }
 }
 
 impl Pending {
     /// Opens the temporary file, hidden and named `.hdralign-*.part`, with the permissions that a new file would have.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`]; [`Error::Abandoned`] after [`abandon`](super::abandon).
     pub fn create(target: &Path) -> Result<Self> {
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".hdralign-").suffix(".part");
-        // Temporary files are private by default; asked for rw-rw-rw-, the system takes off the umask as for any new file.
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = builder.tempfile_in(folder_of(target)).map_err(|source| write_error(target, source))?;
+        Self::create_by(&OF_PROCESS, target)
+    }
+
+    fn create_by(registry: &'static Registry, target: &Path) -> Result<Self> {
+        let file = Open(Unnamed::create(registry, folder_of(target), target)?);
         Ok(Pending { target: target.to_owned(), file: BufWriter::with_capacity(1 << 18, file), syncing: None })
     }
 
@@ -124,8 +144,8 @@ impl Pending {
         self.file.flush().map_err(|source| write_error(&self.target, source))?;
         // The thread sleeps in the system, and so takes no core from those that encode. Without one, complete() does its work.
         let thread =
-            |file: fs::File| std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all());
-        self.syncing = self.file.get_ref().as_file().try_clone().and_then(thread).ok();
+            |file: File| std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all());
+        self.syncing = self.file.get_ref().0.file().try_clone().and_then(thread).ok();
         Ok(())
     }
 }
@@ -147,11 +167,11 @@ impl Seek for Pending {
     }
 }
 
-/// A file that is whole and on the disk, under its temporary name; dropped, it is gone. It is not open, so that there can be many.
+/// A file that is whole and on the disk, under its temporary name; dropped, it is gone. Of many only some are open.
 #[derive(Debug)]
 pub struct Whole {
     target: PathBuf,
-    file: TempPath,
+    file: Kept,
 }
 
 impl Whole {
@@ -165,7 +185,7 @@ impl Whole {
     /// # Errors
     /// What the system says.
     pub fn open(&self) -> io::Result<fs::File> {
-        fs::File::open(&self.file)
+        fs::File::open(&self.file.path)
     }
 }
 
@@ -176,16 +196,16 @@ impl Pending {
     /// [`Error::Write`].
     pub fn complete(self) -> Result<Whole> {
         let Pending { target, file, syncing } = self;
-        let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|file| {
+        let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|Open(file)| {
             match syncing {
                 Some(thread) => {
                     thread.join().map_err(|_| io::Error::other("the thread that waits for the disk died"))??
                 }
-                None => file.as_file().sync_all()?,
+                None => file.file().sync_all()?,
             }
             Ok(file)
         });
-        let file = synced.map_err(|source| write_error(&target, source))?.into_temp_path();
+        let file = synced.map_err(|source| write_error(&target, source))?.keep();
         Ok(Whole { target, file })
     }
 }
@@ -198,14 +218,28 @@ pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
     place(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
 }
 
-/// Gives all `files` their names. When a renaming fails, the files placed before it are removed again, but for those that replaced an
-/// older file, which cannot be had back.
+/// Gives all `files` their names, in their order: of a process that is killed meanwhile the first ones have theirs, so that the last may vouch for
+/// all. When a renaming fails, the files placed before it are removed again, but for those that replaced an older file, which cannot be
+/// had back.
 ///
 /// # Errors
-/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
+/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
 pub fn place(files: Vec<Whole>, overwrite: bool) -> Result<()> {
+    let Some(first) = files.first() else { return Ok(()) };
+    let (first, registry) = (first.target.clone(), first.file.entry.registry());
+    // The locks and entries go when all have their names, and the registry is free again.
+    let (mut unnamed, mut held): (Vec<(PathBuf, TempPath)>, Vec<(Option<File>, Entry)>) = Default::default();
+    for Whole { target, file: Kept { path, file, entry } } in files {
+        unnamed.push((target, path));
+        held.push((file, entry));
+    }
+    registry.unless_abandoned(&first, || name(unnamed, overwrite))
+}
+
+/// The renaming.
+fn name(files: Vec<(PathBuf, TempPath)>, overwrite: bool) -> Result<()> {
     let mut placed: Vec<PathBuf> = Vec::new();
-    for Whole { target, file } in files {
+    for (target, file) in files {
         let is_new = fs::symlink_metadata(&target).is_err();
         let outcome = if overwrite { file.persist(&target) } else { file.persist_noclobber(&target) };
         match outcome {
@@ -278,6 +312,60 @@ mod tests {
         assert!(matches!(commit(files, true).unwrap_err(), Error::Write { path, .. } if path == c));
         assert_eq!(names(dir.path()), ["a.exr", "c.exr"]);
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
+    }
+
+    /// While pairs are written and named by several threads, the end comes: each pair is there as a whole or not at all.
+    #[test]
+    fn the_end_leaves_no_half_of_a_run() {
+        let dir = tempfile::tempdir().unwrap();
+        let registry: &'static Registry = Box::leak(Box::new(Registry::new()));
+        let at = |k: usize, i: usize, half: &str| dir.path().join(format!("{k}-{i}.{half}"));
+        let work = |k: usize| -> usize {
+            let mut named = 0;
+            for i in 0.. {
+                let pair = ["exr", "png"].map(|half| {
+                    let mut file = Pending::create_by(registry, &at(k, i, half))?;
+                    file.put(half.as_bytes()).map(|()| file)
+                });
+                let pair = pair.into_iter().collect::<Result<Vec<_>>>();
+                match pair.and_then(|pair| commit(pair, false)) {
+                    Ok(()) => named += 1,
+                    Err(Error::Abandoned { .. }) => return named,
+                    // Nothing else may go wrong.
+                    Err(error) => panic!("{error}"),
+                }
+            }
+            named
+        };
+        let named: Vec<usize> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..3).map(|k| scope.spawn(move || work(k))).collect();
+            while !at(0, 3, "png").exists() {
+                std::thread::yield_now();
+            }
+            registry.abandon();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        });
+        let mut expected = Vec::new();
+        for (k, &count) in named.iter().enumerate() {
+            expected.extend((0..count).flat_map(|i| [format!("{k}-{i}.exr"), format!("{k}-{i}.png")]));
+        }
+        expected.sort();
+        assert!(named[0] > 3 && names(dir.path()) == expected, "{named:?}");
+        assert!((0..named[0]).all(|i| fs::read_to_string(at(0, i, "png")).unwrap() == "png"));
+    }
+
+    #[test]
+    fn an_error_names_the_target_and_not_the_temporary_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let error = Pending::create(&dir.path().join("gone/a.exr")).unwrap_err().to_string();
+        assert!(error.contains("gone/a.exr") && !error.contains(".hdralign-"), "{error}");
+        // The folder goes while the file is written, as when a disk is taken away.
+        let folder = dir.path().join("sub");
+        fs::create_dir(&folder).unwrap();
+        let file = pending(&folder.join("a.exr"), "A");
+        fs::remove_dir_all(&folder).unwrap();
+        let error = commit(vec![file], true).unwrap_err().to_string();
+        assert!(error.contains("sub/a.exr: cannot be written") && !error.contains(".hdralign-"), "{error}");
     }
 
     /// What is written after the disk was sent the rest is in the file as well.

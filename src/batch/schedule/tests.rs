@@ -1,1 +1,122 @@
+use super::super::plan::tests::step;
+use super::super::plan::{Kind, Step};
+use super::*;
+use std::path::Path;
+use std::sync::atomic::AtomicUsize;
 
+/// Steps of which none can be done: their photographs are missing.
+fn steps(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Step> {
+    let named = |(id, needs): &(&str, &[&str])| Step {
+        id: (*id).into(),
+        needs: needs.iter().map(|n| (*n).into()).collect(),
+        report: folder.join(format!("{id}.json")),
+        failure: folder.join(format!("{id}.failed.json")),
+        ..step()
+    };
+    ids.iter().map(named).collect()
+}
+
+fn limits(jobs: usize, bytes: Option<u64>) -> Limits {
+    let memory = bytes.map(|bytes| MemoryLimit { bytes, folder: std::env::temp_dir() });
+    Limits { jobs, threads: jobs, memory }
+}
+
+#[test]
+fn one_bad_step_stops_nothing_but_what_needs_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = steps(&[("b", &["a"]), ("a", &[]), ("c", &[]), ("d", &["none"])], dir.path());
+    for jobs in [1, 3] {
+        let stop = AtomicBool::new(false);
+        let ended = AtomicUsize::new(0);
+        let count = |event: Event| {
+            if let Event::Ends(..) = event {
+                ended.fetch_add(1, Ordering::SeqCst);
+            }
+        };
+        let endings = run(&steps, &Options::default(), &limits(jobs, Some(1 << 27)), false, &stop, &count);
+        let failed = |i: usize| match &endings[i] {
+            Ending::Failed(error) => error.clone(),
+            other => panic!("{other:?}"),
+        };
+        assert!(failed(0).contains("needs a, which failed") && failed(1).contains("IMG_1.JPG"), "{endings:?}");
+        assert!(failed(2).contains("cannot be read") && failed(3).contains("does not have"), "{endings:?}");
+        assert_eq!(ended.load(Ordering::SeqCst), 4);
+        assert!(steps.iter().all(|s| step::Failure::read(s).is_some_and(|f| f.id == s.id)));
+    }
+}
+
+#[test]
+fn what_is_stopped_begins_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = steps(&[("a", &[]), ("b", &[])], dir.path());
+    let stop = AtomicBool::new(true);
+    let endings = run(&steps, &Options::default(), &limits(2, None), false, &stop, &|_| ());
+    assert_eq!(endings, [Ending::NotBegun, Ending::NotBegun]);
+    assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
+}
+
+/// Memory is shared out: never more than there is, and always enough for one step to go on.
+#[test]
+fn memory_and_threads_are_shared_out() {
+    let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
+    all.iter_mut().for_each(|step| step.memory_mb = 200);
+    let stop = AtomicBool::new(false);
+    let of_step = 200_000_000 - MemoryLimit::PROGRAM;
+    let watch = |_: Event| ();
+
+    let two = limits(2, Some(MemoryLimit::PROGRAM + 2 * of_step));
+    let board = Board::new(&all, &two, &stop, &watch);
+    let (first, second) = (board.take().unwrap(), board.take().unwrap());
+    assert_eq!((first.0, second.0), (0, 1));
+    assert_eq!(first.1, Share { threads: 1, pixels: of_step });
+    assert_eq!(board.lock().free, 0);
+    board.give_back(&first.1);
+    assert_eq!(board.take().unwrap().0, 2);
+
+    // One that is larger than all there is has all there is, and by itself; a single one has all threads.
+    let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
+    let board = Board::new(&all[..1], &little, &stop, &watch);
+    let (_, share) = board.take().unwrap();
+    assert_eq!(share, Share { threads: 4, pixels: 1000 });
+    let own = share.options(&Options {
+        load: crate::bracket::LoadOptions { memory: little.memory.clone(), ..Default::default() },
+        ..Options::default()
+    });
+    assert_eq!((own.threads, own.load.memory.map(|m| m.bytes)), (Some(4), Some(MemoryLimit::PROGRAM + 1000)));
+}
+
+#[test]
+fn the_longest_comes_first_if_there_is_room_for_it() {
+    let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[]), ("d", &[])], Path::new("/none"));
+    for (step, (time_s, memory_mb)) in all.iter_mut().zip([(1.0, 100), (3.0, 200), (2.0, 100), (2.0, 100)]) {
+        (step.time_s, step.memory_mb) = (time_s, memory_mb);
+    }
+    let stop = AtomicBool::new(false);
+    let watch = |_: Event| ();
+    let roomy = limits(2, None);
+    let board = Board::new(&all, &roomy, &stop, &watch);
+    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+    all[0].memory_mb = 150;
+    let tight = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
+    let board = Board::new(&all, &tight, &stop, &watch);
+    // b takes 133 MB of the 170; beside it is no room but for c and, when that is done, d.
+    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+}
+
+#[test]
+fn a_response_comes_before_what_needs_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut all = steps(&[("merge", &["response"]), ("response", &[])], dir.path());
+    all[1].kind = Kind::Response;
+    let stop = AtomicBool::new(false);
+    let limits = limits(2, None);
+    let watch = |_: Event| ();
+    let board = Board::new(&all, &limits, &stop, &watch);
+    let (first, share) = board.take().unwrap();
+    assert_eq!(first, 1);
+    board.end(1, Ending::Done(Brief::default()));
+    board.give_back(&share);
+    assert_eq!(board.take().unwrap().0, 0);
+    board.end(0, Ending::Unchanged(Brief::default()));
+    assert_eq!(board.take().map(|(i, _)| i), None);
+}

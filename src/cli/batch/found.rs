@@ -1,0 +1,212 @@
+//! What was found, in words and as JSON.
+
+use hdralign::batch::find::{Found, FoundBracket, LeftOver, Shot};
+use hdralign::batch::plan::{Kind, Planned, Step};
+use hdralign::batch::summary::Unused;
+use hdralign::error::Error;
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// The version of the format of `--dry-run --json`: keys are only ever added to it.
+const SCHEMA: &str = "hdralign-found/1";
+/// Names of photographs that are told of one reason to leave them over; `--json` has all.
+const TOLD: usize = 20;
+/// Exposures of a bracket that are told one by one.
+const EXPOSURES: usize = 9;
+
+/// The brackets, as plans take them.
+pub fn planned(found: &Found) -> Vec<Planned> {
+    found.brackets.iter().map(Planned::from).collect()
+}
+
+/// What belongs to no bracket.
+pub fn unused(found: &Found) -> Vec<Unused> {
+    let unused = |l: &LeftOver| Unused { path: l.path.to_string_lossy().into_owned(), reason: l.reason.to_string() };
+    found.left_over.iter().map(unused).collect()
+}
+
+/// How much there is, in a line.
+pub fn counted(found: &Found, steps: usize) -> String {
+    let brackets = found.brackets.len();
+    let photographs: usize = found.brackets.iter().map(|b| b.photographs.len()).sum();
+    let mut words = vec![format!("{} of {}", many(brackets, "bracket"), many(photographs, "photograph"))];
+    if steps != brackets {
+        words.push(many(steps, "step"));
+    }
+    if !found.left_over.is_empty() {
+        words.push(format!("{} left over", many(found.left_over.len(), "photograph")));
+    }
+    if found.other_files > 0 {
+        words.push(format!("{} of other kinds", many(found.other_files, "file")));
+    }
+    words.join(", ")
+}
+
+/// `n` of `what`, in the plural where there is not one.
+pub fn many(n: usize, what: &str) -> String {
+    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
+}
+
+/// No bracket was found, and why.
+pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
+    let most = by_kind(found).into_iter().max_by_key(Vec::len);
+    let why = match most {
+        Some(shots) => format!(
+            "{} left over, {} of them as {}",
+            many(found.left_over.len(), "photograph"),
+            shots.len(),
+            shots[0].reason
+        ),
+        None => "there are no photographs (.jpg, .png, .tif)".to_owned(),
+    };
+    Error::NoBracket { path: folders.first().cloned().unwrap_or_default(), reason: why }
+}
+
+/// The table of `--dry-run`.
+pub fn table(found: &Found, steps: &[Step]) -> String {
+    let names: Vec<&Step> = steps.iter().filter(|step| step.kind == Kind::Merge).collect();
+    let mut rows =
+        vec![["bracket", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
+    for (bracket, step) in found.brackets.iter().zip(&names) {
+        let shots = &bracket.photographs;
+        rows.push([
+            step.id.clone(),
+            step.set.map(|set| set.to_string()).unwrap_or_default(),
+            shots.len().to_string(),
+            shots.first().map(file_name).unwrap_or_default(),
+            exposures(bracket),
+            begun(bracket).unwrap_or_else(|| "unknown".into()),
+            lasts_s(bracket).map_or_else(|| "unknown".into(), |s| format!("{s:.1} s")),
+            shots.first().and_then(|shot| shot.header.camera.clone()).unwrap_or_else(|| "unknown".into()),
+        ]);
+    }
+    let mut text = String::new();
+    if rows.len() > 1 {
+        let widths: Vec<usize> =
+            (0..rows[0].len()).map(|c| rows.iter().map(|row| row[c].chars().count()).max().unwrap_or(0)).collect();
+        for row in &rows {
+            let cells: Vec<String> = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}")).collect();
+            text += cells.join("  ").trim_end();
+            text.push('\n');
+        }
+        text.push('\n');
+    }
+    for shots in by_kind(found) {
+        let reasons: BTreeSet<String> = shots.iter().map(|shot| shot.reason.to_string()).collect();
+        let common = reasons.first().filter(|_| reasons.len() == 1);
+        let heading = common.map(|reason| format!(": {reason}")).unwrap_or_default();
+        text += &format!("left over, {}{heading}\n", many(shots.len(), "photograph"));
+        for shot in shots.iter().take(TOLD) {
+            let own = if common.is_some() { String::new() } else { format!(": {}", shot.reason) };
+            text += &format!("  {}{own}\n", shot.path.display());
+        }
+        if shots.len() > TOLD {
+            text += &format!("  and {} more; --json names them\n", shots.len() - TOLD);
+        }
+    }
+    text + &counted(found, found.brackets.len()) + "\n"
+}
+
+/// Left-overs by the kinds of their reasons, in the order of the first of each.
+fn by_kind(found: &Found) -> Vec<Vec<&LeftOver>> {
+    let mut groups: Vec<Vec<&LeftOver>> = Vec::new();
+    for left_over in &found.left_over {
+        let kind = std::mem::discriminant(&left_over.reason);
+        match groups.iter_mut().find(|group| std::mem::discriminant(&group[0].reason) == kind) {
+            Some(group) => group.push(left_over),
+            None => groups.push(vec![left_over]),
+        }
+    }
+    groups
+}
+
+fn file_name(shot: &Shot) -> String {
+    shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Steps from the middle exposure, in EV; of many, the range.
+fn exposures(bracket: &FoundBracket) -> String {
+    let all: Option<Vec<f64>> = evs(bracket).into_iter().collect();
+    let Some(all) = all else { return "unknown".into() };
+    let middle = {
+        let mut sorted = all.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+    };
+    let tenth = |ev: f64| {
+        let ev = ((ev - middle) * 10.0).round() / 10.0;
+        if ev == 0.0 { "0".to_owned() } else { format!("{ev:+}") }
+    };
+    if all.len() > EXPOSURES {
+        let range = all.iter().fold((f64::MAX, f64::MIN), |(least, most), &ev| (least.min(ev), most.max(ev)));
+        return format!("{} to {}", tenth(range.0), tenth(range.1));
+    }
+    all.iter().map(|&ev| tenth(ev)).collect::<Vec<_>>().join(" ")
+}
+
+/// In EV, of those that say.
+fn evs(bracket: &FoundBracket) -> Vec<Option<f64>> {
+    bracket.exposures().into_iter().map(|exposure| exposure.map(libm::log2)).collect()
+}
+
+fn begun(bracket: &FoundBracket) -> Option<String> {
+    Some(bracket.photographs.first()?.header.taken?.to_string())
+}
+
+/// From the begin of the first exposure to the end of the last.
+fn lasts_s(bracket: &FoundBracket) -> Option<f64> {
+    let (first, last) = (bracket.photographs.first()?, bracket.photographs.last()?);
+    let time = last.header.exposure.time_s.map_or(0.0, |t| t.0);
+    Some(last.header.taken?.since(&first.header.taken?) + time)
+}
+
+#[derive(Serialize)]
+struct Json {
+    schema: &'static str,
+    brackets: Vec<BracketJson>,
+    left_over: Vec<Unused>,
+    other_files: usize,
+}
+
+#[derive(Serialize)]
+struct BracketJson {
+    id: String,
+    set: Option<usize>,
+    photographs: Vec<String>,
+    relative_exposures_ev: Vec<Option<f64>>,
+    begun: Option<String>,
+    lasts_s: Option<f64>,
+    camera: Option<String>,
+    lens: Option<String>,
+    width_px: usize,
+    height_px: usize,
+}
+
+/// All that was found.
+pub fn json(found: &Found, steps: &[Step]) -> String {
+    let merges = steps.iter().filter(|step| step.kind == Kind::Merge);
+    let bracket = |(bracket, step): (&FoundBracket, &Step)| {
+        let header = bracket.photographs.first().map(|shot| &shot.header);
+        BracketJson {
+            id: step.id.clone(),
+            set: step.set,
+            photographs: bracket.photographs.iter().map(|s| s.path.to_string_lossy().into_owned()).collect(),
+            relative_exposures_ev: evs(bracket),
+            begun: begun(bracket),
+            lasts_s: lasts_s(bracket),
+            camera: header.and_then(|h| h.camera.clone()),
+            lens: header.and_then(|h| h.lens.clone()),
+            width_px: header.map_or(0, |h| h.width),
+            height_px: header.map_or(0, |h| h.height),
+        }
+    };
+    let all = Json {
+        schema: SCHEMA,
+        brackets: found.brackets.iter().zip(merges).map(bracket).collect(),
+        left_over: unused(found),
+        other_files: found.other_files,
+    };
+    // Strings, numbers and lists of them: nothing in it can fail.
+    serde_json::to_string_pretty(&all).unwrap_or_default() + "\n"
+}

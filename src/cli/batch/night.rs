@@ -1,0 +1,239 @@
+//! A batch on this machine: what is shown meanwhile, how it is stopped, and what is told at the end.
+
+use super::super::input::Work;
+use super::super::interrupt;
+use super::super::progress::left;
+use super::super::summary::duration;
+use super::super::terminal::Terminal;
+use super::found::{many, unused};
+use super::{Args, exit_code};
+use hdralign::batch::find::Found;
+use hdralign::batch::plan::Step;
+use hdralign::batch::schedule::{self, Ending, Event, Limits};
+use hdralign::batch::step::Brief;
+use hdralign::batch::summary::{Row, Status, Summary, Verdict};
+use hdralign::error::Error;
+use hdralign::pipeline::Options;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Failures that are told again at the end; the summary has all.
+const TOLD: usize = 10;
+
+/// How many photographs were looked at.
+pub struct Searching(ProgressBar);
+
+impl Searching {
+    /// On a terminal alone.
+    pub fn new(quiet: bool) -> Searching {
+        let bar = if is_shown(quiet) { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{spinner} looking at {pos} photographs") {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        Searching(bar)
+    }
+
+    /// So many were looked at.
+    pub fn show(&self, count: usize) {
+        self.0.set_position(count as u64);
+    }
+}
+
+impl Drop for Searching {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+fn is_shown(quiet: bool) -> bool {
+    !quiet && Terminal::of_stderr().can_redraw
+}
+
+/// The bar over all steps, and the lines that go by above it.
+struct Board {
+    bar: ProgressBar,
+    began: Instant,
+    steps: usize,
+    ended: AtomicUsize,
+    /// Seconds that the steps were estimated to take: of all; of those that were done in this run; of all that ended.
+    planned: (f64, Mutex<(f64, f64)>),
+    quiet: bool,
+    verbose: bool,
+}
+
+impl Board {
+    fn new(steps: &[Step], args: &Args) -> Board {
+        let target =
+            if is_shown(args.work.quiet) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(Some(steps.len() as u64), target);
+        let room = Terminal::of_stderr().width.min(79).saturating_sub(50).clamp(8, 30);
+        if let Ok(style) =
+            ProgressStyle::with_template(&format!("brackets [{{bar:{room}}}] {{pos}}/{{len}}  {{prefix}}"))
+        {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        Board {
+            bar,
+            began: Instant::now(),
+            steps: steps.len(),
+            ended: AtomicUsize::new(0),
+            planned: (steps.iter().map(|step| step.time_s).sum(), Mutex::new((0.0, 0.0))),
+            quiet: args.work.quiet,
+            verbose: args.verbose,
+        }
+    }
+
+    fn see(&self, event: &Event) {
+        let Event::Ends(step, ending) = event else { return };
+        let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
+        let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
+        let line = match ending {
+            Ending::Done(brief) => Some(format!("{number} {}", told(&step.id, brief, true))),
+            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", told(&step.id, brief, false))),
+            Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", step.id)),
+            Ending::NotBegun => None,
+        };
+        let is_failure = matches!(ending, Ending::Failed(_));
+        let warnings = match ending {
+            Ending::Done(brief) if self.verbose => &brief.warnings[..],
+            _ => &[],
+        };
+        self.bar.suspend(|| {
+            // What failed is an error, and told even to those who want to hear of nothing else.
+            if let Some(line) = line.filter(|_| is_failure || !self.quiet) {
+                let terminal = Terminal::of_stderr();
+                let text = if is_failure { terminal.bad(&line) } else { line };
+                eprintln!("{text}");
+            }
+            warnings.iter().for_each(|warning| eprintln!("    warning: {warning}"));
+        });
+        self.bar.set_position(ended as u64);
+        let is_work = !matches!(ending, Ending::Unchanged(_));
+        self.bar.set_prefix(left(self.left_s(step.time_s, is_work)));
+    }
+
+    /// Seconds left, by how long what was done took beside its estimate.
+    fn left_s(&self, time_s: f64, is_work: bool) -> Option<f64> {
+        let (all, so_far) = &self.planned;
+        let mut so_far = so_far.lock().unwrap_or_else(PoisonError::into_inner);
+        so_far.1 += time_s;
+        if is_work {
+            so_far.0 += time_s;
+        }
+        (so_far.0 > 0.0).then(|| self.began.elapsed().as_secs_f64() / so_far.0 * (all - so_far.1).max(0.0))
+    }
+}
+
+/// A step that was done, in a line.
+pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
+    let mut words = Vec::new();
+    match brief.time_s.filter(|_| is_new) {
+        Some(time) => words.push(format!("done in {}", duration(time))),
+        None => words.push(if is_new { "done" } else { "was done before" }.to_owned()),
+    }
+    if brief.left_out > 0 {
+        words.push(format!("{} left out", many(brief.left_out, "photograph")));
+    }
+    if brief.degraded {
+        words.push("in doubt".into());
+    }
+    if !brief.warnings.is_empty() {
+        words.push(many(brief.warnings.len(), "warning"));
+    }
+    format!("{id}: {}", words.join(", "))
+}
+
+/// Does all `steps`.
+pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
+    let home = steps[0].summary.parent().unwrap_or(Path::new(".")).to_owned();
+    std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
+    let mut options = options;
+    let limits = limits(&args.work, args.jobs, &home)?;
+    options.load.memory.clone_from(&limits.memory);
+    clear(steps);
+    let stop = interrupt::stopping();
+    let board = Board::new(steps, args);
+    let endings = schedule::run(steps, &options, &limits, args.work.force, stop, &|event| board.see(&event));
+    board.bar.finish_and_clear();
+    let summary = Summary::new(steps, &endings, unused(found), board.began.elapsed().as_secs_f64());
+    let files = summary.write(&steps[0].summary)?;
+    finish(&summary, &files, args)
+}
+
+fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = work.threads.unwrap_or(cores);
+    let none = |option| Error::Option { option, reason: "0 cannot work; give 1 or more".into() };
+    if threads == 0 {
+        return Err(none("--threads"));
+    }
+    if jobs == Some(0) {
+        return Err(none("--jobs"));
+    }
+    Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
+}
+
+/// Takes away what a run that was killed left in the folders that are written to.
+fn clear(steps: &[Step]) {
+    let folders: BTreeSet<&Path> = steps.iter().filter_map(|step| step.report.parent()).collect();
+    for folder in folders {
+        hdralign::write::sweep(folder);
+    }
+}
+
+/// Tells how it went, and gives the exit code.
+pub fn finish(summary: &Summary, files: &[PathBuf; 2], args: &Args) -> Result<ExitCode, Error> {
+    if !args.work.quiet {
+        lines(summary, files).iter().for_each(|line| eprintln!("{line}"));
+    }
+    let results = if args.json {
+        summary.to_json()
+    } else {
+        summary.steps.iter().flat_map(|row| &row.outputs).map(|path| format!("{path}\n")).collect()
+    };
+    super::super::tell(&results)?;
+    let verdict = summary.verdict();
+    let is_degraded = args.work.strict && summary.counts.degraded > 0;
+    Ok(if is_degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
+}
+
+/// The lines at the end.
+fn lines(summary: &Summary, files: &[PathBuf; 2]) -> Vec<String> {
+    let counts = &summary.counts;
+    let all = [
+        (counts.done, "done"),
+        (counts.unchanged, "done before"),
+        (counts.failed, "failed"),
+        (counts.not_done, "not done"),
+        (counts.degraded, "in doubt"),
+    ];
+    let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+    let mut lines = vec![format!("{:<11}{} of {}", "brackets", words.join(", "), counts.steps)];
+    let failed: Vec<&Row> = summary.steps.iter().filter(|row| row.status == Status::Failed).collect();
+    for row in failed.iter().take(TOLD) {
+        lines.push(format!("{:<11}{}: {}", "failed", row.id, row.error.as_deref().unwrap_or_default()));
+    }
+    if failed.len() > TOLD {
+        lines.push(format!("{:<11}and {} more", "failed", failed.len() - TOLD));
+    }
+    if let Some(left_over) = summary.left_over.as_ref().filter(|l| !l.is_empty()) {
+        let count = many(left_over.len(), "photograph");
+        lines.push(format!("{:<11}{count} in no bracket; the summary and --dry-run say why", "left over"));
+    }
+    lines.push(format!("{:<11}{}, {}", "summary", files[0].display(), files[1].display()));
+    if let Some(time) = summary.time_s {
+        let rate = if counts.done > 0 && time > 0.0 {
+            format!(", {:.0} brackets an hour", counts.done as f64 / time * 3600.0)
+        } else {
+            String::new()
+        };
+        lines.push(format!("{:<11}{}{rate}", "time", duration(time)));
+    }
+    lines
+}

@@ -1,0 +1,388 @@
+#!/usr/bin/env bash
+# hdralign under the engines that people have, on this machine: a Slurm of its own (munged, slurmctld, slurmd, on loopback, in a temporary
+# folder), Snakemake on it, and GNU parallel. More than 40 brackets, one of them broken; a step is killed with kill -9 and a job with
+# scancel. All others must be done, the killed ones tried again and done, the broken one reported, and every byte must be what
+# `hdralign batch` writes here without any engine.
+#
+#     workflow/test_slurm.sh [--engine slurm|parallel|both] [--brackets N] [--width PX] [--log FILE] [--keep]
+#
+# It needs no root, no container and no network; everything of it is in one temporary folder, which is gone afterwards but for the log.
+#     apt-get install slurm-wlm munge parallel
+#     pip install snakemake snakemake-executor-plugin-slurm
+# HDRALIGN and CARD_DUMP name the programs if they are built already (else cargo builds them), SNAKEMAKE that of another environment.
+# Exit code 0: all held; 1: something did not; 77: something that it needs is missing.
+set -euo pipefail
+
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+engine=both brackets=42 width=1200 log=hdralign-engines.log keep=
+while (($#)); do
+    case $1 in
+        --engine) engine=$2; shift ;;
+        --brackets) brackets=$2; shift ;;
+        --width) width=$2; shift ;;
+        --log) log=$2; shift ;;
+        --keep) keep=yes ;;
+        *) sed -n '2,/^set/{s/^# \{0,1\}//;/^set/!p}' "$0" >&2; exit 2 ;;
+    esac
+    shift
+done
+broken=17
+((brackets > broken)) || { echo "--brackets: more than $broken, because bracket $broken is the broken one" >&2; exit 2; }
+
+snakemake=${SNAKEMAKE:-snakemake}
+missing=()
+need() { command -v "$1" >/dev/null || missing+=("$1 ($2)"); }
+need python3 "apt-get install python3"
+case $engine in slurm | both)
+    for tool in munged slurmctld slurmd sbatch srun squeue scancel scontrol; do need $tool "apt-get install slurm-wlm munge"; done
+    need "$snakemake" "pip install snakemake snakemake-executor-plugin-slurm"
+    if command -v "$snakemake" >/dev/null && ! "$snakemake" --help | grep -q -- --slurm-status-command; then
+        missing+=("Snakemake's executor for Slurm (pip install snakemake-executor-plugin-slurm)")
+    fi ;;
+esac
+case $engine in parallel | both) need parallel "apt-get install parallel" ;; esac
+if ((${#missing[@]})); then
+    printf 'this test needs %s\n' "${missing[@]}" >&2
+    exit 77
+fi
+
+# The log, whole, and the screen.
+: >"$log"
+log=$(cd "$(dirname "$log")" && pwd)/$(basename "$log")
+exec > >(tee -a -- "$log") 2>&1
+
+root=$(mktemp -d "${TMPDIR:-/tmp}/hdralign-engines.XXXXXX")
+daemons=() workers=()
+clean_up() {
+    local code=$? pid
+    set +e
+    for pid in "${workers[@]}"; do kill -INT "$pid" 2>/dev/null && wait "$pid"; done
+    if [[ -n ${SLURM_CONF:-} ]] && scontrol ping >/dev/null 2>&1; then
+        squeue --noheader --format=%i | xargs --no-run-if-empty scancel --quiet
+        for _ in {1..50}; do [[ -z $(squeue --noheader --states=R,CG,PD) ]] && break; sleep 0.2; done
+    fi
+    # Last in, first out: the controller still speaks to munge.
+    for ((i = ${#daemons[@]} - 1; i >= 0; i--)); do kill "${daemons[i]}" 2>/dev/null && wait "${daemons[i]}" 2>/dev/null; done
+    if [[ -n $keep ]]; then echo "kept: $root"; else rm -rf "$root"; fi
+    printf '\n%s after %d s, exit code %d; log: %s\n' "$([[ $code == 0 ]] && echo "all held" || echo FAILED)" $SECONDS $code "$log"
+    exit $code
+}
+trap clean_up EXIT
+trap 'exit 130' INT TERM
+
+say() { printf '\n== %s\n' "$*"; }
+fail() { printf 'FAILED: %s\n' "$*"; exit 1; }
+# expect CODE COMMAND...: runs it, prints its exit code and time, and holds the code.
+expect() {
+    local wanted=$1 code=0 began=$EPOCHREALTIME
+    shift
+    printf '$ %s\n' "$*"
+    "$@" || code=$?
+    printf -- '-- exit code %d (%d expected), %s s\n' $code "$wanted" "$(since "$began")"
+    ((code == wanted)) || fail "exit code $code, not $wanted: $*"
+}
+since() { python3 -c 'import sys; print(f"{float(sys.argv[2]) - float(sys.argv[1]):.1f}")' "$1" "$EPOCHREALTIME"; }
+per_hour() { python3 -c 'import sys; print(f"{int(sys.argv[1]) * 3600 / float(sys.argv[2]):.0f}")' "$1" "$2"; }
+
+# The plan's answers, by Python because not everybody has jq. `value FIELD [ID]`: the values of all steps, or of one.
+value() {
+    python3 - "$plan" "$@" <<'PY'
+import json, sys
+plan, field, *ids = sys.argv[1:]
+for step in map(json.loads, open(plan)):
+    if not ids or step["id"] in ids:
+        print(*(step[field] if isinstance(step[field], list) else [step[field]]), sep="\n")
+PY
+}
+
+# Every result of the plan is there with the bytes of the local run, but for the broken one's unless `whole` is given.
+compare_with_local() {
+    local output same=0 lost=0
+    while read -r output; do
+        if cmp -- "$output" "$root/local/${output#"$out/"}"; then same=$((same + 1)); else lost=$((lost + 1)); fi
+    done < <(value outputs)
+    echo "$same results have the bytes of the local run, $lost have not"
+    ((lost == 0 && same == $(value outputs | wc -l))) || fail "results differ from the local run's"
+}
+
+# What batch.json says: how many are done, how many failed, and the broken one's error.
+check_summary() {
+    python3 - "$out" "$brackets" "$1" "$broken_name" <<'PY'
+import csv, json, os, sys
+out, brackets, failed, name = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+text = open(os.path.join(out, "batch.json")).read()
+summary = json.loads(text)
+rows = list(csv.DictReader(open(os.path.join(out, "batch.csv"))))
+statuses = [b["status"] for b in summary["brackets"]]
+bad = [b for b in summary["brackets"] if b["status"] == "failed"]
+print({s: statuses.count(s) for s in sorted(set(statuses))}, "in batch.json,", len(rows), "rows in batch.csv")
+for b in bad:
+    print("reported:", json.dumps(b.get("error")))
+assert len(statuses) == len(rows) == brackets, (len(statuses), len(rows), brackets)
+assert len(bad) == failed, bad
+assert all(name in json.dumps(b["error"]) for b in bad), "the error does not name " + name
+PY
+}
+
+# A process of this plan that is in the middle of a step: its id and the step's. The arguments are looked at one by one, so that a shell
+# in whose text they stand is not taken for it.
+running_step() {
+    local pid arguments
+    for pid in /proc/[0-9]*; do
+        mapfile -d '' -t arguments <"$pid/cmdline" || continue
+        for i in "${!arguments[@]}"; do
+            if [[ ${arguments[i]} == --run && ${arguments[i + 1]:-} == "$plan" && ${arguments[i + 2]:-} == --id ]]; then
+                echo "${pid#/proc/} ${arguments[i + 3]}"
+                return 0
+            fi
+        done
+    done 2>/dev/null
+    return 1
+}
+
+# Kills a step half-way with kill -9. It is stopped first, so that looking is no race: none of its results may be there.
+kill_a_step() {
+    local pid id
+    for _ in {1..3000}; do
+        sleep 0.05
+        kill -0 "$night" 2>/dev/null || break
+        read -r pid id < <(running_step) || continue
+        [[ $id != "$not_this" ]] || continue
+        kill -STOP "$pid" 2>/dev/null || continue
+        # shellcheck disable=SC2046  # names of this test's own making
+        if [[ $(ps -o stat= -p "$pid") == T* ]] && ! ls $(value outputs "$id") >/dev/null 2>&1; then
+            kill -KILL "$pid"
+            echo "killed with kill -9: process $pid, in the middle of $id"
+            killed=$id
+            return 0
+        fi
+        kill -CONT "$pid" 2>/dev/null || true
+    done
+    tail -n 40 "$root"/*-1.log
+    fail "no step was met half-way"
+}
+
+say "programs"
+if [[ -z ${HDRALIGN:-} || -z ${CARD_DUMP:-} ]]; then
+    (cd "$here/.." && cargo build --release --locked --bin hdralign --example card_dump)
+fi
+target=$here/../target/release
+hdralign=${HDRALIGN:-$target/hdralign} card_dump=${CARD_DUMP:-$target/examples/card_dump}
+"$hdralign" --version
+
+say "a card: $brackets brackets of three photographs, $width px wide; the last photograph of bracket $broken is cut off"
+card=$root/night
+expect 0 "$card_dump" "$card" --brackets "$brackets" --width "$width" --broken $broken
+whole=$root/whole
+expect 0 "$card_dump" "$whole" --brackets "$brackets" --width "$width"
+broken_name=$(printf 'IMG_%04d.JPG' $((3 * broken)))
+cmp -s "$card/$broken_name" "$whole/$broken_name" && fail "$broken_name is not broken"
+cp "$card/$broken_name" "$root/cut.jpg"
+
+say "without an engine"
+began=$EPOCHREALTIME
+expect 3 "$hdralign" batch "$card" -d "$root/local" -q
+local_s=$(since "$began")
+out=$root/local
+check_summary 1
+
+### Snakemake on Slurm
+
+start_slurm() {
+    local host ports memory_mb
+    host=$(hostname -s)
+    read -r -a ports < <(python3 -c '
+import socket
+sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+print(*(s.getsockname()[1] for s in sockets))')
+    memory_mb=$(awk '/^MemTotal/ {print int($2 / 1024 * 0.9)}' /proc/meminfo)
+    mkdir -p "$root/slurm/state" "$root/slurm/spool" "$root/munge" "$root/bin"
+    # munge wants folders that nobody else writes to and a socket that everybody reaches.
+    chmod 711 "$root" "$root/munge"
+    (umask 077; head -c 1024 /dev/urandom >"$root/munge/key")
+    munged --foreground --force --socket "$root/munge/socket" --key-file "$root/munge/key" --pid-file "$root/munge/pid" \
+        --seed-file "$root/munge/seed" >"$root/munge/log" 2>&1 &
+    daemons+=($!)
+    export SLURM_CONF=$root/slurm/slurm.conf
+    cat >"$SLURM_CONF" <<CONF
+ClusterName=hdralign
+SlurmctldHost=$host(127.0.0.1)
+SlurmctldPort=${ports[0]}
+SlurmdPort=${ports[1]}
+SlurmUser=$(id -un)
+SlurmdUser=$(id -un)
+AuthType=auth/munge
+AuthInfo=socket=$root/munge/socket
+CredType=cred/munge
+StateSaveLocation=$root/slurm/state
+SlurmdSpoolDir=$root/slurm/spool
+SlurmctldPidFile=$root/slurm/slurmctld.pid
+SlurmdPidFile=$root/slurm/slurmd.pid
+SlurmctldLogFile=$root/slurm/slurmctld.log
+SlurmdLogFile=$root/slurm/slurmd.log
+# No cgroups and no systemd: processes are found by their parents.
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+JobAcctGatherType=jobacct_gather/none
+SwitchType=switch/none
+MpiDefault=none
+# No database either: squeue alone says how jobs ended, so they are remembered for long enough.
+AccountingStorageType=accounting_storage/none
+MinJobAge=3600
+# Processors and memory are what jobs ask for and get.
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU_Memory
+SchedulerParameters=batch_sched_delay=0,sched_interval=2,bf_interval=2
+ReturnToService=2
+KillWait=2
+NodeName=$host NodeAddr=127.0.0.1 CPUs=$(nproc) RealMemory=$memory_mb State=UNKNOWN
+PartitionName=night Nodes=$host Default=YES MaxTime=60 State=UP
+CONF
+    # A job's Snakemake calls srun without the SLURM_* of its surroundings, SLURM_CONF too. Clusters have their slurm.conf in /etc.
+    printf '#!/bin/sh\nSLURM_CONF=%q exec %q "$@"\n' "$SLURM_CONF" "$(command -v srun)" >"$root/bin/srun"
+    chmod +x "$root/bin/srun"
+    export PATH=$root/bin:$PATH
+    for _ in {1..50}; do [[ -S $root/munge/socket ]] && break; sleep 0.1; done
+    slurmctld -D -f "$SLURM_CONF" >"$root/slurm/slurmctld.out" 2>&1 &
+    daemons+=($!)
+    slurmd -D -f "$SLURM_CONF" >"$root/slurm/slurmd.out" 2>&1 &
+    daemons+=($!)
+    for _ in {1..100}; do
+        [[ $(sinfo --noheader --format=%T 2>/dev/null) == idle ]] && break
+        sleep 0.2
+    done
+    sinfo --Node --long || true
+    if [[ $(sinfo --noheader --format=%T) != idle ]]; then
+        tail -n 20 "$root"/slurm/*.log "$root"/slurm/*.out "$root"/munge/log
+        fail "Slurm did not come up"
+    fi
+}
+
+snakemake_run() {
+    "$snakemake" --snakefile "$here/Snakefile" --profile "$here/slurm" --directory "$root/work" --nocolor \
+        --slurm-status-command squeue --slurm-no-account --slurm-init-seconds-before-status-checks 3 --latency-wait 10 \
+        --config "plan=$plan" "hdralign=$hdralign" job_steps=5
+}
+
+overhead() {
+    # A job that holds one step, beside the step by itself: what a job costs.
+    local one=$root/one.jsonl id began step_s
+    id=$(value id | head -n 1)
+    head -n 1 "$plan" >"$one"
+    began=$EPOCHREALTIME
+    "$hdralign" batch --run "$one" --id "$id" --force -q >/dev/null
+    step_s=$(since "$began")
+    began=$EPOCHREALTIME
+    sbatch --parsable --wait --output=/dev/null --wrap="$hdralign batch --run $one --id $id --force -q" >/dev/null
+    echo "a step by itself: $step_s s; as a bare job of Slurm, sbatch to end: $(since "$began") s"
+}
+
+on_slurm() {
+    say "Slurm on loopback"
+    slurmctld -V
+    start_slurm
+    srun --ntasks=1 hostname >/dev/null
+
+    plan=$root/plan.jsonl out=$root/slurm-out
+    say "the plan"
+    expect 0 "$hdralign" batch --plan "$card" -d "$out" >"$plan.said"
+    # expect's own lines are not the plan's.
+    grep '^{' "$plan.said" >"$plan"
+    grep -v '^{' "$plan.said" || true
+    echo "$(wc -l <"$plan") steps"
+    (($(wc -l <"$plan") == brackets)) || fail "the plan has not $brackets steps"
+
+    say "Snakemake on Slurm; a step and a job will be killed"
+    local began=$EPOCHREALTIME code=0 job killed='' not_this='' night
+    snakemake_run >"$root/snakemake-1.log" 2>&1 &
+    night=$!
+    workers+=("$night")
+    # By now some steps of the first jobs are done.
+    kill_a_step
+    for _ in {1..300}; do
+        job=$(squeue --noheader --states=R --format=%i | tail -n 1)
+        [[ -n $job ]] && read -r _ not_this < <(running_step) && break
+        sleep 0.1
+    done
+    [[ -n $job ]] || fail "no job was running"
+    expect 0 scancel --signal=KILL --full "$job"
+    echo "killed with scancel: job $job"
+    wait "$night" || code=$?
+    workers=()
+    local night_s
+    night_s=$(since "$began")
+    cat "$root/snakemake-1.log"
+    echo "-- snakemake: exit code $code (1 expected: one bracket is broken), $night_s s"
+    ((code == 1)) || fail "snakemake: exit code $code"
+    squeue --states=all --format='%.6i %.10T %.12M' || true
+    expect 3 "$hdralign" batch --summarize "$plan"
+    check_summary 1
+    grep -q "rying to restart" "$root/snakemake-1.log" || fail "nothing was tried again"
+    [[ -e $(value report "$killed") ]] || fail "$killed was killed and is not done"
+    echo "$killed, which was killed, is done"
+
+    say "the broken photograph is replaced; the same command again"
+    cp "$whole/$broken_name" "$card/$broken_name"
+    # Results that are whole are not written again: the same inodes before and after.
+    while read -r output; do [[ ! -e $output ]] || stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/before"
+    expect 0 snakemake_run
+    while read -r output; do stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/after"
+    echo "$(wc -l <"$root/before") results before, $(wc -l <"$root/after") after; of those before, written again: $(comm -23 <(sort "$root/before") <(sort "$root/after") | wc -l)"
+    [[ -z $(comm -23 <(sort "$root/before") <(sort "$root/after")) ]] || fail "whole results were written again"
+    expect 0 "$hdralign" batch --summarize "$plan"
+    check_summary 0
+    expect 0 "$hdralign" batch "$card" -d "$root/local" -q
+    compare_with_local
+
+    say "once more, with nothing to be done"
+    expect 0 snakemake_run
+    expect 0 "$hdralign" batch --run "$plan" --id "$killed"
+
+    say "a result is removed: its job is run, and only its step does something"
+    rm "$(value outputs "$killed" | head -n 1)"
+    expect 0 snakemake_run
+    compare_with_local
+    overhead
+    figures+=("Snakemake on Slurm: $brackets steps in $night_s s with 2 kills and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour (jobs of 5 steps)")
+    cp "$root/cut.jpg" "$card/$broken_name"
+}
+
+### GNU parallel
+
+on_parallel() {
+    plan=$root/parallel.jsonl out=$root/parallel-out
+    say "GNU parallel"
+    parallel --version | head -n 1
+    cp "$root/cut.jpg" "$card/$broken_name"
+    "$hdralign" batch --plan "$card" -d "$out" >"$plan"
+    local began=$EPOCHREALTIME code=0 night night_s killed='' not_this=''
+    HDRALIGN=$hdralign "$here/parallel.sh" "$plan" >"$root/parallel-1.log" 2>&1 &
+    night=$!
+    workers+=("$night")
+    kill_a_step
+    wait "$night" || code=$?
+    workers=()
+    night_s=$(since "$began")
+    cat "$root/parallel-1.log"
+    echo "-- parallel.sh: exit code $code (3 expected: one bracket is broken), $night_s s"
+    ((code == 3)) || fail "parallel.sh: exit code $code"
+    check_summary 1
+    [[ -e $(value report "$killed") ]] || fail "$killed was killed and is not done"
+    echo "$killed, which was killed, is done"
+
+    say "the broken photograph is replaced; the same command again"
+    cp "$whole/$broken_name" "$card/$broken_name"
+    export HDRALIGN=$hdralign
+    expect 0 "$here/parallel.sh" "$plan"
+    check_summary 0
+    out=$root/local expect 0 "$hdralign" batch "$card" -d "$root/local" -q
+    compare_with_local
+    figures+=("GNU parallel: $brackets steps in $night_s s with a kill and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour")
+}
+
+figures=("without an engine: $brackets brackets in $local_s s, $(per_hour "$brackets" "$local_s") an hour")
+case $engine in slurm | both) on_slurm ;; esac
+case $engine in parallel | both) on_parallel ;; esac
+
+say "figures"
+printf '%s\n' "${figures[@]}"
