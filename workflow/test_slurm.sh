@@ -127,13 +127,14 @@ PY
 }
 
 # A process of this plan that is in the middle of a step: its id and the step's. The arguments are looked at one by one, so that a shell
-# in whose text they stand is not taken for it.
+# in whose text they stand is not taken for it; nor is parallel itself, which has {} for the step.
 running_step() {
     local pid arguments
     for pid in /proc/[0-9]*; do
         mapfile -d '' -t arguments <"$pid/cmdline" || continue
         for i in "${!arguments[@]}"; do
-            if [[ ${arguments[i]} == --run && ${arguments[i + 1]:-} == "$plan" && ${arguments[i + 2]:-} == --id ]]; then
+            if [[ ${arguments[i]} == --run && ${arguments[i + 1]:-} == "$plan" && ${arguments[i + 2]:-} == --id ]] &&
+                [[ ${arguments[i + 3]:-} =~ ^[A-Za-z0-9._-]+$ ]]; then
                 echo "${pid#/proc/} ${arguments[i + 3]}"
                 return 0
             fi
