@@ -84,6 +84,8 @@ pub struct Planned {
     pub photographs: Vec<PathBuf>,
     /// Width and height of each, in pixels, orientation applied.
     pub size: (usize, usize),
+    /// Bits of a sample.
+    pub depth: u8,
     /// Relative exposures t ISO / N^2 (s), of those that say.
     pub exposures: Vec<f64>,
     /// Make and model.
@@ -97,16 +99,16 @@ pub struct Planned {
 impl From<&FoundBracket> for Planned {
     fn from(found: &FoundBracket) -> Planned {
         let first = found.photographs.first().map(|shot| &shot.header);
-        let exposures = found.photographs.iter().filter_map(|shot| Some(libm::exp2(shot.header.ev()?)));
         Planned {
             root: found.root.clone(),
             folder: found.folder.clone(),
             photographs: found.photographs.iter().map(|shot| shot.path.clone()).collect(),
             size: first.map_or((0, 0), |header| (header.width, header.height)),
-            exposures: exposures.collect(),
+            depth: found.photographs.iter().map(|shot| shot.header.depth).max().unwrap_or(8),
+            exposures: found.exposures().into_iter().flatten().collect(),
             camera: first.and_then(|header| header.camera.clone()),
             date_time: first.and_then(|header| Some(header.taken?.to_string())),
-            set: found.set,
+            set: found.set + 1,
         }
     }
 }
@@ -200,6 +202,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             frames: photographs,
             photographs,
             pixels: bracket.size.0 * bracket.size.1,
+            bytes: bytes(bracket.depth),
             seeks_ghosts: settings.seeks_ghosts,
             fuses: settings.fuses,
         };
@@ -257,6 +260,7 @@ fn responses(
             frames: counts.iter().copied().max().unwrap_or(0),
             photographs: counts.iter().sum(),
             pixels: largest.0 * largest.1,
+            bytes: brackets.iter().map(|b| bytes(b.depth)).max().unwrap_or(3),
             seeks_ghosts: false,
             fuses: false,
         };
@@ -286,6 +290,11 @@ fn responses(
         steps.insert(camera, step);
     }
     Ok(steps)
+}
+
+/// Bytes of a pixel in memory.
+fn bytes(depth: u8) -> usize {
+    if depth > 8 { 6 } else { 3 }
 }
 
 fn rounded(seconds: f64) -> f64 {
@@ -353,13 +362,11 @@ impl Unique {
             name.push(format!("-{n}"));
             PathBuf::from(name)
         };
-        let path = if self.0.insert(folded(&wanted)) {
-            wanted
-        } else {
-            let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
-            free.unwrap_or(wanted)
-        };
-        path
+        if self.0.insert(folded(&wanted)) {
+            return wanted;
+        }
+        let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
+        free.unwrap_or(wanted)
     }
 
     fn text(&mut self, wanted: String) -> String {
@@ -409,13 +416,18 @@ impl Step {
         Ok(steps)
     }
 
-    /// The step `id` of the plan in the file `path`.
+    /// The steps `ids` of the plan in the file `path`, in that order.
     ///
     /// # Errors
     /// Those of [`read_all`](Self::read_all); [`Error::Option`] where there is none, or where this version is not the one that planned.
-    pub fn read(path: &Path, id: &str) -> Result<Step> {
+    pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Step>> {
+        let all = Step::read_all(path)?;
+        ids.iter().map(|id| Step::named(path, &all, id)).collect()
+    }
+
+    fn named(path: &Path, all: &[Step], id: &str) -> Result<Step> {
         let refused = |option, reason| Err(Error::Option { option, reason });
-        match Step::read_all(path)?.into_iter().find(|step| step.id == id) {
+        match all.iter().find(|step| step.id == id) {
             None => refused("--id", format!("{}: there is no step {id:?}; `jq -r .id` lists them", path.display())),
             Some(step) if step.software != super::SOFTWARE => refused(
                 "--run",
@@ -426,7 +438,7 @@ impl Step {
                     super::SOFTWARE
                 ),
             ),
-            Some(step) => Ok(step),
+            Some(step) => Ok(step.clone()),
         }
     }
 

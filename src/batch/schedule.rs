@@ -76,7 +76,7 @@ pub fn run(
 }
 
 /// Takes one step after the other.
-fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Made<'a>)>) {
+fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
     while let Some((i, share)) = board.take() {
         let own = share.options(options);
         let begun = guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
@@ -95,11 +95,11 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
 }
 
 /// Waits for the disk, and gives names.
-fn name(board: &Board, made: Receiver<(usize, Made)>) {
+fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
     made.iter().for_each(|(i, made)| board.end(i, named(made)));
 }
 
-fn named(made: Made) -> Ending {
+fn named(made: Box<Made>) -> Ending {
     guarded(|| made.commit()).map_or_else(Ending::Failed, Ending::Done)
 }
 
@@ -187,25 +187,30 @@ impl<'a> Board<'a> {
             for (i, reason) in failed {
                 self.set(&mut open, i, Ending::Failed(reason));
             }
-            let ready: Vec<usize> =
-                (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).take(self.limits.jobs).collect();
-            if let Some(&i) = ready.first() {
-                let pixels = pixels(&self.steps[i]).min(capacity(self.limits));
-                if pixels <= open.free {
-                    let at_once = (ready.len() + open.going).clamp(1, self.limits.jobs.max(1));
-                    let threads = (self.limits.threads / at_once).max(1);
-                    open.states[i] = State::Going;
-                    open.free -= pixels;
-                    open.going += 1;
-                    drop(open);
-                    (self.watch)(Event::Begins(&self.steps[i]));
-                    return Some((i, Share { threads, pixels }));
-                }
-            } else if !open.states.iter().any(|state| matches!(state, State::Open)) {
+            let ready: Vec<usize> = (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).collect();
+            if let Some((i, pixels)) = self.longest(&open, &ready) {
+                let at_once = (ready.len() + open.going).clamp(1, self.limits.jobs.max(1));
+                let threads = (self.limits.threads / at_once).max(1);
+                open.states[i] = State::Going;
+                open.free -= pixels;
+                open.going += 1;
+                drop(open);
+                (self.watch)(Event::Begins(&self.steps[i]));
+                return Some((i, Share { threads, pixels }));
+            }
+            if !open.states.iter().any(|state| matches!(state, State::Open)) {
                 return None;
             }
             open = self.changed.wait(open).unwrap_or_else(PoisonError::into_inner);
         }
+    }
+
+    /// Of the steps `ready` the longest that there is memory for, and how much it takes: one that is long is not left to the end, when
+    /// others have nothing to do beside it. Of equal ones it is the first.
+    fn longest(&self, open: &Open, ready: &[usize]) -> Option<(usize, u64)> {
+        let sized = ready.iter().map(|&i| (i, pixels(&self.steps[i]).min(capacity(self.limits))));
+        let fitting = sized.filter(|(_, pixels)| *pixels <= open.free);
+        fitting.min_by(|(a, _), (b, _)| self.steps[*b].time_s.total_cmp(&self.steps[*a].time_s))
     }
 
     fn is_ready(&self, open: &Open, i: usize) -> bool {

@@ -64,7 +64,7 @@ pub enum Begun<'a> {
     /// It was done before, with the same inputs, options and version.
     Unchanged(Brief),
     /// All is made but for the names.
-    Made(Made<'a>),
+    Made(Box<Made<'a>>),
 }
 
 /// Files of a step that wait for the disk and for their names.
@@ -82,8 +82,8 @@ pub struct Made<'a> {
 /// What either kind of step prepares.
 #[derive(Debug)]
 enum Prepared {
-    Merged(pipeline::Prepared<Report>),
-    Recovered(pipeline::Prepared<CameraReport>),
+    Merged(Box<pipeline::Prepared<Report>>),
+    Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
 /// Does `step` up to the names of its files. Of `options` all counts but what the step says itself: files, and the response. With `force`
@@ -125,7 +125,7 @@ pub fn begin<'a>(
         made.chain(record.replaced).collect()
     });
     let prepared = match step.kind {
-        Kind::Merge => Prepared::Merged(pipeline::prepare(&step.inputs, options, watch)?),
+        Kind::Merge => Prepared::Merged(Box::new(pipeline::prepare(&step.inputs, options, watch)?)),
         Kind::Response => {
             let options = camera::Options {
                 line: options.clone(),
@@ -134,10 +134,10 @@ pub fn begin<'a>(
                 // One bad bracket stops nothing.
                 lenient: true,
             };
-            Prepared::Recovered(camera::prepare(&step.by_bracket(), &options, watch)?)
+            Prepared::Recovered(Box::new(camera::prepare(&step.by_bracket(), &options, watch)?))
         }
     };
-    Ok(Begun::Made(Made { step, key, inputs, replaced, existing, prepared }))
+    Ok(Begun::Made(Box::new(Made { step, key, inputs, replaced, existing, prepared })))
 }
 
 /// The options of a run of the pipeline that does `step`.

@@ -313,7 +313,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
         let reason = format!("{option} acts on the results, and those stand in the plan; plan again with it");
         return Err(Error::Option { option: "--run", reason });
     }
-    let steps = args.id.iter().map(|id| Step::read(path, id)).collect::<Result<Vec<_>, _>>()?;
+    let steps = Step::read(path, &args.id)?;
     let mut done = 0;
     let mut degraded = false;
     let mut results = String::new();

@@ -17,6 +17,9 @@ fn available(meminfo: &str) -> Option<u64> {
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
+/// What the program takes before it has a photograph, in bytes: it cannot be allowed less.
+const LEAST: u64 = 64_000_000;
+
 /// Bytes, as `300000000`, `256MB`, `256MiB` or `1.5GB`.
 pub fn size(text: &str) -> Result<u64, String> {
     let wrong =
@@ -34,7 +37,13 @@ pub fn size(text: &str) -> Result<u64, String> {
         _ => return Err(wrong()),
     };
     let bytes = number.parse::<f64>().map_err(|_| wrong())? * factor;
-    if bytes >= 1.0 { Ok(bytes as u64) } else { Err(wrong()) }
+    if bytes < 1.0 {
+        return Err(wrong());
+    }
+    if (bytes as u64) < LEAST {
+        return Err(format!("the program itself takes about {} MB; give that or more", LEAST / 1_000_000));
+    }
+    Ok(bytes as u64)
 }
 
 #[cfg(test)]
@@ -52,10 +61,13 @@ mod tests {
 
     #[test]
     fn sizes_are_as_people_write_them() {
-        let all = ["256MB", "256 mb", "1.5GiB", "300000000", "2k"].map(|t| size(t).unwrap());
-        assert_eq!(all, [256_000_000, 256_000_000, 1_610_612_736, 300_000_000, 2000]);
+        let all = ["256MB", "256 mb", "1.5GiB", "300000000", "64000k"].map(|t| size(t).unwrap());
+        assert_eq!(all, [256_000_000, 256_000_000, 1_610_612_736, 300_000_000, 64_000_000]);
         for wrong in ["", "MB", "0", "-5MB", "1.2.3GB", "5 lights"] {
             assert!(size(wrong).unwrap_err().contains("500MB"), "{wrong}");
+        }
+        for little in ["1MB", "2k", "63.9MB", "5"] {
+            assert!(size(little).unwrap_err().contains("takes about 64 MB"), "{little}");
         }
     }
 }

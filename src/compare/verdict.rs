@@ -166,12 +166,25 @@ fn pixels(count: usize) -> String {
     if count == 1 { "1 pixel".into() } else { format!("{count} pixels") }
 }
 
-/// A share that is not 0 is not told as 0.
+/// A share that is not 0 is not told as 0, and one that is not all not as all.
 fn percent(share: f64) -> String {
     match share {
+        s if (99.5..100.0).contains(&s) => format!("{:.1} %", (10.0 * s).floor() / 10.0),
         s if s >= 10.0 => format!("{s:.0} %"),
         s if s >= 0.1 => format!("{s:.1} %"),
         s if s >= 0.001 => format!("{s:.3} %"),
         _ => "under 0.001 %".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_all_is_told_as_all_and_only_nothing_as_nothing() {
+        let told = [100.0, 99.999, 99.94, 99.5, 99.4, 12.3, 0.26, 0.004, 0.0001].map(percent);
+        let expected = ["100 %", "99.9 %", "99.9 %", "99.5 %", "99 %", "12 %", "0.3 %", "0.004 %", "under 0.001 %"];
+        assert_eq!(told, expected);
     }
 }

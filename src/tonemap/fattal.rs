@@ -1,6 +1,6 @@
 //! Gradient domain compression: steep gradients are made less steep at every scale, gentle ones are left, and the picture is put together again.
 //!
-//! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most [`CELLS`]: 0.2 s.
+//! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most [`CELLS`](super::log_range::CELLS): 0.2 s.
 //! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the way,
 //! and section 4 for the attenuation.
 
@@ -51,21 +51,13 @@ impl Options {
     }
 }
 
-/// Cells that gradients are taken on.
-const CELLS: usize = 1 << 18;
-
 /// The shorter side, in cells, of the coarsest scale (section 4).
 const COARSEST: usize = 32;
 
 /// The tones of `scene`.
 pub fn fattal(scene: &Scene, options: &Options) -> Tones {
-    let mut grid = scene.coarser(CELLS);
-    // What is darker is noise, and no edge.
-    let dark = scene.percentile(0.001) as f32 - 1.0;
-    grid.logs.as_mut_slice().iter_mut().for_each(|l| *l = l.max(dark));
-    let tones = compressed(&grid.logs, options);
     let range = LogRange { stops: options.range_stops, brightness: options.brightness, saturation: options.saturation };
-    range.filled(scene, &grid, tones)
+    range.tones(scene, |logs| compressed(logs, options))
 }
 
 /// `logs` with its gradients attenuated.

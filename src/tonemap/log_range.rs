@@ -4,11 +4,14 @@
 //! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section 6.1:
 //! luminance is scaled in the logarithm so that percentiles meet black and white.
 
+use super::brightness;
 use super::guide::Guide;
 use super::overview::Scene;
 use super::tones::{Curve, Tones};
-use crate::bracket::colour::linear_to_srgb;
 use crate::plane::Plane;
+
+/// Cells that tones are made of.
+pub(super) const CELLS: usize = 1 << 18;
 
 /// The part of the tones at the dark and the bright end that may be black or white.
 const BURNT: (f64, f64) = (0.01, 0.004);
@@ -31,11 +34,20 @@ pub(super) struct LogRange {
 const POWERS: (f64, f64) = (0.8, 1.6);
 
 impl LogRange {
+    /// The tones of `scene`, whose [lit](Scene::lit) cells become what `change` makes of them.
+    pub fn tones(&self, scene: &Scene, change: impl FnOnce(&Plane<f32>) -> Plane<f32>) -> Tones {
+        let mut grid = scene.coarser(CELLS);
+        grid.logs = grid.lit();
+        let tones = change(&grid.logs);
+        self.filled(scene, &grid, tones)
+    }
+
     /// The tones on the display of `scene`, for which `tones` are those of the cells of `grid`.
-    pub fn filled(&self, scene: &Scene, grid: &Scene, mut tones: Plane<f32>) -> Tones {
+    fn filled(&self, scene: &Scene, grid: &Scene, mut tones: Plane<f32>) -> Tones {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
         let last = sorted.len() - 1;
+        // The nearest: whole parts of the tones burn out, and `quantile` would keep a value from each end.
         let at = |p: f64| sorted[((last as f64 * p).round() as usize).min(last)];
         let (black, white) = (at(BURNT.0), at(1.0 - BURNT.1));
         let range = scene.percentile(1.0 - BURNT.1) - scene.percentile(BURNT.0);
@@ -47,27 +59,12 @@ impl LogRange {
         let display = |v: f64| ((libm::exp2(spread * v) - floor) / (1.0 - floor)).max(0.0);
         let step = (sorted.len() / 4096).max(1);
         let linear: Vec<f64> = sorted.iter().step_by(step).map(|&v| display(f64::from(v - white)).min(1.0)).collect();
-        let power = power(&linear, self.brightness);
+        let power = brightness::power(&linear, self.brightness, POWERS, 30);
         let contrast = (shown / range.max(1.0)).clamp(0.6, 1.0);
         let guide = Guide::fitted(&grid.logs, &tones, grid.side, 1.0);
         let curve = Curve::new(|v| libm::pow(display(v), power), |_| contrast, self.saturation);
         Tones::new(scene.to_srgb, guide, curve, scene.size.0)
     }
-}
-
-/// The power of luminance with which the mean code of `linear` is nearest to `brightness`.
-fn power(linear: &[f64], brightness: f64) -> f64 {
-    let (mut low, mut high) = POWERS;
-    for _ in 0..30 {
-        let power = 0.5 * (low + high);
-        let mean = linear.iter().map(|&l| linear_to_srgb(libm::pow(l, power))).sum::<f64>() / linear.len() as f64;
-        if mean > brightness {
-            low = power;
-        } else {
-            high = power;
-        }
-    }
-    0.5 * (low + high)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Contrast processing: the contrasts between neighbours at every scale, as strong as the eye sees them, are made weaker, and the picture is found
 //! that has them.
 //!
-//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most [`CELLS`]: 0.4 s.
+//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most [`CELLS`](super::log_range::CELLS): 0.4 s.
 //! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
 //! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2 (contrast equalisation).
 
@@ -46,9 +46,6 @@ impl Options {
     }
 }
 
-/// Cells that contrasts are taken on.
-const CELLS: usize = 1 << 18;
-
 /// The shorter side, in cells, of the coarsest scale.
 const COARSEST: usize = 3;
 
@@ -60,13 +57,8 @@ const MOST_STEPS: usize = 60;
 
 /// The tones of `scene`.
 pub fn mantiuk06(scene: &Scene, options: &Options) -> Tones {
-    let mut grid = scene.coarser(CELLS);
-    // What is darker is noise, and no contrast.
-    let dark = scene.percentile(0.001) as f32 - 1.0;
-    grid.logs.as_mut_slice().iter_mut().for_each(|l| *l = l.max(dark));
-    let tones = processed(&grid.logs, options);
     let range = LogRange { stops: options.range_stops, brightness: options.brightness, saturation: options.saturation };
-    range.filled(scene, &grid, tones)
+    range.tones(scene, |logs| processed(logs, options))
 }
 
 /// `logs`, in stops, with its contrasts mapped.

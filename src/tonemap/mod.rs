@@ -5,6 +5,7 @@
 //! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`] and [`display`]. Cost: see each operator.
 
 mod bilateral;
+mod brightness;
 mod contrast_curve;
 pub mod display;
 pub mod drago;

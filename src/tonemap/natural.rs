@@ -5,6 +5,7 @@
 //! Yeganeh & Wang, "Objective Quality Assessment of Tone-Mapped Images" (2013), section III-B, for the brightness and the local contrast that
 //! three thousand photographs have.
 
+use super::brightness;
 use super::contrast_curve::ContrastCurve;
 use super::guide::Guide;
 use super::local_laplacian::{Remapping, local_laplacian};
@@ -69,12 +70,7 @@ const POWERS: (f64, f64) = (0.7, 1.5);
 pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let grid = scene.coarser(CELLS);
     // What hardly has light would take levels of the filter, and decide nothing; it falls away below the rest as in the scene.
-    let dark = scene.percentile(0.001) as f32 - 1.0;
-    let lit = Plane::from_vec(
-        grid.logs.width(),
-        grid.logs.height(),
-        grid.logs.as_slice().iter().map(|l| l.max(dark)).collect(),
-    );
+    let lit = grid.lit();
     let remapping = Remapping { edge: 1.3, detail: 1.0 / options.detail, range: options.edges, noise: 0.05 };
     let mut tones = local_laplacian(&lit, &remapping);
     for (v, (l, lit)) in tones.as_mut_slice().iter_mut().zip(grid.logs.as_slice().iter().zip(lit.as_slice())) {
@@ -111,16 +107,7 @@ impl Display {
         let mut display = Display { curve, veil: VEIL * libm::exp2(-range), power: 1.0 };
         let step = (sorted.len() / 2048).max(1);
         let shown: Vec<f64> = sorted.iter().step_by(step).map(|&v| display.at(v.into())).collect();
-        let (mut low, mut high) = POWERS;
-        for _ in 0..20 {
-            display.power = 0.5 * (low + high);
-            let codes = shown.iter().map(|l| linear_to_srgb(libm::pow(*l, display.power)));
-            if codes.sum::<f64>() / shown.len() as f64 > brightness {
-                low = display.power;
-            } else {
-                high = display.power;
-            }
-        }
+        display.power = brightness::power(&shown, brightness, POWERS, 19);
         display
     }
 

@@ -168,6 +168,13 @@ impl Scene {
         sum / self.sample.len() as f64
     }
 
+    /// The cells without what hardly has light: a stop below what a thousandth of the pixels is below. It is noise, and no edge or contrast.
+    pub fn lit(&self) -> Plane<f32> {
+        let dark = self.percentile(0.001) as f32 - 1.0;
+        let lit = self.logs.as_slice().iter().map(|l| l.max(dark)).collect();
+        Plane::from_vec(self.logs.width(), self.logs.height(), lit)
+    }
+
     /// The grid with cells of twice the sides, or more, until there are at most `cells` of them.
     pub fn coarser(&self, cells: usize) -> Scene {
         let mut by = 1;

@@ -1,7 +1,8 @@
 //! `hdralign tonemap`: the picture of a radiance map that was written before.
 
-use crate::support::{Folder, Run};
+use crate::support::{Folder, Run, small};
 use hdralign::read::read;
+use image::imageops::FilterType;
 use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q";
@@ -147,5 +148,12 @@ fn fusion_is_of_the_frames_and_needs_room() {
     assert!(run.stderr.contains("--deghost acts on the radiance"), "{}", run.stderr);
     folder.line("tonemap room.exr -o toned.png -q").done();
     assert!(folder.bytes("fused.png") != folder.bytes("toned.png"));
-    refused(folder.line(&format!("{MERGE} --tmo mertens --max-memory 2MB -o no.png")), 2, "--max-memory");
+    // 48 bytes a pixel: more than the least that may be allowed.
+    for i in 2..=3 {
+        image::imageops::resize(&small(i), 1500, 1000, FilterType::Nearest)
+            .save(folder.at(format!("large{i}.png")))
+            .unwrap();
+    }
+    let large = "merge -e=0,2 large2.png large3.png --align none -q --tmo mertens --max-memory 64MB -o no.png";
+    refused(folder.line(large), 2, "72 MB for this picture and 64 MB are allowed; give a larger --max-memory");
 }

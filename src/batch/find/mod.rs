@@ -13,6 +13,7 @@ mod streams;
 mod twins;
 mod walk;
 
+use crate::bracket::exposure;
 use crate::bracket::header::Header;
 use crate::error::Result;
 use rayon::prelude::*;
@@ -56,6 +57,15 @@ pub struct FoundBracket {
     pub photographs: Vec<Shot>,
     /// The panorama that it belongs to, counted from 0: brackets of one set were taken one after the other, by one pattern.
     pub set: usize,
+}
+
+impl FoundBracket {
+    /// The relative exposure t ISO / N^2 (s) of each photograph as merging will take it, where its file says.
+    pub fn exposures(&self) -> Vec<Option<f64>> {
+        let tags: Vec<_> = self.photographs.iter().map(|shot| shot.header.exposure).collect();
+        let (exposures, _) = exposure::by_tags(&tags);
+        exposures.into_iter().map(|exposure| exposure.map(|e| e.relative())).collect()
+    }
 }
 
 /// A photograph that was found.
@@ -167,3 +177,6 @@ pub fn find(roots: &[PathBuf], options: &FindOptions, watch: &(dyn Fn(usize) + S
     found.other_files = other_files;
     Ok(found)
 }
+
+#[cfg(test)]
+mod tests;

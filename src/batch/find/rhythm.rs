@@ -45,7 +45,7 @@ const UNHURRIED_UNKNOWN_S: f64 = 4.0;
 /// How fast the cost of a pause rises with the logarithm of its length.
 const LONG: f64 = 0.6;
 /// The same of its ratio to the rhythm of the others.
-const UNEVEN: f64 = 0.5;
+const UNEVEN: f64 = 0.8;
 /// Pauses differ by so much without any reason, in seconds.
 const JITTER_S: f64 = 0.5;
 

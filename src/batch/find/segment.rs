@@ -28,6 +28,8 @@ pub(super) struct Beat {
     pub mode: Mode,
     /// What the camera calls its place in the bracket, or the compensation, in stops.
     pub place: Option<f64>,
+    /// The compensation beside such a place, in stops.
+    pub bias: Option<f64>,
     /// Focal length in millimetres.
     pub focal_length_mm: Option<f64>,
 }
@@ -67,16 +69,18 @@ const BRACKET: f64 = 4.0;
 /// Two frames are as often chance.
 const TWO: f64 = 1.5;
 /// Frames more than three, and then two by two: 3, 5, 7 and 9 are sold.
-const UNUSUAL_COUNT: f64 = 0.5;
+const UNUSUAL_COUNT: f64 = 0.3;
 /// A range of less than a stop.
 const NARROW: f64 = 1.0;
 /// One exposure for the second time.
 const TWICE: f64 = 4.0;
+/// More of these, and no longer bracket is looked at.
+const MOST_TWICE: usize = 5;
 /// The last exposure once more, at the end of a ladder of [`LONG_LADDER`] frames: the dial went no further.
 const ONCE_MORE: f64 = 1.5;
 const LONG_LADDER: usize = 5;
 /// A step that differs from the others, and at most so much of them.
-const ODD_STEP: f64 = 1.0;
+const ODD_STEP: f64 = 1.5;
 const ODD_STEPS: f64 = 4.0;
 /// Up where it went down before, in no order that cameras have.
 const TURN: f64 = 0.7;
@@ -85,11 +89,16 @@ const TURNS: f64 = 5.0;
 const MIXED: f64 = 8.0;
 /// The meter changed its mind: a step that nobody asked for.
 const METERED: f64 = 3.0;
+/// The same within a second, by a stop and more and evenly: cameras that do not say that they bracket; light does not change so.
+const METERED_AT_ONCE: f64 = 0.7;
+const AT_ONCE_S: f64 = 1.0;
 /// The camera says: a place in the bracket that was taken before.
 const PLACE_TWICE: f64 = 2.5;
 const PLACES_TWICE: f64 = 5.0;
-/// The camera says: each of them another place of one bracket.
+/// The camera says: each of three or more another place of one bracket.
 const PLACES: f64 = 2.0;
+/// The camera's bracket was shifted by its own length, so that the ladder goes on: nobody does that by chance.
+const EXTENDED: f64 = 4.0;
 /// The same steps again: two brackets rather than one.
 const REPEATED: f64 = 4.0;
 /// Most that a pattern gains by being found often.
@@ -130,8 +139,14 @@ fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popula
         };
         offer(begin + 1, single);
         let most = rules.frames.unwrap_or(MOST_FRAMES).min(beats.len() - begin);
+        let mut twice = 0;
         for count in 2..=most {
             let end = begin + count;
+            let is_again = |b: &Beat| b.ev.zip(beats[end - 1].ev).is_some_and(|(a, b)| is_same(a, b));
+            twice += usize::from(beats[begin..end - 1].iter().any(is_again));
+            if rules.frames.is_none() && twice > MOST_TWICE {
+                break;
+            }
             let is_near = gaps[end - 2].is_none_or(|gap| gap <= rules.gap_s);
             if !is_near || !is_one_view(&beats[begin], &beats[end - 1]) {
                 break;
@@ -177,8 +192,7 @@ fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
         // Nothing to go by but the user's word.
         return rules.frames.map(|_| 0.0);
     };
-    let mut sorted = evs.clone();
-    sorted.sort_by(f64::total_cmp);
+    let sorted = in_order(&evs);
     let range = sorted[sorted.len() - 1] - sorted[0];
     if range < LEAST_STOPS {
         return None;
@@ -194,17 +208,23 @@ fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
         }
     };
     let is_narrow = if range < 1.0 - SAME_STOPS { NARROW } else { 0.0 };
+    let of_sequence =
+        if is_extended(beats, &sorted) { -EXTENDED } else { of_order(&evs) + of_places(beats) + of_repeats(&evs) };
     Some(
         by_count
             + is_narrow
             + rhythm::cost(beats, gaps)
             + of_twice(&evs)
             + of_steps(&sorted)
-            + of_order(&evs)
-            + of_modes(beats, &evs)
-            + of_places(beats)
-            + of_repeats(&evs),
+            + of_modes(beats, gaps, &evs)
+            + of_sequence,
     )
+}
+
+fn in_order(evs: &[f64]) -> Vec<f64> {
+    let mut sorted = evs.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted
 }
 
 fn is_same(a: f64, b: f64) -> bool {
@@ -255,19 +275,25 @@ fn of_order(evs: &[f64]) -> f64 {
 }
 
 /// Frames that are part of no automatic bracket among such that are, and steps of the meter.
-fn of_modes(beats: &[Beat], evs: &[f64]) -> f64 {
+fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
     let count = |mode: Mode| beats.iter().filter(|b| b.mode == mode).count();
     let (bracketed, others) = (count(Mode::AutoBracket), count(Mode::Manual) + count(Mode::Automatic));
     let mixed = MIXED * bracketed.min(others) as f64;
-    let metered = beats.windows(2).zip(evs.windows(2)).filter(|(b, ev)| {
-        let is_automatic = b.iter().all(|b| b.mode == Mode::Automatic);
-        let asked = b[1].place.unwrap_or(0.0) - b[0].place.unwrap_or(0.0);
-        let given = ev[1] - ev[0];
+    let is_even = evs.len() > 2 && of_steps(&in_order(evs)) == 0.0;
+    let of_step = |i: usize| {
+        let (a, b) = (&beats[i], &beats[i + 1]);
+        let asked = b.place.unwrap_or(0.0) - a.place.unwrap_or(0.0);
+        let given = evs[i + 1] - evs[i];
         // The photographer asks by the dial of the compensation; the light may have changed by half of a stop meanwhile.
         let most = if is_same(asked, 0.0) { SAME_STOPS } else { 0.5 };
-        is_automatic && (given - asked).abs() > most
-    });
-    mixed + METERED * metered.count() as f64
+        if a.mode != Mode::Automatic || b.mode != Mode::Automatic || (given - asked).abs() <= most {
+            return 0.0;
+        }
+        let resolution = a.resolution_s.max(b.resolution_s);
+        let is_at_once = gaps[i].is_some_and(|gap| gap <= AT_ONCE_S.max(resolution)) && given.abs() > 1.0 - SAME_STOPS;
+        if is_even && is_at_once { METERED_AT_ONCE } else { METERED }
+    };
+    mixed + (0..gaps.len()).map(of_step).sum::<f64>()
 }
 
 /// What the camera calls the frames of its bracket.
@@ -279,7 +305,36 @@ fn of_places(beats: &[Beat]) -> f64 {
     }
     let twice =
         places.iter().enumerate().filter(|(i, p)| places[..*i].iter().any(|earlier| is_same(**p, *earlier))).count();
-    if twice == 0 { -PLACES } else { (PLACE_TWICE * twice as f64).min(PLACES_TWICE) }
+    match twice {
+        0 if places.len() > 2 => -PLACES,
+        _ => (PLACE_TWICE * twice as f64).min(PLACES_TWICE),
+    }
+}
+
+/// Whether the camera went through its bracket more than once, each time with another compensation, and all together are one ladder of
+/// even steps, no step twice.
+fn is_extended(beats: &[Beat], sorted: &[f64]) -> bool {
+    let taken: Option<Vec<(f64, f64)>> = beats.iter().map(|b| Some((b.place?, b.bias?))).collect();
+    let Some(taken) = taken else { return false };
+    let is_even = of_steps(sorted) == 0.0 && sorted.windows(2).all(|w| !is_same(w[0], w[1]));
+    let mut runs: Vec<&[(f64, f64)]> = Vec::new();
+    let mut begin = 0;
+    for i in 1..=taken.len() {
+        let is_end = i == taken.len() || taken[begin..i].iter().any(|(place, _)| is_same(*place, taken[i].0));
+        if is_end {
+            runs.push(&taken[begin..i]);
+            begin = i;
+        }
+    }
+    // Some cameras write the compensation that was dialled, some what the place makes of it.
+    let is_shifted = |dialled: fn(&(f64, f64)) -> f64| {
+        let is_constant = |run: &&[(f64, f64)]| run.iter().all(|frame| is_same(dialled(frame), dialled(&run[0])));
+        runs.iter().all(is_constant) && runs.windows(2).all(|w| !is_same(dialled(&w[0][0]), dialled(&w[1][0])))
+    };
+    is_even
+        && runs.len() > 1
+        && runs.iter().all(|run| run.len() > 1)
+        && (is_shifted(|(_, bias)| *bias) || is_shifted(|(place, bias)| bias - place))
 }
 
 /// Whether the steps are those of a shorter bracket, made twice or more.

@@ -239,6 +239,7 @@ fn beats(photographs: &[Placed]) -> Vec<Beat> {
                     None => Mode::Unknown,
                 },
                 place: if has_places { header.bracket_stops } else { header.bias_stops },
+                bias: if has_places { header.bias_stops } else { None },
                 focal_length_mm: header.focal_length_mm,
             }
         })

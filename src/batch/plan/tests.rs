@@ -8,6 +8,7 @@ fn planned(root: &str, folder: &str, first: usize) -> Planned {
         folder: folder.into(),
         photographs,
         size: (640, 480),
+        depth: 8,
         exposures: vec![1.0, 4.0],
         camera: Some("Canon EOS 5D".into()),
         date_time: Some("2026:11:21 17:05:59".into()),
@@ -97,11 +98,11 @@ fn a_plan_is_read_as_it_was_written() {
     let text: String = steps.iter().map(|s| s.to_line().unwrap() + "\n").collect();
     fs::write(&path, &text).unwrap();
     assert_eq!(Step::read_all(&path).unwrap(), steps);
-    assert_eq!(Step::read(&path, "a_IMG_1-IMG_2").unwrap(), steps[0]);
-    assert!(Step::read(&path, "c").unwrap_err().to_string().contains("no step"));
+    assert_eq!(Step::read(&path, &["a_IMG_1-IMG_2".into()]).unwrap(), steps[..1]);
+    assert!(Step::read(&path, &["c".into()]).unwrap_err().to_string().contains("no step"));
     let wrong = |text: String, said: &str| {
         fs::write(&path, text).unwrap();
-        let error = Step::read(&path, &steps[0].id).unwrap_err().to_string();
+        let error = Step::read(&path, std::slice::from_ref(&steps[0].id)).unwrap_err().to_string();
         assert!(error.contains(said), "{error}");
     };
     let line = steps[0].to_line().unwrap();

@@ -86,6 +86,24 @@ fn memory_and_threads_are_shared_out() {
 }
 
 #[test]
+fn the_longest_comes_first_if_there_is_room_for_it() {
+    let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[]), ("d", &[])], Path::new("/none"));
+    for (step, (time_s, memory_mb)) in all.iter_mut().zip([(1.0, 100), (3.0, 200), (2.0, 100), (2.0, 100)]) {
+        (step.time_s, step.memory_mb) = (time_s, memory_mb);
+    }
+    let stop = AtomicBool::new(false);
+    let watch = |_: Event| ();
+    let roomy = limits(2, None);
+    let board = Board::new(&all, &roomy, &stop, &watch);
+    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+    all[0].memory_mb = 150;
+    let tight = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
+    let board = Board::new(&all, &tight, &stop, &watch);
+    // b takes 133 MB of the 170; beside it is no room but for c and, when that is done, d.
+    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+}
+
+#[test]
 fn a_response_comes_before_what_needs_it() {
     let dir = tempfile::tempdir().unwrap();
     let mut all = steps(&[("merge", &["response"]), ("response", &[])], dir.path());

@@ -12,6 +12,8 @@ use std::path::PathBuf;
 const SCHEMA: &str = "hdralign-found/1";
 /// Names of photographs that are told of one reason to leave them over; `--json` has all.
 const TOLD: usize = 20;
+/// Exposures of a bracket that are told one by one.
+const EXPOSURES: usize = 9;
 
 /// The brackets, as plans take them.
 pub fn planned(found: &Found) -> Vec<Planned> {
@@ -70,10 +72,10 @@ pub fn table(found: &Found, steps: &[Step]) -> String {
         let shots = &bracket.photographs;
         rows.push([
             step.id.clone(),
-            bracket.set.to_string(),
+            step.set.map(|set| set.to_string()).unwrap_or_default(),
             shots.len().to_string(),
             shots.first().map(file_name).unwrap_or_default(),
-            exposures(shots),
+            exposures(bracket),
             begun(bracket).unwrap_or_else(|| "unknown".into()),
             lasts_s(bracket).map_or_else(|| "unknown".into(), |s| format!("{s:.1} s")),
             shots.first().and_then(|shot| shot.header.camera.clone()).unwrap_or_else(|| "unknown".into()),
@@ -123,9 +125,9 @@ fn file_name(shot: &Shot) -> String {
     shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Steps from the first exposure, in EV.
-fn exposures(shots: &[Shot]) -> String {
-    let all: Option<Vec<f64>> = shots.iter().map(|shot| shot.header.ev()).collect();
+/// Steps from the middle exposure, in EV; of many, the range.
+fn exposures(bracket: &FoundBracket) -> String {
+    let all: Option<Vec<f64>> = evs(bracket).into_iter().collect();
     let Some(all) = all else { return "unknown".into() };
     let middle = {
         let mut sorted = all.clone();
@@ -136,7 +138,16 @@ fn exposures(shots: &[Shot]) -> String {
         let ev = ((ev - middle) * 10.0).round() / 10.0;
         if ev == 0.0 { "0".to_owned() } else { format!("{ev:+}") }
     };
+    if all.len() > EXPOSURES {
+        let range = all.iter().fold((f64::MAX, f64::MIN), |(least, most), &ev| (least.min(ev), most.max(ev)));
+        return format!("{} to {}", tenth(range.0), tenth(range.1));
+    }
     all.iter().map(|&ev| tenth(ev)).collect::<Vec<_>>().join(" ")
+}
+
+/// In EV, of those that say.
+fn evs(bracket: &FoundBracket) -> Vec<Option<f64>> {
+    bracket.exposures().into_iter().map(|exposure| exposure.map(libm::log2)).collect()
 }
 
 fn begun(bracket: &FoundBracket) -> Option<String> {
@@ -161,7 +172,7 @@ struct Json {
 #[derive(Serialize)]
 struct BracketJson {
     id: String,
-    set: usize,
+    set: Option<usize>,
     photographs: Vec<String>,
     relative_exposures_ev: Vec<Option<f64>>,
     begun: Option<String>,
@@ -174,14 +185,14 @@ struct BracketJson {
 
 /// All that was found.
 pub fn json(found: &Found, steps: &[Step]) -> String {
-    let names = steps.iter().filter(|step| step.kind == Kind::Merge).map(|step| step.id.clone());
-    let bracket = |(bracket, id): (&FoundBracket, String)| {
+    let merges = steps.iter().filter(|step| step.kind == Kind::Merge);
+    let bracket = |(bracket, step): (&FoundBracket, &Step)| {
         let header = bracket.photographs.first().map(|shot| &shot.header);
         BracketJson {
-            id,
-            set: bracket.set,
+            id: step.id.clone(),
+            set: step.set,
             photographs: bracket.photographs.iter().map(|s| s.path.to_string_lossy().into_owned()).collect(),
-            relative_exposures_ev: bracket.photographs.iter().map(|shot| shot.header.ev()).collect(),
+            relative_exposures_ev: evs(bracket),
             begun: begun(bracket),
             lasts_s: lasts_s(bracket),
             camera: header.and_then(|h| h.camera.clone()),
@@ -192,7 +203,7 @@ pub fn json(found: &Found, steps: &[Step]) -> String {
     };
     let all = Json {
         schema: SCHEMA,
-        brackets: found.brackets.iter().zip(names).map(bracket).collect(),
+        brackets: found.brackets.iter().zip(merges).map(bracket).collect(),
         left_over: unused(found),
         other_files: found.other_files,
     };

@@ -53,8 +53,16 @@ struct Habit {
     alike: f64,
     /// Probability of single frames before a bracket.
     singles: f64,
+    /// Pauses before and after these, in seconds.
+    single_pauses: (f64, f64),
     /// Probability of a burst of one exposure before a bracket.
     bursts: f64,
+    /// Probability that a frame of a bracket is missing.
+    cuts: f64,
+    /// Probability that the count, the steps and the order change.
+    changes: f64,
+    /// Every other bracket is taken backwards.
+    is_to_and_fro: bool,
 }
 
 const AUTO: Habit = Habit {
@@ -69,7 +77,11 @@ const AUTO: Habit = Habit {
     times: (1e-3, 0.1),
     alike: 0.3,
     singles: 0.0,
+    single_pauses: (4.0, 300.0),
     bursts: 0.0,
+    cuts: 0.0,
+    changes: 0.0,
+    is_to_and_fro: false,
 };
 
 const MANUAL: Habit = Habit {
@@ -84,15 +96,20 @@ const MANUAL: Habit = Habit {
     times: (5e-3, 0.3),
     alike: 0.3,
     singles: 0.0,
+    single_pauses: (4.0, 300.0),
     bursts: 0.0,
+    cuts: 0.0,
+    changes: 0.0,
+    is_to_and_fro: false,
 };
 
-/// Each with the least share of brackets to be found, in percent: what was reached when this was written, rounded down.
+/// Each with the least share of brackets to be found exactly, in percent: what was reached when this was written, rounded down. (Brackets of
+/// which frames were deleted cannot all be found: two frames a third of a stop apart are none.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
-        (AUTO, 0.0),
-        (Habit { name: "automatic, with singles between", singles: 0.5, ..AUTO }, 0.0),
-        (Habit { name: "automatic, with bursts between", bursts: 0.5, ..AUTO }, 0.0),
+        (AUTO, 100.0),
+        (Habit { name: "automatic, with singles between", singles: 0.5, ..AUTO }, 100.0),
+        (Habit { name: "automatic, with bursts between", bursts: 0.5, ..AUTO }, 100.0),
         (
             Habit {
                 name: "automatic, released one by one",
@@ -102,9 +119,9 @@ fn habits() -> Vec<(Habit, f64)> {
                 counts: &[3, 5],
                 ..AUTO
             },
-            0.0,
+            100.0,
         ),
-        (Habit { name: "automatic, the next at once", pauses: (0.5, 5.0), alike: 0.7, ..AUTO }, 0.0),
+        (Habit { name: "automatic, the next at once", pauses: (0.5, 5.0), alike: 0.7, ..AUTO }, 100.0),
         (
             Habit {
                 name: "panoramas, pauses under the exposure",
@@ -115,11 +132,11 @@ fn habits() -> Vec<(Habit, f64)> {
                 steps: &[1.0, 2.0],
                 ..AUTO
             },
-            0.0,
+            100.0,
         ),
-        (Habit { name: "automatic, mode not written", mode: Mode::Unknown, places: 0.0, singles: 0.3, ..AUTO }, 0.0),
-        (MANUAL, 0.0),
-        (Habit { name: "ladders by hand, with singles", singles: 0.4, ..MANUAL }, 0.0),
+        (Habit { name: "automatic, mode not written", mode: Mode::Unknown, places: 0.0, singles: 0.3, ..AUTO }, 100.0),
+        (MANUAL, 100.0),
+        (Habit { name: "ladders by hand, with singles", singles: 0.4, ..MANUAL }, 99.0),
         (
             Habit {
                 name: "ladders by hand, panoramas",
@@ -129,7 +146,7 @@ fn habits() -> Vec<(Habit, f64)> {
                 counts: &[3, 5, 7],
                 ..MANUAL
             },
-            0.0,
+            100.0,
         ),
         (
             Habit {
@@ -142,7 +159,76 @@ fn habits() -> Vec<(Habit, f64)> {
                 pauses: (20.0, 300.0),
                 ..MANUAL
             },
-            0.0,
+            100.0,
+        ),
+        (Habit { name: "automatic, now and then set otherwise", changes: 0.3, ..AUTO }, 100.0),
+        (Habit { name: "automatic, some frames deleted", cuts: 0.3, counts: &[3, 5], ..AUTO }, 89.0),
+        (
+            Habit {
+                name: "automatic, singles seconds apart",
+                singles: 0.6,
+                single_pauses: (1.0, 4.0),
+                pauses: (1.0, 6.0),
+                ..AUTO
+            },
+            100.0,
+        ),
+        (
+            Habit {
+                name: "mode not written, singles seconds apart",
+                mode: Mode::Unknown,
+                places: 0.0,
+                singles: 0.6,
+                single_pauses: (1.0, 4.0),
+                pauses: (1.0, 6.0),
+                alike: 0.8,
+                ..AUTO
+            },
+            98.0,
+        ),
+        (
+            Habit {
+                name: "mode not written, the next at once",
+                mode: Mode::Unknown,
+                places: 0.0,
+                pauses: (0.3, 2.0),
+                alike: 0.8,
+                changes: 0.1,
+                ..AUTO
+            },
+            100.0,
+        ),
+        (
+            Habit {
+                name: "bracket written as metered",
+                mode: Mode::Automatic,
+                places: 0.0,
+                singles: 0.3,
+                steps: &[1.0, 2.0, 3.0],
+                ..AUTO
+            },
+            100.0,
+        ),
+        (
+            Habit {
+                name: "by hand, to and fro",
+                is_to_and_fro: true,
+                pauses: (3.0, 30.0),
+                gaps: (3.0, 10.0),
+                alike: 1.0,
+                ..MANUAL
+            },
+            100.0,
+        ),
+        (
+            Habit {
+                name: "by hand, singles near, now and then otherwise",
+                singles: 0.4,
+                single_pauses: (10.0, 60.0),
+                changes: 0.3,
+                ..MANUAL
+            },
+            98.0,
         ),
     ]
 }
@@ -183,6 +269,16 @@ struct Card {
     truth: Vec<Range<usize>>,
 }
 
+/// A step that makes a bracket of `count` frames, and one that the times of a camera hold.
+fn step(chance: &mut Chance, habit: &Habit, count: usize) -> f64 {
+    loop {
+        let step = chance.of(habit.steps);
+        if (0.6..=16.0).contains(&(step * (count - 1) as f64)) {
+            return step;
+        }
+    }
+}
+
 /// An exposure for the middle frame, on the thirds of a stop that dials have.
 fn metered(chance: &mut Chance, habit: &Habit) -> f64 {
     libm::round(3.0 * libm::log2(chance.scaled(habit.times.0, habit.times.1))) / 3.0
@@ -193,20 +289,15 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let mut chance = Chance(seed.wrapping_mul(0x0123_4567_89AB_CDEF) ^ 77);
     let clock = CameraClock { resolution_s: chance.of(&[1.0, 1.0, 0.01, 0.001]), marks_end: chance.is(0.25) };
     let says_places = chance.is(habit.places);
-    let count = chance.of(habit.counts);
-    let step = loop {
-        let step = chance.of(habit.steps);
-        if step * (count - 1) as f64 >= 0.6 && step * (count - 1) as f64 <= 16.0 {
-            break step;
-        }
-    };
-    let places = order(&mut chance, count, habit.mode);
+    let mut count = chance.of(habit.counts);
+    let mut step = step(&mut chance, habit, count);
+    let mut places = order(&mut chance, count, habit.mode);
     let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
     let (mut now, mut card) = (0.0, Card { beats: Vec::new(), truth: Vec::new() });
     let mut middle = metered(&mut chance, habit);
     // Thirds of a stop, as printed: off by up to a tenth, the same exposure always by the same.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
-    let mut take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
+    let take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
         let ev = printed(ev);
         let time = libm::exp2(ev);
         *now += pause;
@@ -219,10 +310,16 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
             ev: Some(ev),
             mode,
             place,
+            bias: None,
             focal_length_mm: Some(24.0),
         });
     };
-    for _ in 0..brackets {
+    for bracket in 0..brackets {
+        if chance.is(habit.changes) {
+            count = chance.of(habit.counts);
+            step = self::step(&mut chance, habit, count);
+            places = order(&mut chance, count, habit.mode);
+        }
         let pause = |chance: &mut Chance| chance.scaled(habit.pauses.0, habit.pauses.1);
         if !chance.is(habit.alike) {
             middle = metered(&mut chance, habit);
@@ -233,7 +330,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         if chance.is(habit.singles) {
             for _ in 0..chance.of(&[1, 1, 2]) {
                 let ev = if chance.is(0.5) { middle } else { metered(&mut chance, habit) };
-                let pause = pause(&mut chance);
+                let pause = chance.scaled(habit.single_pauses.0, habit.single_pauses.1);
                 take(&mut card, &mut now, ev, mode, place, pause);
             }
         }
@@ -245,6 +342,13 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         }
         let begin = card.beats.len();
         let first = pause(&mut chance);
+        let mut places = places.clone();
+        if habit.is_to_and_fro && bracket % 2 == 1 {
+            places.reverse();
+        }
+        if chance.is(habit.cuts) {
+            places.remove((chance.next() * count as f64) as usize);
+        }
         for (i, &p) in places.iter().enumerate() {
             let gap = tempo * chance.scaled(1.0 / habit.uneven, habit.uneven);
             let place = says_places.then_some(p * step);
@@ -275,7 +379,7 @@ fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
 fn brackets_of_many_habits_are_found_as_they_were_taken() {
     let mut failed = Vec::new();
     for (habit, least) in habits() {
-        let (all, right, wrong) = score(&habit, 60);
+        let (all, right, wrong) = score(&habit, 20);
         let share = 100.0 * right as f64 / all as f64;
         println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
         if share < least {
@@ -290,11 +394,14 @@ fn snapshots_are_no_brackets() {
     let mut chance = Chance(5);
     let (mut found, mut frames) = (0, 0);
     for _ in 0..100 {
-        let mut now = 0.0;
+        let (mut now, mut ev) = (0.0, -8.0);
         let beats: Vec<Beat> = (0..100)
             .map(|_| {
-                now += chance.scaled(1.0, 300.0);
-                let ev = libm::round(3.0 * chance.within(-11.0, -4.0)) / 3.0;
+                let pause = chance.scaled(0.5, 300.0);
+                now += pause;
+                // What is taken at once is of one scene.
+                let metered = if pause < 3.0 { ev + chance.within(-0.7, 0.7) } else { chance.within(-11.0, -4.0) };
+                ev = libm::round(3.0 * metered) / 3.0;
                 Beat {
                     at_s: Some(libm::floor(now)),
                     resolution_s: 1.0,
@@ -302,42 +409,42 @@ fn snapshots_are_no_brackets() {
                     ev: Some(ev),
                     mode: Mode::Automatic,
                     place: Some(0.0),
+                    bias: None,
                     focal_length_mm: Some(35.0),
                 }
             })
             .collect();
-        let f = found(&beats);
-        for r in &f {
-            println!(
-                "{r:?} {:?}",
-                beats[r.clone()].iter().map(|b| (b.at_s.unwrap(), b.ev.unwrap())).collect::<Vec<_>>()
-            );
-        }
-        found += f.len();
+        found += self::found(&beats).len();
         frames += beats.len();
     }
     println!("{found} brackets in {frames} snapshots");
     assert_eq!(found, 0);
 }
 
+/// Five exposures of Canon's 300D: a bracket of three, the compensation dialled up by three stops, and the begin of another.
 #[test]
-fn debug_misses() {
-    let which: usize = std::env::var("HABIT").unwrap().parse().unwrap();
-    let (habit, _) = habits().swap_remove(which);
-    for seed in 0..60 {
-        let card = card(&habit, 12, seed + 1000);
-        let found = self::found(&card.beats);
-        for t in card.truth.iter().filter(|t| !found.contains(t)) {
-            let (a, b) = (t.start.saturating_sub(4), (t.end + 4).min(card.beats.len()));
-            println!(
-                "seed {seed} truth {t:?} found {:?} {:?}",
-                found.iter().filter(|f| f.end > a && f.start < b).collect::<Vec<_>>(),
-                card.beats[t.start].mode
-            );
-            for (i, x) in card.beats[a..b].iter().enumerate() {
-                print!(" {}:{:.2}+{:.2}({:.2}){:?}", a + i, x.at_s.unwrap(), x.time_s, x.ev.unwrap(), x.place);
-            }
-            println!();
-        }
-    }
+fn a_bracket_that_was_shifted_goes_on() {
+    let beat = |at_s: f64, ev: f64, place: f64, bias: f64| Beat {
+        at_s: Some(at_s),
+        resolution_s: 1.0,
+        time_s: libm::exp2(ev),
+        ev: Some(ev),
+        mode: if place == 0.0 { Mode::Unknown } else { Mode::AutoBracket },
+        place: Some(place),
+        bias: Some(bias),
+        focal_length_mm: Some(24.0),
+    };
+    let shifted = [
+        beat(54.0, -3.0, 0.0, -2.0),
+        beat(58.0, -4.0, -1.0, -2.0),
+        beat(60.0, -2.0, 1.0, -2.0),
+        beat(72.0, 0.0, 0.0, 1.0),
+        beat(74.0, -1.0, -1.0, 1.0),
+    ];
+    assert_eq!(self::found(&shifted), [0..5]);
+    let as_summed = shifted.clone().map(|beat| Beat { bias: Some(beat.bias.unwrap() + beat.place.unwrap()), ..beat });
+    assert_eq!(self::found(&as_summed), [0..5]);
+    // Without a word of the compensation, it is as likely that the second was cut short.
+    let unsaid = shifted.map(|beat| Beat { bias: None, ..beat });
+    assert_eq!(self::found(&unsaid)[0], 0..3);
 }

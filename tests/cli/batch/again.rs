@@ -1,0 +1,109 @@
+//! A batch that is run again: what is whole is left alone, and nothing that is not ours is touched.
+
+use super::{card, counts, refused, results};
+use crate::support::Folder;
+use std::fs;
+use std::path::Path;
+
+#[test]
+fn what_is_unchanged_is_not_done_again_by_content_and_not_by_date() {
+    let folder = Folder::empty();
+    let paths = card(&folder, 3);
+    folder.line("batch in -d out -q").done();
+    let first = results(&folder);
+    // Copied: another date, the same bytes. And a new name for the folder.
+    let copied = fs::read(&paths[0][0]).unwrap();
+    fs::write(&paths[0][0], copied).unwrap();
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [0, 3, 0, 0]);
+    // One photograph changes: its bracket alone is done again.
+    let mut bytes = fs::read(&paths[1][0]).unwrap();
+    bytes.extend(b"behind the picture");
+    fs::write(&paths[1][0], bytes).unwrap();
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [1, 2, 0, 0]);
+    // An option changes: all are, in the place of the older ones.
+    folder.line("batch in -d out -q --weight gaussian").done();
+    assert_eq!(counts(&folder), [3, 0, 0, 0]);
+    assert!(results(&folder) != first);
+    // --force does all again.
+    folder.line("batch in -d out -q --weight gaussian --force").done();
+    assert_eq!(counts(&folder), [3, 0, 0, 0]);
+    // How it is done is no option of what is done.
+    folder.line("batch in -d out -q --weight gaussian --jobs 1 --threads 1 --max-memory 100MB").done();
+    assert_eq!(counts(&folder), [0, 3, 0, 0]);
+}
+
+#[test]
+fn a_result_that_somebody_changed_is_kept() {
+    let folder = Folder::empty();
+    card(&folder, 2);
+    folder.line("batch in -d out -q").done();
+    let picture = "out/a/IMG_0001-IMG_0003.png";
+    folder.put(picture, b"retouched");
+    let said = refused(folder.line("batch in -d out -q --weight gaussian"));
+    assert!(said.contains("IMG_0001-IMG_0003.png: exists already") && said.contains("--force"), "{said}");
+    assert_eq!(counts(&folder), [1, 0, 1, 0]);
+    assert_eq!(folder.bytes(picture), b"retouched");
+    folder.line("batch in -d out -q --weight gaussian --force").done();
+    assert_ne!(folder.bytes(picture), b"retouched");
+}
+
+#[test]
+fn a_file_that_was_there_before_is_kept() {
+    let folder = Folder::empty();
+    card(&folder, 2);
+    fs::create_dir_all(folder.at("out/a")).unwrap();
+    for name in ["out/a/IMG_0001-IMG_0003.exr", "out/a/IMG_0004-IMG_0006.json"] {
+        folder.put(name, b"{}");
+    }
+    let said = refused(folder.line("batch in -d out -q"));
+    assert!(said.contains("IMG_0003.exr: exists already") && said.contains("IMG_0006.json: exists already"), "{said}");
+    assert_eq!(folder.bytes("out/a/IMG_0001-IMG_0003.exr"), b"{}");
+    assert_eq!(folder.bytes("out/a/IMG_0004-IMG_0006.json"), b"{}");
+}
+
+/// Killed between two names, a step has a report and not all of its results: the next run knows them for its own.
+#[test]
+fn what_was_interrupted_is_ended() {
+    let folder = Folder::empty();
+    card(&folder, 1);
+    let name = |extension: &str| format!("out/a/IMG_0001-IMG_0003.{extension}");
+    folder.line("batch in -d out -q").done();
+    let first = results(&folder);
+    fs::remove_file(folder.at(name("png"))).unwrap();
+    fs::write(folder.at("out/a/.hdralign-dead.part"), b"x").unwrap();
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [1, 0, 0, 0]);
+    assert!(results(&folder) == first, "the rest of the killed run is taken away");
+
+    // Killed after the report of a second run, with other options, had its name: the results are still those of the first.
+    folder.line("batch in -d out -q --weight gaussian").done();
+    let (second, report) = (results(&folder), folder.bytes(&name("json")));
+    for (path, bytes) in &first {
+        fs::write(path, bytes).unwrap();
+    }
+    folder.line("batch in -d out -q --weight gaussian").done();
+    assert!(results(&folder) == second);
+    assert_eq!(counts(&folder), [1, 0, 0, 0]);
+    assert!(report != folder.bytes(&name("json")), "it has another time");
+}
+
+/// Results beside the photographs are no photographs of the next run.
+#[test]
+fn results_beside_the_photographs_are_not_taken_for_some() {
+    let folder = Folder::empty();
+    card(&folder, 2);
+    let batch = || {
+        folder.line("batch in -q --formats exr,png,jpg,tif").done();
+        let summary: serde_json::Value = serde_json::from_slice(&folder.bytes("in/batch.json")).unwrap();
+        let counts = &summary["counts"];
+        let reasons = summary["left_over"].as_array().unwrap().clone();
+        (counts["done"].as_u64(), counts["unchanged"].as_u64(), reasons)
+    };
+    assert_eq!(batch(), (Some(2), Some(0), vec![]));
+    let (done, unchanged, reasons) = batch();
+    assert_eq!((done, unchanged), (Some(0), Some(2)));
+    assert!(reasons.iter().all(|l| l["reason"].as_str().unwrap().contains("a result")), "{reasons:?}");
+    assert!(Path::new(&folder.at("in/a/IMG_0001-IMG_0003.jpg")).is_file());
+}
