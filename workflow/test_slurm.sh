@@ -14,7 +14,7 @@
 set -euo pipefail
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-engine=both brackets=42 width=1200 log=hdralign-engines.log keep=
+engine=both brackets=42 width=960 log=hdralign-engines.log keep=
 while (($#)); do
     case $1 in
         --engine) engine=$2; shift ;;
@@ -50,6 +50,8 @@ fi
 : >"$log"
 log=$(cd "$(dirname "$log")" && pwd)/$(basename "$log")
 exec > >(tee -a -- "$log") 2>&1
+# What this test says of a command whose own output goes elsewhere.
+exec 3>&1
 
 root=$(mktemp -d "${TMPDIR:-/tmp}/hdralign-engines.XXXXXX")
 daemons=() workers=()
@@ -71,14 +73,14 @@ trap clean_up EXIT
 trap 'exit 130' INT TERM
 
 say() { printf '\n== %s\n' "$*"; }
-fail() { printf 'FAILED: %s\n' "$*"; exit 1; }
+fail() { printf 'FAILED: %s\n' "$*" >&3; exit 1; }
 # expect CODE COMMAND...: runs it, prints its exit code and time, and holds the code.
 expect() {
     local wanted=$1 code=0 began=$EPOCHREALTIME
     shift
-    printf '$ %s\n' "$*"
-    "$@" || code=$?
-    printf -- '-- exit code %d (%d expected), %s s\n' $code "$wanted" "$(since "$began")"
+    printf '$ %s\n' "$*" >&3
+    "$@" 3>&- || code=$?
+    printf -- '-- exit code %d (%d expected), %s s\n' $code "$wanted" "$(since "$began")" >&3
     ((code == wanted)) || fail "exit code $code, not $wanted: $*"
 }
 since() { python3 -c 'import sys; print(f"{float(sys.argv[2]) - float(sys.argv[1]):.1f}")' "$1" "$EPOCHREALTIME"; }
@@ -95,7 +97,7 @@ for step in map(json.loads, open(plan)):
 PY
 }
 
-# Every result of the plan is there with the bytes of the local run, but for the broken one's unless `whole` is given.
+# Every result of the plan is there with the bytes of the local run.
 compare_with_local() {
     local output same=0 lost=0
     while read -r output; do
@@ -113,25 +115,26 @@ out, brackets, failed, name = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), s
 text = open(os.path.join(out, "batch.json")).read()
 summary = json.loads(text)
 rows = list(csv.DictReader(open(os.path.join(out, "batch.csv"))))
-statuses = [b["status"] for b in summary["brackets"]]
-bad = [b for b in summary["brackets"] if b["status"] == "failed"]
-print({s: statuses.count(s) for s in sorted(set(statuses))}, "in batch.json,", len(rows), "rows in batch.csv")
-for b in bad:
-    print("reported:", json.dumps(b.get("error")))
-assert len(statuses) == len(rows) == brackets, (len(statuses), len(rows), brackets)
-assert len(bad) == failed, bad
-assert all(name in json.dumps(b["error"]) for b in bad), "the error does not name " + name
+counts, bad = summary["counts"], [step for step in summary["steps"] if step["status"] == "failed"]
+print("batch.json:", counts, "; batch.csv:", len(rows), "rows")
+for step in bad:
+    print("reported:", step["id"] + ":", step["error"])
+assert counts["steps"] == len(summary["steps"]) == len(rows) == brackets, (counts, len(rows), brackets)
+assert counts["failed"] == len(bad) == failed and counts["not_done"] == 0, counts
+assert counts["done"] + counts["unchanged"] == brackets - failed, counts
+assert all(name in step["error"] for step in bad), "the error does not name " + name
 PY
 }
 
 # A process of this plan that is in the middle of a step: its id and the step's. The arguments are looked at one by one, so that a shell
-# in whose text they stand is not taken for it.
+# in whose text they stand is not taken for it; nor is parallel itself, which has {} for the step.
 running_step() {
     local pid arguments
     for pid in /proc/[0-9]*; do
         mapfile -d '' -t arguments <"$pid/cmdline" || continue
         for i in "${!arguments[@]}"; do
-            if [[ ${arguments[i]} == --run && ${arguments[i + 1]:-} == "$plan" && ${arguments[i + 2]:-} == --id ]]; then
+            if [[ ${arguments[i]} == --run && ${arguments[i + 1]:-} == "$plan" && ${arguments[i + 2]:-} == --id ]] &&
+                [[ ${arguments[i + 3]:-} =~ ^[A-Za-z0-9._-]+$ ]]; then
                 echo "${pid#/proc/} ${arguments[i + 3]}"
                 return 0
             fi
@@ -140,22 +143,20 @@ running_step() {
     return 1
 }
 
-# Kills a step half-way with kill -9. It is stopped first, so that looking is no race: none of its results may be there.
-kill_a_step() {
-    local pid id
-    for _ in {1..3000}; do
-        sleep 0.05
+# Stops a step half-way, so that looking is no race: it is in the middle, and none of its results are there. Sets `pid`, `id` and `job`,
+# that of Slurm. Not the broken photograph's step, nor one of the job $1.
+stop_a_step() {
+    local but_not_job=${1:-none} results broken_step
+    broken_step=$(grep -F "/$broken_name\"" "$plan" | sed 's/.*"id":"\([^"]*\)".*/\1/')
+    for _ in {1..6000}; do
+        sleep 0.02
         kill -0 "$night" 2>/dev/null || break
         read -r pid id < <(running_step) || continue
-        [[ $id != "$not_this" ]] || continue
+        job=$(tr '\0' '\n' 2>/dev/null <"/proc/$pid/environ" | sed -n 's/^SLURM_JOB_ID=//p') || continue
+        [[ $id != "$broken_step" && $job != "$but_not_job" ]] || continue
         kill -STOP "$pid" 2>/dev/null || continue
-        # shellcheck disable=SC2046  # names of this test's own making
-        if [[ $(ps -o stat= -p "$pid") == T* ]] && ! ls $(value outputs "$id") >/dev/null 2>&1; then
-            kill -KILL "$pid"
-            echo "killed with kill -9: process $pid, in the middle of $id"
-            killed=$id
-            return 0
-        fi
+        mapfile -t results < <(value outputs "$id")
+        [[ $(ps -o stat= -p "$pid") == T* ]] && ! ls "${results[@]}" >/dev/null 2>&1 && return 0
         kill -CONT "$pid" 2>/dev/null || true
     done
     tail -n 40 "$root"/*-1.log
@@ -172,16 +173,15 @@ hdralign=${HDRALIGN:-$target/hdralign} card_dump=${CARD_DUMP:-$target/examples/c
 
 say "a card: $brackets brackets of three photographs, $width px wide; the last photograph of bracket $broken is cut off"
 card=$root/night
-expect 0 "$card_dump" "$card" --brackets "$brackets" --width "$width" --broken $broken
-whole=$root/whole
-expect 0 "$card_dump" "$whole" --brackets "$brackets" --width "$width"
+expect 0 "$card_dump" "$card" --brackets "$brackets" --width "$width"
 broken_name=$(printf 'IMG_%04d.JPG' $((3 * broken)))
-cmp -s "$card/$broken_name" "$whole/$broken_name" && fail "$broken_name is not broken"
-cp "$card/$broken_name" "$root/cut.jpg"
+cp "$card/$broken_name" "$root/whole.jpg"
+break_photograph() { head -c "$(($(stat --format=%s "$root/whole.jpg") * 3 / 4))" "$root/whole.jpg" >"$card/$broken_name"; }
+break_photograph
 
 say "without an engine"
 began=$EPOCHREALTIME
-expect 3 "$hdralign" batch "$card" -d "$root/local" -q
+expect 3 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
 local_s=$(since "$began")
 out=$root/local
 check_summary 1
@@ -265,8 +265,10 @@ snakemake_run() {
 }
 
 overhead() {
-    # A job that holds one step, beside the step by itself: what a job costs.
-    local one=$root/one.jsonl id began step_s
+    # What a job costs: Snakemake's last one, which did one step; a bare one of Slurm with that step; and the step by itself.
+    local one=$root/one.jsonl id began step_s last
+    last=$(squeue --noheader --states=all --format=%i | sort -n | tail -n 1)
+    grep -E "Started JobId=$last |Allocate JobId=$last |JobId=$last done" "$root/slurm/slurmctld.log" || true
     id=$(value id | head -n 1)
     head -n 1 "$plan" >"$one"
     began=$EPOCHREALTIME
@@ -285,53 +287,49 @@ on_slurm() {
 
     plan=$root/plan.jsonl out=$root/slurm-out
     say "the plan"
-    expect 0 "$hdralign" batch --plan "$card" -d "$out" >"$plan.said"
-    # expect's own lines are not the plan's.
-    grep '^{' "$plan.said" >"$plan"
-    grep -v '^{' "$plan.said" || true
+    expect 0 "$hdralign" batch --plan "$card" -d "$out" >"$plan"
     echo "$(wc -l <"$plan") steps"
     (($(wc -l <"$plan") == brackets)) || fail "the plan has not $brackets steps"
 
     say "Snakemake on Slurm; a step and a job will be killed"
-    local began=$EPOCHREALTIME code=0 job killed='' not_this='' night
+    local began=$EPOCHREALTIME code=0 pid id job night night_s killed killed_job
     snakemake_run >"$root/snakemake-1.log" 2>&1 &
     night=$!
     workers+=("$night")
-    # By now some steps of the first jobs are done.
-    kill_a_step
-    for _ in {1..300}; do
-        job=$(squeue --noheader --states=R --format=%i | tail -n 1)
-        [[ -n $job ]] && read -r _ not_this < <(running_step) && break
-        sleep 0.1
-    done
-    [[ -n $job ]] || fail "no job was running"
-    expect 0 scancel --signal=KILL --full "$job"
-    echo "killed with scancel: job $job"
+    stop_a_step
+    kill -KILL "$pid"
+    echo "killed with kill -9: process $pid of job $job, in the middle of $id"
+    killed=$id
+    stop_a_step "$job"
+    scancel --signal=KILL --full "$job"
+    echo "killed with scancel: job $job, in the middle of $id"
+    killed_job=$job
     wait "$night" || code=$?
     workers=()
-    local night_s
     night_s=$(since "$began")
     cat "$root/snakemake-1.log"
     echo "-- snakemake: exit code $code (1 expected: one bracket is broken), $night_s s"
     ((code == 1)) || fail "snakemake: exit code $code"
     squeue --states=all --format='%.6i %.10T %.12M' || true
-    expect 3 "$hdralign" batch --summarize "$plan"
+    expect 3 "$hdralign" batch --summarize "$plan" >/dev/null
     check_summary 1
-    grep -q "rying to restart" "$root/snakemake-1.log" || fail "nothing was tried again"
-    [[ -e $(value report "$killed") ]] || fail "$killed was killed and is not done"
-    echo "$killed, which was killed, is done"
+    [[ $(squeue --noheader --states=all --jobs="$killed_job" --format=%T) =~ CANCELLED|FAILED ]] || fail "job $killed_job did not fail"
+    # One attempt for each kill, two for the broken one, which a killed job may hold too.
+    (($(grep -c "^Trying to restart" "$root/snakemake-1.log") >= 3)) || fail "what was killed was not tried again"
+    [[ -e $(value report "$killed") && -e $(value report "$id") ]] || fail "$killed or $id was killed and is not done"
+    echo "$killed and $id, which were killed, are done"
 
     say "the broken photograph is replaced; the same command again"
-    cp "$whole/$broken_name" "$card/$broken_name"
+    cp "$root/whole.jpg" "$card/$broken_name"
     # Results that are whole are not written again: the same inodes before and after.
     while read -r output; do [[ ! -e $output ]] || stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/before"
     expect 0 snakemake_run
     while read -r output; do stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/after"
     echo "$(wc -l <"$root/before") results before, $(wc -l <"$root/after") after; of those before, written again: $(comm -23 <(sort "$root/before") <(sort "$root/after") | wc -l)"
     [[ -z $(comm -23 <(sort "$root/before") <(sort "$root/after")) ]] || fail "whole results were written again"
-    expect 0 "$hdralign" batch --summarize "$plan"
+    expect 0 "$hdralign" batch --summarize "$plan" >/dev/null
     check_summary 0
-    expect 0 "$hdralign" batch "$card" -d "$root/local" -q
+    expect 0 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
     compare_with_local
 
     say "once more, with nothing to be done"
@@ -344,7 +342,6 @@ on_slurm() {
     compare_with_local
     overhead
     figures+=("Snakemake on Slurm: $brackets steps in $night_s s with 2 kills and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour (jobs of 5 steps)")
-    cp "$root/cut.jpg" "$card/$broken_name"
 }
 
 ### GNU parallel
@@ -353,13 +350,15 @@ on_parallel() {
     plan=$root/parallel.jsonl out=$root/parallel-out
     say "GNU parallel"
     parallel --version | head -n 1
-    cp "$root/cut.jpg" "$card/$broken_name"
-    "$hdralign" batch --plan "$card" -d "$out" >"$plan"
-    local began=$EPOCHREALTIME code=0 night night_s killed='' not_this=''
-    HDRALIGN=$hdralign "$here/parallel.sh" "$plan" >"$root/parallel-1.log" 2>&1 &
+    break_photograph
+    expect 0 "$hdralign" batch --plan "$card" -d "$out" >"$plan"
+    local began=$EPOCHREALTIME code=0 pid id job night night_s
+    HDRALIGN=$hdralign "$here/parallel.sh" "$plan" >/dev/null 2>"$root/parallel-1.log" &
     night=$!
     workers+=("$night")
-    kill_a_step
+    stop_a_step
+    kill -KILL "$pid"
+    echo "killed with kill -9: process $pid, in the middle of $id"
     wait "$night" || code=$?
     workers=()
     night_s=$(since "$began")
@@ -367,15 +366,16 @@ on_parallel() {
     echo "-- parallel.sh: exit code $code (3 expected: one bracket is broken), $night_s s"
     ((code == 3)) || fail "parallel.sh: exit code $code"
     check_summary 1
-    [[ -e $(value report "$killed") ]] || fail "$killed was killed and is not done"
-    echo "$killed, which was killed, is done"
+    [[ -e $(value report "$id") ]] || fail "$id was killed and is not done"
+    # parallel writes the last attempt's line alone.
+    echo "$id, which was killed, is done: $(grep -F -- "--id $id " "$plan.merge.log" | cut -f 4,7,8 | tr '\t' ' ') (time, exit code, signal)"
 
     say "the broken photograph is replaced; the same command again"
-    cp "$whole/$broken_name" "$card/$broken_name"
+    cp "$root/whole.jpg" "$card/$broken_name"
     export HDRALIGN=$hdralign
-    expect 0 "$here/parallel.sh" "$plan"
+    expect 0 "$here/parallel.sh" "$plan" >/dev/null
     check_summary 0
-    out=$root/local expect 0 "$hdralign" batch "$card" -d "$root/local" -q
+    expect 0 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
     compare_with_local
     figures+=("GNU parallel: $brackets steps in $night_s s with a kill and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour")
 }
