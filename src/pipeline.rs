@@ -311,7 +311,7 @@ pub fn inspect(
 /// More threads than this only cost memory, on any machine.
 const MOST_THREADS: usize = 1024;
 
-/// Runs `work` on a pool of `threads` threads, or on the common one.
+/// Runs `work` on a pool of `threads` threads, or on the common one; on the pool that calls it, if that has as many.
 fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let Some(threads) = threads else { return work() };
     let refused = |reason: String| Error::Option { option: "--threads", reason };
@@ -322,6 +322,9 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
         return Err(refused(format!(
             "{threads} threads are more than {MOST_THREADS}; give about as many as there are cores"
         )));
+    }
+    if rayon::current_thread_index().is_some() && rayon::current_num_threads() == threads {
+        return work();
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)

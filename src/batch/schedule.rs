@@ -11,6 +11,7 @@ use super::step::{self, Begun, Brief, Made};
 use crate::error::Result;
 use crate::pipeline::Options;
 use crate::scratch::MemoryLimit;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -77,9 +78,16 @@ pub fn run(
 
 /// Takes one step after the other.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
+    // Threads are kept from step to step: each has memory of its own that would be left behind with it.
+    let mut pool: Option<ThreadPool> = None;
     while let Some((i, share)) = board.take() {
         let own = share.options(options);
-        let begun = guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
+        if pool.as_ref().is_none_or(|pool| pool.current_num_threads() != share.threads) {
+            pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
+        }
+        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
+        // Where there is no pool to be had, the step says so itself.
+        let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
         match begun {
             Ok(Begun::Unchanged(brief)) => board.end(i, Ending::Unchanged(brief)),
