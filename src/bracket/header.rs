@@ -272,3 +272,53 @@ fn canon_stops(value: i16) -> f64 {
     };
     (f64::from(whole) + part).copysign(f64::from(value)) / 32.0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(date: &str, fraction: Option<&str>) -> Moment {
+        Moment::parse(date, fraction).unwrap()
+    }
+
+    #[test]
+    fn moments_are_seconds_of_the_calendar() {
+        let new_year = at("2024:01:01 00:00:00", None);
+        assert_eq!(at("2024:03:01 00:00:00", None).since(&new_year), 60.0 * 86_400.0);
+        assert_eq!(at("2025:01:01 00:00:01", None).since(&new_year), 366.0 * 86_400.0 + 1.0);
+        assert_eq!(at("2023:12:31 23:59:59", Some("75")).since(&new_year), -0.25);
+        assert_eq!((new_year.resolution_s(), at("2024:01:01 00:00:00", Some("007 ")).resolution_s()), (1.0, 1e-3));
+        assert!(at("2024:01:01 00:00:00", Some("5")) > new_year);
+        assert_eq!(Moment::parse("2024:13:01 00:00:00", None), None);
+        assert_eq!(Moment::parse("2024:01:01", None), None);
+    }
+
+    /// The EXIF of a Canon whose note holds ShotInfo and the serial number, the former `at` that offset of the block.
+    fn canon(at: u32, bracket: i16) -> Exif {
+        let mut note = 2_u16.to_be_bytes().to_vec();
+        let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+            [&tag.to_be_bytes()[..], &kind.to_be_bytes(), &count.to_be_bytes(), &value.to_be_bytes()].concat()
+        };
+        note.extend(entry(4, 3, 33, at));
+        note.extend(entry(12, 4, 1, 1_130_415_723));
+        note.extend((0..33).flat_map(|i| if i == 17 { bracket.to_be_bytes() } else { [0, 9] }));
+        let make = Value::Ascii(vec![b"Canon".to_vec()]);
+        let fields = [(Tag::Make, make), (Tag::MakerNote, Value::Undefined(note, 0))];
+        exif::Reader::new().read_raw(decode::tests::exif_bytes(&fields)).unwrap()
+    }
+
+    #[test]
+    fn canon_says_which_frame_of_a_bracket_it_is() {
+        let unplaced = canon(0, 0);
+        let Value::Undefined(_, begin) = unplaced.get_field(Tag::MakerNote, In::PRIMARY).unwrap().value else {
+            panic!()
+        };
+        let read = |value: i16| Canon::read(&canon(begin + 2 + 2 * 12, value)).unwrap();
+        for (value, stops) in [(0, 0.0), (-32, -1.0), (64, 2.0), (12, 1.0 / 3.0), (-52, -5.0 / 3.0), (16, 0.5)] {
+            assert!((read(value).bracket_stops.unwrap() - stops).abs() < 1e-12, "{value}");
+        }
+        assert_eq!(read(0).serial.as_deref(), Some("1130415723"));
+        // Offsets that lead nowhere say nothing.
+        assert_eq!(Canon::read(&canon(u32::MAX - 40, 32)).unwrap().bracket_stops, None);
+    }
+}

@@ -3,7 +3,7 @@
 //! In: a plane of bytes. Out: a PNG of them, for people and programs; linear numbers, not light, so that it states no colour space. Cost: some
 //! 10 ns a pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
 
-use super::{Pending, Written};
+use super::{Metadata, Pending, Written};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use std::io::{self, Write};
@@ -42,6 +42,8 @@ fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
+    // So that `batch` does not take it for a photograph.
+    encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
     let mut writer = encoder.write_header()?;
     writer.write_image_data(mask.as_slice())?;
     writer.finish()?;

@@ -6,8 +6,39 @@ use std::io::Cursor;
 
 const LIMIT: u64 = 1 << 28;
 
+/// What is decoded of `bytes`. What the header says of them is checked beside it: the same size and depth, and no damage where there is none.
 pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
-    decode(Path::new("picture"), bytes.to_vec(), LIMIT)
+    let decoded = decode(Path::new("picture"), bytes.to_vec(), LIMIT);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    let head = head(file.path(), &[Tag::Orientation], LIMIT);
+    if let Ok(decoded) = &decoded {
+        let head = head.unwrap();
+        assert_eq!((head.width, head.height), (decoded.width, decoded.height));
+        assert_eq!(u32::from(head.depth), u32::from(decoded.samples.max()).count_ones());
+        assert!(head.refused.is_none(), "{:?}", head.refused);
+    }
+    decoded
+}
+
+#[test]
+fn a_header_refuses_what_is_no_photograph() {
+    let refused = |bytes: &[u8]| {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        head(file.path(), &[], 100)
+            .map(|head| head.refused)
+            .unwrap_or_else(Some)
+            .map(|e| e.to_string())
+            .unwrap_or_default()
+    };
+    let float = tiff_of::<::tiff::encoder::colortype::RGB32Float>(&[0.5, 1.0, 2.0], 1, 1);
+    assert!(refused(&float).contains("floating-point"));
+    assert!(refused(&jpeg(&scene(40, 30), 40)).contains("40x30"));
+    assert!(refused(&jpeg(&scene(8, 8), 8)[..100]).contains("truncated"));
+    assert!(refused(b"Dear diary").contains("text"));
+    assert!(refused(b"\x89PNG\r\n\x1a\n\0\0\0\x00IEND\0\0\0\0").contains("does not begin"));
+    assert_eq!(refused(&jpeg(&scene(8, 8), 8)), "");
 }
 
 /// A picture with detail, so that its JPEG has data everywhere.
