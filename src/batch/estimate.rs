@@ -3,14 +3,13 @@
 //! In: how many photographs, and of what size. Out: bytes and seconds of one core. Cost: none.
 //! Source: measured, `docs/batch.md` says how; memory is meant to be enough, time to be about right on a core of a server of 2023.
 
-use super::plan::Kind;
 use crate::scratch::MemoryLimit;
 
 /// What a step is made of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    /// What is done.
-    pub kind: Kind,
+    /// Whether the frames are merged, and not only looked at for the response.
+    pub merges: bool,
     /// Photographs of the bracket; of the largest one where there are several.
     pub frames: usize,
     /// Photographs of all brackets.
@@ -43,7 +42,7 @@ impl Size {
         let megapixels = self.pixels as f64 / 1e6;
         let photographs = self.photographs as f64;
         let aligning = photographs * (0.06 + 0.022 * megapixels);
-        if self.kind == Kind::Response {
+        if !self.merges {
             return 0.3 + aligning;
         }
         let merging = photographs * megapixels * if self.seeks_ghosts { 0.08 } else { 0.02 };
@@ -59,7 +58,7 @@ mod tests {
     #[test]
     fn more_takes_more() {
         let size = |frames, pixels, seeks_ghosts, fuses| Size {
-            kind: Kind::Merge,
+            merges: true,
             frames,
             photographs: frames,
             pixels,

@@ -22,8 +22,8 @@ enum Field {
 /// The fields, as they are typed, and what they stand for.
 const FIELDS: [(&str, Field, &str); 9] = [
     ("folder", Field::Folder, "the folder of the photographs, below the one that was searched"),
-    ("first", Field::First, "the first photograph's name"),
-    ("last", Field::Last, "the last photograph's name"),
+    ("first", Field::First, "the first photograph by name, without extension"),
+    ("last", Field::Last, "the last one"),
     ("number", Field::Number, "the bracket's number, from 0001"),
     ("count", Field::Count, "how many photographs it has"),
     ("set", Field::Set, "the number of the panorama that it belongs to, from 001"),
@@ -47,9 +47,9 @@ pub struct Template(Vec<Part>);
 pub struct Values {
     /// The folder of the photographs, relative.
     pub folder: PathBuf,
-    /// The first photograph's name, without extension.
+    /// The first photograph by name, without extension.
     pub first: String,
-    /// The last photograph's name, without extension.
+    /// The last one.
     pub last: String,
     /// The bracket's number, from 1.
     pub number: usize,

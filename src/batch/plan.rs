@@ -8,6 +8,7 @@ use super::estimate::Size;
 use super::find::FoundBracket;
 use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
+use crate::pipeline::natural;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -198,7 +199,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
         };
         let photographs = bracket.photographs.len();
         let size = Size {
-            kind: Kind::Merge,
+            merges: true,
             frames: photographs,
             photographs,
             pixels: bracket.size.0 * bracket.size.1,
@@ -256,7 +257,7 @@ fn responses(
         let largest = brackets.iter().map(|b| b.size).max_by_key(|(w, h)| w * h).unwrap_or_default();
         let counts: Vec<usize> = brackets.iter().map(|b| b.photographs.len()).collect();
         let size = Size {
-            kind: Kind::Response,
+            merges: false,
             frames: counts.iter().copied().max().unwrap_or(0),
             photographs: counts.iter().sum(),
             pixels: largest.0 * largest.1,
@@ -312,12 +313,13 @@ fn with(base: &Path, extension: &str) -> PathBuf {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem =
         |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
+    let names = || bracket.photographs.iter();
     // Where several folders were searched, what came of each is in a folder of its own.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),
-        first: stem(bracket.photographs.first()),
-        last: stem(bracket.photographs.last()),
+        first: stem(names().min_by(|a, b| natural(a, b))),
+        last: stem(names().max_by(|a, b| natural(a, b))),
         number: index + 1,
         count: bracket.photographs.len(),
         set: bracket.set,

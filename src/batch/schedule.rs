@@ -189,7 +189,9 @@ impl<'a> Board<'a> {
             }
             let ready: Vec<usize> = (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
-                let at_once = (ready.len() + open.going).clamp(1, self.limits.jobs.max(1));
+                // Where there is memory for one at a time alone, it may have all cores.
+                let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
+                let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
                 let threads = (self.limits.threads / at_once).max(1);
                 open.states[i] = State::Going;
                 open.free -= pixels;

@@ -17,6 +17,7 @@ use serde::Serialize;
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// What a summary tells of a step that was done.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -186,15 +187,45 @@ impl Made<'_> {
         };
         report["step"] = as_value(&record);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default() + "\n";
-        let is_there = |path: &Path| existing.iter().any(|there| there == path);
-        write::place(vec![write::whole(&step.report, text.as_bytes())?], is_there(&step.report))?;
-        let (replacing, new): (Vec<Whole>, Vec<Whole>) = files.into_iter().partition(|file| is_there(file.target()));
-        write::place(replacing, true)?;
-        write::place(new, false)?;
+        let placed = place(write::whole(&step.report, text.as_bytes())?, files, &existing, twin(step, &record.key));
+        match placed {
+            Err(Error::OutputExists { .. }) if is_done_by_twin(step, &record) => {}
+            other => other?,
+        }
         forget_failure(step);
         Ok(Brief::of(&report))
     }
 }
+
+/// Gives the report its name and then the results theirs; those that are `existing`, or that a `twin` made meanwhile, are replaced.
+fn place(report: Whole, files: Vec<Whole>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
+    let is_ours = |path: &Path| existing.iter().any(|there| there == path);
+    let replaces_report = is_ours(report.target()) || twin.is_some();
+    write::place(vec![report], replaces_report)?;
+    let is_twins = |path: &Path| twin.as_ref().is_some_and(|record| record.made(path).unwrap_or(false));
+    let replaces = |file: &Whole| is_ours(file.target()) || is_twins(file.target());
+    let (replacing, new): (Vec<Whole>, Vec<Whole>) = files.into_iter().partition(replaces);
+    write::place(replacing, true)?;
+    write::place(new, false)
+}
+
+/// The record of another process that did the same step meanwhile: an engine may begin one again while it is still going on elsewhere.
+fn twin(step: &Step, key: &str) -> Option<Record> {
+    Record::read(&step.report).filter(|record| record.key == key)
+}
+
+/// Whether a twin that was a moment earlier has named all of its files, which are the same; it may be just about to.
+fn is_done_by_twin(step: &Step, own: &Record) -> bool {
+    let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
+    let is_done = || twin(step, &own.key).is_some_and(|record| record.is_whole(&results));
+    (0..TRIES).any(|i| {
+        std::thread::sleep(Duration::from_millis(if i == 0 { 0 } else { 100 }));
+        is_done()
+    })
+}
+
+/// Tenths of a second that a twin is waited for.
+const TRIES: u32 = 50;
 
 /// What a whole file holds, before it has its name.
 fn content(file: &Whole) -> Result<Content> {

@@ -121,7 +121,7 @@ pub(super) fn brackets(beats: &[Beat], clock: Clock, rules: &Rules) -> Vec<Range
     found
 }
 
-/// The cheapest division, by dynamic programming over where the last bracket began. Ties go to the longer bracket.
+/// The cheapest division, by dynamic programming over where the last bracket began. Ties go to the brackets that come first.
 fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
     let single = if rules.frames.is_some() { SINGLE_OF_COUNTED } else { SINGLE };
     // The cost of what comes before each frame, and where the last part of that begins.
@@ -131,8 +131,8 @@ fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popula
     for begin in 0..beats.len() {
         let so_far = reached[begin];
         let mut offer = |end: usize, cost: f64| {
-            // Later begins come later, so that at equal cost the longer bracket stays.
-            if so_far + cost < reached[end] - 1e-9 {
+            // Later begins come later: at equal cost what is single comes last.
+            if so_far + cost <= reached[end] + 1e-9 {
                 reached[end] = so_far + cost;
                 best[end] = (cost, begin);
             }

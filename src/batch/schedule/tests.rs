@@ -73,6 +73,11 @@ fn memory_and_threads_are_shared_out() {
     board.give_back(&first.1);
     assert_eq!(board.take().unwrap().0, 2);
 
+    // There is room for one at a time alone: it has both threads.
+    let one = limits(2, Some(MemoryLimit::PROGRAM + of_step + 1));
+    let board = Board::new(&all, &one, &stop, &watch);
+    assert_eq!(board.take().unwrap().1, Share { threads: 2, pixels: of_step });
+
     // One that is larger than all there is has all there is, and by itself; a single one has all threads.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);

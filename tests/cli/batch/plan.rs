@@ -73,6 +73,26 @@ fn a_step_that_fails_says_so_and_so_does_the_summary() {
     folder.line("batch --summarize plan.jsonl").done();
 }
 
+/// An engine that lost sight of a job begins it again while it is still going on.
+#[test]
+fn a_step_may_be_done_twice_at_once() {
+    let folder = Folder::empty();
+    card(&folder, 1);
+    let id = planned(&folder, "--page")[0]["id"].as_str().unwrap().to_owned();
+    for _ in 0..5 {
+        let _ = fs::remove_dir_all(folder.at("out"));
+        let begin = || {
+            let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_hdralign"));
+            command.args(["batch", "--run", "plan.jsonl", "--id", &id, "-q"]).current_dir(folder.path());
+            command.stdout(std::process::Stdio::null()).spawn().expect("the program starts")
+        };
+        let twins = [begin(), begin(), begin()];
+        assert!(twins.into_iter().all(|mut twin| twin.wait().unwrap().success()));
+        assert_eq!(results(&folder).len(), 3);
+        folder.line("batch --summarize plan.jsonl -q").done();
+    }
+}
+
 #[test]
 fn what_is_no_plan_is_refused_with_the_line() {
     let folder = Folder::empty();

@@ -103,7 +103,8 @@ const MANUAL: Habit = Habit {
     is_to_and_fro: false,
 };
 
-/// Each with the least share of brackets to be found exactly, in percent: what was reached when this was written, rounded down. (Brackets of
+/// Each with the least share of brackets to be found exactly, in percent: what was reached when this was written, rounded down; with
+/// 60 cards a habit instead of 8 it is what docs/batch.md says. (Brackets of
 /// which frames were deleted cannot all be found: two frames a third of a stop apart are none.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
@@ -162,7 +163,7 @@ fn habits() -> Vec<(Habit, f64)> {
             100.0,
         ),
         (Habit { name: "automatic, now and then set otherwise", changes: 0.3, ..AUTO }, 100.0),
-        (Habit { name: "automatic, some frames deleted", cuts: 0.3, counts: &[3, 5], ..AUTO }, 89.0),
+        (Habit { name: "automatic, some frames deleted", cuts: 0.3, counts: &[3, 5], ..AUTO }, 87.0),
         (
             Habit {
                 name: "automatic, singles seconds apart",
@@ -184,7 +185,7 @@ fn habits() -> Vec<(Habit, f64)> {
                 alike: 0.8,
                 ..AUTO
             },
-            98.0,
+            97.0,
         ),
         (
             Habit {
@@ -379,11 +380,12 @@ fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
 fn brackets_of_many_habits_are_found_as_they_were_taken() {
     let mut failed = Vec::new();
     for (habit, least) in habits() {
-        let (all, right, wrong) = score(&habit, 20);
+        let (all, right, wrong) = score(&habit, 8);
         let share = 100.0 * right as f64 / all as f64;
         println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
-        if share < least {
-            failed.push(format!("{}: {share:.1} % of {least} %", habit.name));
+        // Of those found that are none, most are a stray or two with frames of another exposure beside them.
+        if share < least || wrong > all / 6 {
+            failed.push(format!("{}: {share:.1} % of {least} %, {wrong} others", habit.name));
         }
     }
     assert!(failed.is_empty(), "{failed:#?}");
