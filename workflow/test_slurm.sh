@@ -269,7 +269,7 @@ overhead() {
     local one=$root/one.jsonl id began step_s last
     last=$(squeue --noheader --states=all --format=%i | sort -n | tail -n 1)
     grep -E "Started JobId=$last |Allocate JobId=$last |JobId=$last done" "$root/slurm/slurmctld.log" || true
-    id=$(value id | head -n 1)
+    id=$(value id | sed -n 1p)
     head -n 1 "$plan" >"$one"
     began=$EPOCHREALTIME
     "$hdralign" batch --run "$one" --id "$id" --force -q >/dev/null
@@ -337,7 +337,7 @@ on_slurm() {
     expect 0 "$hdralign" batch --run "$plan" --id "$killed"
 
     say "a result is removed: its job is run, and only its step does something"
-    rm "$(value outputs "$killed" | head -n 1)"
+    rm "$(value outputs "$killed" | sed -n 1p)"
     expect 0 snakemake_run
     compare_with_local
     overhead
