@@ -15,7 +15,7 @@ use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
-use crate::plane::{BAND_ROWS, Plane, fold_bands};
+use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
 use crate::response::ratios::{self, Exposures};
@@ -24,8 +24,7 @@ use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
-use crate::write::gain_map::Survey;
-use crate::write::{self, Files, Format, Metadata, Pending, Settled, Written, aligned, exr};
+use crate::write::{self, Files, Metadata, Pending, Settled, Written, aligned};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -75,29 +74,9 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
 
 /// What files must know before their first row.
 fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &Options) -> Result<Settled> {
-    let mut fit = exr::Fit::default();
-    if options.write.exr.sample == exr::Sample::Auto && write::is_among(&options.outputs, Format::Exr) {
-        slabs.each(|_, map| {
-            let pixels = &map.pixels;
-            fit = fit.and(fold_bands(
-                pixels.height(),
-                |rows| exr::Fit::of(pixels.rows(rows)),
-                exr::Fit::default(),
-                exr::Fit::and,
-            ));
-            Ok(())
-        })?;
-    }
-    let mut settled = Settled::by(&options.write, fit, statistics.p99_9);
-    if write::is_among(&options.outputs, Format::Jpeg) {
-        let mut survey = Survey::new(slabs.size(), &slabs.primaries());
-        slabs.each(|first, map| {
-            survey.see(first, &map.pixels, |y, row, codes| picture.map(y, row, codes));
-            Ok(())
-        })?;
-        settled.rendition = survey.rendition(None);
-    }
-    Ok(settled)
+    let scene = (slabs.size(), slabs.primaries());
+    let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(y, row, codes);
+    Settled::seen(&options.outputs, &options.write, scene, statistics.p99_9, |see| slabs.each(see), codes)
 }
 
 /// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of

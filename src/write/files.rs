@@ -5,7 +5,8 @@
 //! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
 
 use super::gain_map::{Rendition, Survey};
-use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, logluv, radiance_writer, ultra_hdr};
+use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, hdr, logluv, tiff, ultra_hdr};
+use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::fold_bands;
@@ -26,33 +27,50 @@ pub struct Settled {
 }
 
 impl Settled {
-    /// For `radiance`, shown as `display`, written to `paths`; looks at it only where the answer shows.
-    pub fn of(paths: &[PathBuf], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Settled {
-        let is_among = |format| is_among(paths, format);
-        let pixels = &radiance.pixels;
-        let sample = if is_among(Format::Exr) && options.exr.sample == exr::Sample::Auto {
-            let fit = |rows| exr::Fit::of(pixels.rows(rows));
-            options.exr.sample.settled(fold_bands(pixels.height(), fit, exr::Fit::default(), exr::Fit::and))
-        } else {
-            options.exr.sample
+    /// For `radiance`, shown as `display`, written to `paths`.
+    fn of(paths: &[PathBuf], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Result<Settled> {
+        let RadianceMap { pixels, primaries } = radiance;
+        let bright = match options.tiff.depth() {
+            Some(_) if is_among(paths, Format::Tiff) => logluv::bright(radiance),
+            _ => 0.0,
         };
-        let logluv_scale = match options.tiff.depth() {
-            Some(depth) if is_among(Format::Tiff) => logluv::scale(depth, radiance),
-            _ => 1.0,
-        };
-        let mut rendition = Rendition::default();
-        if is_among(Format::Jpeg) {
-            let mut survey = Survey::new((pixels.width(), pixels.height()), &radiance.primaries);
-            survey.see(0, pixels, |y, _, codes| codes.copy_from_slice(display.pixels.row(y)));
-            rendition = survey.rendition(None);
-        }
-        Settled { sample, logluv_scale, rendition }
+        let scene = ((pixels.width(), pixels.height()), *primaries);
+        let codes = |y: usize, _: &[[f32; 3]], codes: &mut [[u8; 3]]| codes.copy_from_slice(display.pixels.row(y));
+        Self::seen(paths, options, scene, bright, |see| see(0, radiance), codes)
     }
 
-    /// For radiance that was counted in passing: how halves fit it, and the luminance that 0.1 % of its pixels are above.
-    pub fn by(options: &Options, fit: exr::Fit, bright: f32) -> Settled {
+    /// For radiance of the size and primaries `scene`, 0.1 % of which is above the luminance `bright`, written to `paths`. Where the answer shows,
+    /// `each` is asked to show all of it, slab by slab with the number of the first row, and `codes` for the picture of rows.
+    ///
+    /// # Errors
+    /// Those of `each`.
+    pub fn seen(
+        paths: &[PathBuf],
+        options: &Options,
+        (size, primaries): ((usize, usize), Primaries),
+        bright: f32,
+        each: impl Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>,
+        codes: impl Fn(usize, &[[f32; 3]], &mut [[u8; 3]]) + Sync,
+    ) -> Result<Settled> {
+        let mut fit = exr::Fit::default();
+        if options.exr.sample == exr::Sample::Auto && is_among(paths, Format::Exr) {
+            each(&mut |_, map| {
+                let of_rows = |rows| exr::Fit::of(map.pixels.rows(rows));
+                fit = fit.and(fold_bands(map.pixels.height(), of_rows, exr::Fit::default(), exr::Fit::and));
+                Ok(())
+            })?;
+        }
+        let mut rendition = Rendition::default();
+        if is_among(paths, Format::Jpeg) {
+            let mut survey = Survey::new(size, &primaries);
+            each(&mut |first, map| {
+                survey.see(first, &map.pixels, &codes);
+                Ok(())
+            })?;
+            rendition = survey.rendition(None);
+        }
         let logluv_scale = options.tiff.depth().map_or(1.0, |depth| logluv::scale_under(depth, bright));
-        Settled { sample: options.exr.sample.settled(fit), logluv_scale, rendition: Rendition::default() }
+        Ok(Settled { sample: options.exr.sample.settled(fit), logluv_scale, rendition })
     }
 }
 
@@ -170,7 +188,7 @@ impl Files {
                 let writer = ultra_hdr::Writer::new(pending, size, &metadata, &options.jpeg, &settled.rendition)?;
                 files.both.push(Both { place, path: path.clone(), state: Some(Box::new(writer)) });
             } else if format.holds_radiance() {
-                let state = State::Begun(begin_radiance(path, size, metadata, options, settled)?, pixels);
+                let state = State::Begun(radiance_writer(path, size, metadata, options, settled)?, pixels);
                 files.radiance.push(Slot { place, path: path.clone(), state });
             } else {
                 let metadata = Metadata { profile: None, ..metadata.clone() };
@@ -191,32 +209,10 @@ impl Files {
         !self.display.is_empty() || !self.both.is_empty()
     }
 
-    /// The next rows of radiance, for all radiance maps.
-    ///
-    /// # Errors
-    /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
-    ///
-    /// # Panics
-    /// As [`RowWriter::push`].
-    pub fn push_radiance(&mut self, rows: &[[f32; 3]]) -> Result<()> {
-        self.push(rows, &[])
-    }
-
-    /// The next rows of the picture, for all pictures.
-    ///
-    /// # Errors
-    /// As [`push_radiance`](Self::push_radiance).
-    ///
-    /// # Panics
-    /// As [`RowWriter::push`].
-    pub fn push_display(&mut self, rows: &[[u8; 3]]) -> Result<()> {
-        self.push(&[], rows)
-    }
-
     /// The next rows of both, side by side; either may be empty.
     ///
     /// # Errors
-    /// As [`push_radiance`](Self::push_radiance).
+    /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
     ///
     /// # Panics
     /// As [`RowWriter::push`].
@@ -242,19 +238,29 @@ impl Files {
     }
 }
 
-fn begin_radiance(
+/// A writer of linear RGB to `path`.
+fn radiance_writer(
     path: &Path,
     size: (usize, usize),
     metadata: &Metadata,
     options: &Options,
     settled: Settled,
 ) -> Result<Box<dyn RowWriter<[f32; 3]>>> {
-    if let (Format::Tiff, Some(depth)) = (Format::of(path)?, options.tiff.depth()) {
-        let pending = Pending::create(path)?;
-        return Ok(Box::new(logluv::Writer::new(pending, size, metadata, depth, settled.logluv_scale)?));
-    }
-    let exr = exr::Options { sample: settled.sample, ..options.exr.clone() };
-    radiance_writer(path, size, metadata, &Options { exr, ..options.clone() })
+    let file = Pending::create(path)?;
+    Ok(match (Format::of(path)?, options.tiff.depth()) {
+        (Format::Tiff, None) => Box::new(tiff::Writer::new(file, size, metadata)?),
+        (Format::Tiff, Some(depth)) => {
+            Box::new(logluv::Writer::new(file, size, metadata, depth, settled.logluv_scale)?)
+        }
+        (Format::Hdr, _) => Box::new(hdr::Writer::new(file, size, metadata, options.hdr)?),
+        (Format::Png | Format::Jpeg, _) => {
+            return Err(Error::UnknownExtension { path: path.to_owned(), known: ".exr, .hdr, .pic, .tif, .tiff" });
+        }
+        (Format::Exr, _) => {
+            let options = exr::Options { sample: settled.sample, ..options.exr.clone() };
+            Box::new(exr::Writer::new(file, size, metadata, &options)?)
+        }
+    })
 }
 
 /// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
@@ -271,7 +277,7 @@ pub fn write(
 ) -> Result<Vec<Written>> {
     let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
     let size = (radiance.pixels.width(), radiance.pixels.height());
-    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, display, options))?;
+    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, display, options)?)?;
     files.push(radiance.pixels.as_slice(), display.pixels.as_slice())?;
     files.finish()
 }
@@ -279,7 +285,6 @@ pub fn write(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bracket::colour::Primaries;
     use crate::plane::Plane;
     use crate::write::commit;
 
@@ -342,9 +347,7 @@ mod tests {
         let whole = contents("whole", &|paths| write(paths, &radiance, &picture, &metadata, &options).unwrap());
         for (folder, portion, together) in [("some", 128, true), ("few", 50, false)] {
             let fed = contents(folder, &|paths| {
-                let rendition = Settled::of(paths, &radiance, &picture, &options).rendition;
-                let fit = exr::Fit::of(radiance.pixels.as_slice());
-                let settled = Settled { rendition, ..Settled::by(&options, fit, 100.0) };
+                let settled = Settled::of(paths, &radiance, &picture, &options).unwrap();
                 let mut files = Files::begin(paths, (width, height), &metadata, &options, settled).unwrap();
                 assert!(files.hold_radiance() && files.hold_display());
                 let maps = radiance.pixels.as_slice().chunks(portion * width);
@@ -352,8 +355,8 @@ mod tests {
                     if together {
                         files.push(map, picture).unwrap();
                     } else {
-                        files.push_radiance(map).unwrap();
-                        files.push_display(picture).unwrap();
+                        files.push(map, &[]).unwrap();
+                        files.push(&[], picture).unwrap();
                     }
                 }
                 files.finish().unwrap()
@@ -361,10 +364,10 @@ mod tests {
             assert!(fed == whole, "{portion} rows at a time");
         }
         let path = [dir.path().join("short.exr"), dir.path().join("short.png")];
-        let settled = Settled::of(&path, &radiance, &picture, &options);
+        let settled = Settled::of(&path, &radiance, &picture, &options).unwrap();
         let mut files = Files::begin(&path, (width, height), &metadata, &options, settled).unwrap();
-        files.push_radiance(radiance.pixels.as_slice()).unwrap();
-        files.push_display(&picture.pixels.as_slice()[..width]).unwrap();
+        files.push(radiance.pixels.as_slice(), &[]).unwrap();
+        files.push(&[], &picture.pixels.as_slice()[..width]).unwrap();
         assert!(files.finish().unwrap_err().to_string().contains("only 1 of 323 rows"));
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3, "nothing but the folders");
     }

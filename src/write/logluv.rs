@@ -16,13 +16,14 @@ use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 
-/// What the values of `map` are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of
-/// pixels stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a factor, the description tells it.
-pub(super) fn scale(depth: Depth, map: &RadianceMap) -> f32 {
-    scale_under(depth, Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9)
+/// The luminance that 0.1 % of the pixels of `map` are above.
+pub(super) fn bright(map: &RadianceMap) -> f32 {
+    Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9
 }
 
-/// As [`scale`], of a picture 0.1 % of which is brighter than the luminance `bright`.
+/// What the values of a map are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of pixels,
+/// those above the luminance `bright`, stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a
+/// factor, the description tells it.
 pub(super) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
@@ -148,7 +149,7 @@ mod tests {
         let size = (map.pixels.width(), map.pixels.height());
         let metadata = Metadata { primaries: map.primaries, ..metadata.clone() };
         let pending = Pending::create(&path).unwrap();
-        let scale = scale(depth, map);
+        let scale = scale_under(depth, bright(map));
         let writer = Writer::new(pending, size, &metadata, depth, scale).unwrap();
         let whole = push_all(Box::new(writer), &map.pixels).unwrap();
         commit(vec![whole.file], false).unwrap();

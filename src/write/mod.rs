@@ -215,36 +215,6 @@ pub struct Options {
     pub jpeg: ultra_hdr::Options,
 }
 
-/// A writer of `width` x `height` linear RGB to `path`.
-///
-/// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] for a format of display pictures; [`Error::Write`].
-pub fn radiance_writer(
-    path: &Path,
-    (width, height): (usize, usize),
-    metadata: &Metadata,
-    options: &Options,
-) -> Result<Box<dyn RowWriter<[f32; 3]>>> {
-    let size = (width, height);
-    Ok(match Format::of(path)? {
-        Format::Exr => Box::new(exr::Writer::new(Pending::create(path)?, size, metadata, &options.exr)?),
-        Format::Hdr => Box::new(hdr::Writer::new(Pending::create(path)?, size, metadata, options.hdr)?),
-        Format::Tiff => match options.tiff.depth() {
-            None => Box::new(tiff::Writer::new(Pending::create(path)?, size, metadata)?),
-            Some(depth) => Box::new(logluv::Writer::new(Pending::create(path)?, size, metadata, depth, 1.0)?),
-        },
-        Format::Png | Format::Jpeg => {
-            return Err(Error::Option {
-                option: "-o",
-                reason: format!(
-                    "{} is for the display picture; name an .exr, .hdr or .tif for radiance",
-                    path.display()
-                ),
-            });
-        }
-    })
-}
-
 /// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
 ///
 /// # Errors
