@@ -212,7 +212,7 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
         return summarize(path, args);
     }
     let bar = night::Searching::new(args.work.quiet);
-    let found = find::find(&args.folders, &args.find_options()?, &|count| bar.show(count));
+    let found = find::find(&args.folders, &args.find_options(), &|count| bar.show(count));
     drop(bar);
     let found = found?;
     let brackets = found::planned(&found);
@@ -229,20 +229,13 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
 }
 
 impl Args {
-    fn find_options(&self) -> Result<FindOptions, Error> {
-        let refused = |option, reason: String| Err(Error::Option { option, reason });
-        if let Some(frames @ (0 | 1)) = self.finding.bracket {
-            return refused("--bracket", format!("{frames} photographs are no bracket; give 2 or more"));
-        }
-        if let Some(gap) = self.finding.gap.filter(|gap| !(gap.is_finite() && *gap > 0.0)) {
-            return refused("--gap", format!("{gap} is no pause; give seconds, above 0"));
-        }
-        Ok(FindOptions {
+    fn find_options(&self) -> FindOptions {
+        FindOptions {
             frames: self.finding.bracket,
             gap_s: self.finding.gap,
             by_folder: self.finding.by_folder,
             skip: self.places.output.iter().cloned().collect(),
-        })
+        }
     }
 
     fn settings(&self, options: Vec<String>, acting: &Options) -> Result<Settings, Error> {

@@ -3,7 +3,7 @@
 //! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
 //! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file, begun when the file has its last byte.
 
-use super::unnamed::{Entry, Kept, OF_PROCESS, Registry, Unnamed};
+use super::unnamed::{Kept, OF_PROCESS, Registry, Unnamed};
 use crate::error::{Error, Result};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -228,11 +228,8 @@ pub fn place(files: Vec<Whole>, overwrite: bool) -> Result<()> {
     let Some(first) = files.first() else { return Ok(()) };
     let (first, registry) = (first.target.clone(), first.file.entry.registry());
     // The locks and entries go when all have their names, and the registry is free again.
-    let (mut unnamed, mut held): (Vec<(PathBuf, TempPath)>, Vec<(Option<File>, Entry)>) = Default::default();
-    for Whole { target, file: Kept { path, file, entry } } in files {
-        unnamed.push((target, path));
-        held.push((file, entry));
-    }
+    let parts = |Whole { target, file: Kept { path, file, entry } }| ((target, path), (file, entry));
+    let (unnamed, _held): (Vec<_>, Vec<_>) = files.into_iter().map(parts).unzip();
     registry.unless_abandoned(&first, || name(unnamed, overwrite))
 }
 

@@ -264,7 +264,7 @@ fn what_is_found_depends_on_no_order_and_links_are_no_circles() {
     let skipping = FindOptions { skip: vec![b.clone()], ..options.clone() };
     assert_eq!(found(folder.path(), &skipping).brackets.len(), 1);
     let count = AtomicUsize::new(0);
-    find(&[a.clone()], &options, &|done| _ = count.fetch_max(done, Ordering::Relaxed)).unwrap();
+    find(std::slice::from_ref(&a), &options, &|done| _ = count.fetch_max(done, Ordering::Relaxed)).unwrap();
     assert!(count.into_inner() >= 3);
 
     let missing = find(&[a.join("missing")], &options, &|_| ()).unwrap_err().to_string();

@@ -189,7 +189,7 @@ impl Walk {
                 continue;
             };
             let earlier =
-                in_folder.entry((candidate.place.clone(), identity.clone())).or_insert_with(|| candidate.path.clone());
+                in_folder.entry((candidate.place.clone(), identity)).or_insert_with(|| candidate.path.clone());
             anywhere.entry(identity).or_insert_with(|| candidate.path.clone());
             if *earlier == candidate.path {
                 once.push(candidate);

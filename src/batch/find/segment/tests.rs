@@ -443,9 +443,9 @@ fn a_bracket_that_was_shifted_goes_on() {
         beat(72.0, 0.0, 0.0, 1.0),
         beat(74.0, -1.0, -1.0, 1.0),
     ];
-    assert_eq!(self::found(&shifted), [0..5]);
+    assert_eq!(self::found(&shifted), vec![0..5]);
     let as_summed = shifted.clone().map(|beat| Beat { bias: Some(beat.bias.unwrap() + beat.place.unwrap()), ..beat });
-    assert_eq!(self::found(&as_summed), [0..5]);
+    assert_eq!(self::found(&as_summed), vec![0..5]);
     // Without a word of the compensation, it is as likely that the second was cut short.
     let unsaid = shifted.map(|beat| Beat { bias: None, ..beat });
     assert_eq!(self::found(&unsaid)[0], 0..3);
