@@ -33,7 +33,7 @@ pub(super) fn check(options: &FindOptions) -> Result<()> {
         return Err(Error::Option { option: "--bracket", reason });
     }
     match options.gap_s {
-        Some(gap) if !(gap >= 0.0) => {
+        Some(gap) if gap.is_nan() || gap < 0.0 => {
             let reason = format!("{gap} s is no pause; give the longest one in a bracket, in seconds");
             Err(Error::Option { option: "--gap", reason })
         }
