@@ -179,6 +179,8 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
 impl Walk {
     /// Adds `linked`, and leaves each file in once: those by their own name once a folder, as copies of a card by hard links are; links
     /// only to what is not there already.
+    // Where a file is known by its path, that is no copy.
+    #[allow(clippy::clone_on_copy)]
     fn add_once(&mut self, linked: Vec<Candidate>) {
         let mut in_folder = HashMap::new();
         let mut anywhere = HashMap::new();
