@@ -177,7 +177,7 @@ impl Card {
     pub fn brackets(&mut self, brackets: usize, frames: usize, step: f64) -> &mut Self {
         // Even numbers have one more on the brighter side.
         let side = |k: usize| if k % 2 == 1 { -(k.div_ceil(2) as f64) } else { (k / 2) as f64 };
-        let signs = if frames % 2 == 0 { -1.0 } else { 1.0 };
+        let signs = if frames.is_multiple_of(2) { -1.0 } else { 1.0 };
         let evs: Vec<f64> = (0..frames).map(|k| signs * side(k) * step).collect();
         for _ in 0..brackets {
             self.bracket(&evs);
