@@ -65,6 +65,10 @@ clean_up() {
     fi
     # Last in, first out: the controller still speaks to munge.
     for ((i = ${#daemons[@]} - 1; i >= 0; i--)); do kill "${daemons[i]}" 2>/dev/null && wait "${daemons[i]}" 2>/dev/null; done
+    # Without cgroups Slurm can miss a process of a job that was killed; what names this test's own folder is ours.
+    for pid in /proc/[0-9]*; do
+        [[ ${pid#/proc/} != "$$" ]] && grep -qsF -- "$root/" "$pid/cmdline" && kill -KILL "${pid#/proc/}"
+    done
     if [[ -n $keep ]]; then echo "kept: $root"; else rm -rf "$root"; fi
     printf '\n%s after %d s, exit code %d; log: %s\n' "$([[ $code == 0 ]] && echo "all held" || echo FAILED)" $SECONDS $code "$log"
     exit $code
