@@ -4,7 +4,36 @@
 //! bracket. Cost: nothing to speak of. Source: EXIF 2.32 leaves open whether DateTimeOriginal is the begin or the end of an exposure;
 //! most cameras write the begin, some the end, and long exposures tell which.
 
-use super::segment::{Beat, Mode};
+/// One exposure.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Beat {
+    /// Seconds from any begin that the stream has in common; none where nothing says when.
+    pub at_s: Option<f64>,
+    /// The step of the clock, in seconds.
+    pub resolution_s: f64,
+    /// Shutter time in seconds; 0 where unknown.
+    pub time_s: f64,
+    /// Relative exposure, in stops, where known.
+    pub ev: Option<f64>,
+    /// What set it.
+    pub mode: Mode,
+    /// What the camera calls its place in the bracket, or the compensation, in stops.
+    pub place: Option<f64>,
+    /// The compensation beside such a place, in stops.
+    pub bias: Option<f64>,
+    /// Focal length in millimetres.
+    pub focal_length_mm: Option<f64>,
+}
+
+/// What set the exposure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum Mode {
+    AutoBracket,
+    Manual,
+    Automatic,
+    #[default]
+    Unknown,
+}
 
 /// What a camera's clock marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

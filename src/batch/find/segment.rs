@@ -9,40 +9,9 @@
 //! off by one for the rest of the night. Costs are in nats: 1 is "2.7 times less likely". Source: Jackson et al. 2005, "An algorithm for
 //! optimal partitioning of data on an interval", for the scheme; the costs are our own, set on habits of photographers made up in the tests.
 
-use super::rhythm::{self, Clock};
+use super::rhythm::{self, Beat, Clock, Mode};
 use std::collections::BTreeMap;
 use std::ops::Range;
-
-/// One exposure.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Beat {
-    /// Seconds from any begin that the stream has in common; none where nothing says when.
-    pub at_s: Option<f64>,
-    /// The step of the clock, in seconds.
-    pub resolution_s: f64,
-    /// Shutter time in seconds; 0 where unknown.
-    pub time_s: f64,
-    /// Relative exposure, in stops, where known.
-    pub ev: Option<f64>,
-    /// What set it.
-    pub mode: Mode,
-    /// What the camera calls its place in the bracket, or the compensation, in stops.
-    pub place: Option<f64>,
-    /// The compensation beside such a place, in stops.
-    pub bias: Option<f64>,
-    /// Focal length in millimetres.
-    pub focal_length_mm: Option<f64>,
-}
-
-/// What set the exposure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) enum Mode {
-    AutoBracket,
-    Manual,
-    Automatic,
-    #[default]
-    Unknown,
-}
 
 /// What is known before.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,7 +6,8 @@
 //! (DCF 2.0, section 3.2.3: 100CANON, 101CANON) are one, since the counter rolls over within a bracket.
 
 use super::rhythm::{self, Clock};
-use super::segment::{self, Beat, Mode, Rules, SAME_STOPS};
+use super::rhythm::{Beat, Mode};
+use super::segment::{self, Rules, SAME_STOPS};
 use super::twins::Placed;
 use super::walk::Place;
 use super::{FindOptions, Found, FoundBracket, LeftOver, Reason};
