@@ -5,8 +5,7 @@
 //! A stream is what one camera took by one lens at one size, with or without flash, into one folder; the numbered folders of a card
 //! (DCF 2.0, section 3.2.3: 100CANON, 101CANON) are one, since the counter rolls over within a bracket.
 
-use super::rhythm::{self, Clock};
-use super::rhythm::{Beat, Mode};
+use super::rhythm::{self, Beat, Clock, Mode};
 use super::segment::{self, Rules, SAME_STOPS};
 use super::twins::Placed;
 use super::walk::Place;
