@@ -3,7 +3,8 @@
 use crate::support::Folder;
 use std::collections::BTreeSet;
 
-const COMMANDS: [&str; 8] = ["merge", "align", "response", "inspect", "tonemap", "compare", "completions", "man"];
+const COMMANDS: [&str; 9] =
+    ["merge", "batch", "align", "response", "inspect", "tonemap", "compare", "completions", "man"];
 
 #[test]
 fn every_shell_is_told_every_command_and_option() {
