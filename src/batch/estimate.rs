@@ -5,6 +5,9 @@
 
 use crate::scratch::MemoryLimit;
 
+/// What alignment takes of small pictures too: descriptors, candidates, tables; and what the allocator keeps of the step before.
+const ALIGNING: u64 = 40 << 20;
+
 /// What a step is made of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
@@ -34,7 +37,7 @@ impl Size {
         let of_results = if self.fuses { 64 } else { 16 } * pixels;
         let of_small = 14 * pixels.min(4_000_000);
         let of_ghosts = if self.seeks_ghosts { 80 * pixels.min(1_000_000) } else { 0 };
-        MemoryLimit::PROGRAM + of_frames + of_results + of_small + of_ghosts
+        MemoryLimit::PROGRAM + ALIGNING + of_frames + of_results + of_small + of_ghosts
     }
 
     /// Seconds of one core.
