@@ -134,6 +134,32 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A result of hdralign's is there, of other photographs.
+    #[error(
+        "{}: is the result of other photographs of the same names; choose another folder, or a name that tells them apart (`--name` has {{date}} and {{time}}), or replace it with --force",
+        path.display()
+    )]
+    OtherPhotographs {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A result was made of a photograph that is there, but does not go with the others any more.
+    #[error(
+        "{}: was made of {photograph} too, which is there but is found in the bracket no more; is it damaged? copy it again, or replace the result with --force",
+        path.display()
+    )]
+    FrameLost {
+        /// The report of the result.
+        path: PathBuf,
+        /// The name of the photograph.
+        photograph: String,
+    },
+    /// A result was changed since hdralign wrote it.
+    #[error("{}: was changed since hdralign wrote it, and is kept; move it away, or replace it with --force", path.display())]
+    OutputChanged {
+        /// The file.
+        path: PathBuf,
+    },
     /// The extension of an output is none of those written.
     #[error("{}: the extension must be one of {known}", path.display())]
     UnknownExtension {

@@ -3,6 +3,7 @@
 //! In: a template as `{folder}/{first}-{last}`, and a bracket. Out: a path without extension, below the folder for results. Cost: none.
 
 use crate::error::{Error, Result};
+use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
 /// What a template is made of.
@@ -48,9 +49,9 @@ pub struct Values {
     /// The folder of the photographs, relative.
     pub folder: PathBuf,
     /// The first photograph by name, without extension.
-    pub first: String,
+    pub first: OsString,
     /// The last one.
-    pub last: String,
+    pub last: OsString,
     /// The bracket's number, from 1.
     pub number: usize,
     /// How many photographs it has.
@@ -120,11 +121,13 @@ impl Template {
 
     /// The path of a bracket's results, without extension.
     pub fn path(&self, values: &Values) -> PathBuf {
-        let mut text = std::ffi::OsString::new();
+        let mut text = OsString::new();
         for part in &self.0 {
             match part {
                 Part::Text(t) => text.push(t),
                 Part::Field(Field::Folder) => text.push(&values.folder),
+                Part::Field(Field::First) => text.push(&values.first),
+                Part::Field(Field::Last) => text.push(&values.last),
                 Part::Field(field) => text.push(values.text(*field)),
             }
         }
@@ -134,13 +137,12 @@ impl Template {
 }
 
 impl Values {
+    /// What stands for `field`; names of files and folders are none of text.
     fn text(&self, field: Field) -> String {
         let date_time = self.date_time.as_deref().unwrap_or("unknown unknown");
         let (date, time) = date_time.split_once(' ').unwrap_or((date_time, "unknown"));
         match field {
-            Field::Folder => String::new(),
-            Field::First => self.first.clone(),
-            Field::Last => self.last.clone(),
+            Field::Folder | Field::First | Field::Last => String::new(),
             Field::Number => format!("{:04}", self.number),
             Field::Count => self.count.to_string(),
             Field::Set => format!("{:03}", self.set),

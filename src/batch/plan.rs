@@ -311,8 +311,7 @@ fn with(base: &Path, extension: &str) -> PathBuf {
 }
 
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
-    let stem =
-        |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
+    let stem = |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_owned();
     let names = || bracket.photographs.iter();
     // Where several folders were searched, what came of each is in a folder of its own.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();

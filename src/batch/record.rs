@@ -103,14 +103,20 @@ impl Record {
         Some(serde_json::from_slice::<Report>(&text).ok()?.step)
     }
 
-    /// Whether all of `outputs` are there as this record has them, by their length. Content is not looked at: names are given to whole
-    /// files alone, and a result that was changed since is the user's now.
+    /// Whether all of `outputs` are there: as this record has them, by their length, for names are given to whole files alone; or changed
+    /// since by somebody else, whose they are now. What an earlier run made is not enough.
     pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
         let is_there = |path: &PathBuf| {
-            let content = self.outputs.iter().find(|content| content.name == name(path));
-            content.is_some_and(|content| fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() == content.bytes))
+            let Some(content) = self.outputs.iter().find(|content| content.name == name(path)) else { return false };
+            let there = fs::metadata(path).ok().filter(fs::Metadata::is_file);
+            there.is_some_and(|there| there.len() == content.bytes || self.made(path).is_ok_and(|is_ours| !is_ours))
         };
         outputs.iter().all(is_there)
+    }
+
+    /// Whether this is the record of a bracket that has some of `inputs`: of other photographs of the same names otherwise.
+    pub fn is_of(&self, inputs: &[Content]) -> bool {
+        self.inputs.iter().any(|known| inputs.iter().any(|content| content.sha256 == known.sha256))
     }
 
     /// Whether the file `path` is one that this run, or one before it, made: by content.
@@ -205,7 +211,7 @@ mod tests {
             key: String::new(),
             software: String::new(),
             options: Vec::new(),
-            inputs: Vec::new(),
+            inputs: vec![Content::of(&at("a.exr")).unwrap()],
             outputs,
             replaced,
         };
@@ -213,8 +219,15 @@ mod tests {
         assert!(!record.made(&at("mine.exr")).unwrap());
         assert!(record.is_whole(&[at("a.exr")]));
         assert!(!record.is_whole(&[at("a.exr"), at("mine.exr")]), "not in the record");
-        std::fs::write(at("a.exr"), "").unwrap();
+        assert!(record.is_of(&[Content::of(&at("a.exr")).unwrap(), Content::of(&at("old.exr")).unwrap()]));
+        assert!(!record.is_of(&[Content::of(&at("old.exr")).unwrap()]));
+        std::fs::write(at("a.exr"), "retouched").unwrap();
+        assert!(record.is_whole(&[at("a.exr")]), "it is the user's now");
+        std::fs::write(at("a.exr"), "old").unwrap();
+        assert!(!record.is_whole(&[at("a.exr")]), "an earlier run's");
+        std::fs::remove_file(at("a.exr")).unwrap();
         assert!(!record.is_whole(&[at("a.exr")]));
+        std::fs::write(at("a.exr"), "A").unwrap();
         std::fs::write(at("r.json"), "{\"step\": 3}").unwrap();
         assert_eq!(Record::read(&at("r.json")), None);
         std::fs::write(at("r.json"), serde_json::json!({ "step": record }).to_string()).unwrap();

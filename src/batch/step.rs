@@ -15,6 +15,7 @@ use crate::report::Report;
 use crate::write::{self, Whole};
 use serde::Serialize;
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -91,7 +92,8 @@ enum Prepared {
 /// it is done again, and files that somebody else made are replaced.
 ///
 /// # Errors
-/// Those of [`pipeline::run`]; [`Error::OutputExists`] for a result that neither this step nor an earlier form of it made.
+/// Those of [`pipeline::run`]; [`Error::OutputExists`], [`Error::OutputChanged`], [`Error::OtherPhotographs`] for a result that neither this
+/// step nor an earlier form of it made; [`Error::FrameLost`].
 pub fn begin<'a>(
     step: &'a Step,
     options: &Options,
@@ -110,14 +112,8 @@ pub fn begin<'a>(
     }
     let existing: Vec<PathBuf> =
         results.iter().chain([&step.report]).filter(|path| fs::symlink_metadata(path).is_ok()).cloned().collect();
-    for path in existing.iter().filter(|_| !force) {
-        let is_ours = match &known {
-            Some(record) => *path == step.report || record.made(path)?,
-            None => false,
-        };
-        if !is_ours {
-            return Err(Error::OutputExists { path: path.clone() });
-        }
+    if !force {
+        check_existing(step, &existing, known.as_ref(), &inputs)?;
     }
     let folder = step.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
@@ -139,6 +135,32 @@ pub fn begin<'a>(
         }
     };
     Ok(Begun::Made(Box::new(Made { step, key, inputs, replaced, existing, prepared })))
+}
+
+/// Whether what is there may be replaced: it is what this step made before, of these photographs.
+fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inputs: &[Content]) -> Result<()> {
+    let Some(record) = known else {
+        return existing.first().map_or(Ok(()), |path| Err(Error::OutputExists { path: path.clone() }));
+    };
+    if !record.is_of(inputs) {
+        return Err(Error::OtherPhotographs { path: step.report.clone() });
+    }
+    let folders: BTreeSet<&Path> = step.inputs.iter().filter_map(|path| path.parent()).collect();
+    let is_lost = |name: &str| {
+        inputs.iter().all(|content| content.name != name) && folders.iter().any(|folder| folder.join(name).exists())
+    };
+    if let Some(lost) = record.inputs.iter().find(|content| step.kind == Kind::Merge && is_lost(&content.name)) {
+        return Err(Error::FrameLost { path: step.report.clone(), photograph: lost.name.clone() });
+    }
+    for path in existing.iter().filter(|path| **path != step.report) {
+        if !record.made(path)? {
+            let is_named =
+                record.outputs.iter().any(|content| path.file_name().is_some_and(|name| *name == *content.name));
+            let path = path.clone();
+            return Err(if is_named { Error::OutputChanged { path } } else { Error::OutputExists { path } });
+        }
+    }
+    Ok(())
 }
 
 /// The options of a run of the pipeline that does `step`.

@@ -33,7 +33,7 @@ Examples:
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
     /// Folders to search, with all that is in them
-    #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize"])]
+    #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name", "tmo_set"])]
     folders: Vec<PathBuf>,
 
     /// Print what was found, and what was left over and why; merge nothing
@@ -211,6 +211,10 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
     if let Some(path) = &args.summarize {
         return summarize(path, args);
     }
+    if args.folders.is_empty() {
+        let reason = "no folder is given to search; name one or more".to_owned();
+        return Err(Error::Option { option: "FOLDER", reason });
+    }
     let bar = night::Searching::new(args.work.quiet);
     let found = find::find(&args.folders, &args.find_options(), &|count| bar.show(count));
     drop(bar);
@@ -344,8 +348,7 @@ fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
         return Err(Error::Option { option: "--summarize", reason });
     };
     let summary = Summary::collected(&steps);
-    let files = summary.write(&first.summary)?;
-    night::finish(&summary, &files, args)
+    night::finish(&summary, &first.summary, None, args)
 }
 
 fn exit_code(verdict: Verdict) -> ExitCode {

@@ -113,6 +113,7 @@ fn where_there_is_no_bracket_it_says_why() {
     card.write(&folder.at("in"));
     nothing("batch in -d out", "--by-folder");
     nothing("batch nowhere", "nowhere");
+    assert_eq!(folder.line("batch --name x").code, 2);
     // Told what belongs together, it is merged.
     folder.line("batch in -d out --by-folder -q").done();
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
@@ -151,7 +152,7 @@ fn results_have_the_names_and_formats_asked_for() {
     wrong(&["--gap=-3"], "--gap");
     wrong(&["--jobs", "0"], "--jobs");
     wrong(&["--normalize", "set", "--absolute"], "--normalize");
-    assert!(folder.line("batch in --name help").done().stdout.contains("{folder}"));
+    assert!(folder.line("batch --name help").done().stdout.contains("{folder}"));
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! What was found, in words and as JSON.
 
-use hdralign::batch::find::{Found, FoundBracket, LeftOver, Shot};
+use hdralign::batch::find::{Found, FoundBracket, LeftOver, Reason, Shot};
 use hdralign::batch::plan::{Kind, Planned, Step};
 use hdralign::batch::summary::Unused;
 use hdralign::error::Error;
 use serde::Serialize;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The version of the format of `--dry-run --json`: keys are only ever added to it.
 const SCHEMA: &str = "hdralign-found/1";
@@ -66,15 +66,14 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
 /// The table of `--dry-run`.
 pub fn table(found: &Found, steps: &[Step]) -> String {
     let names: Vec<&Step> = steps.iter().filter(|step| step.kind == Kind::Merge).collect();
-    let mut rows =
-        vec![["bracket", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
+    let mut rows = vec![["result", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
     for (bracket, step) in found.brackets.iter().zip(&names) {
         let shots = &bracket.photographs;
         rows.push([
-            step.id.clone(),
+            one_line(&result(step)),
             step.set.map(|set| set.to_string()).unwrap_or_default(),
             shots.len().to_string(),
-            shots.first().map(file_name).unwrap_or_default(),
+            one_line(&shots.first().map(file_name).unwrap_or_default()),
             exposures(bracket),
             begun(bracket).unwrap_or_else(|| "unknown".into()),
             lasts_s(bracket).map_or_else(|| "unknown".into(), |s| format!("{s:.1} s")),
@@ -99,13 +98,36 @@ pub fn table(found: &Found, steps: &[Step]) -> String {
         text += &format!("left over, {}{heading}\n", many(shots.len(), "photograph"));
         for shot in shots.iter().take(TOLD) {
             let own = if common.is_some() { String::new() } else { format!(": {}", shot.reason) };
-            text += &format!("  {}{own}\n", shot.path.display());
+            text += &format!("  {}{own}\n", one_line(&shot.path.display().to_string()));
         }
         if shots.len() > TOLD {
             text += &format!("  and {} more; --json names them\n", shots.len() - TOLD);
         }
     }
     text + &counted(found, found.brackets.len()) + "\n"
+}
+
+/// Where the results of `step` go, without extension, below the folder for all.
+fn result(step: &Step) -> String {
+    let home = step.summary.parent().unwrap_or(Path::new(""));
+    let report = step.report.strip_prefix(home).unwrap_or(&step.report);
+    report.with_extension("").to_string_lossy().into_owned()
+}
+
+/// A name in a table: what would break its line is shown by its code.
+fn one_line(name: &str) -> String {
+    let plain = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
+    name.chars().map(plain).collect()
+}
+
+/// Photographs that are in no bracket, and are no results of our own.
+pub fn left_over(found: &Found) -> usize {
+    found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
+}
+
+/// Those that cannot be read at all.
+pub fn unreadable(found: &Found) -> Vec<&LeftOver> {
+    found.left_over.iter().filter(|left_over| matches!(left_over.reason, Reason::Unreadable(_))).collect()
 }
 
 /// Left-overs by the kinds of their reasons, in the order of the first of each.

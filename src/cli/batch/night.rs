@@ -5,15 +5,16 @@ use super::super::interrupt;
 use super::super::progress::left;
 use super::super::summary::duration;
 use super::super::terminal::Terminal;
-use super::found::{many, unused};
+use super::found::{left_over, many, unreadable, unused};
 use super::{Args, exit_code};
-use hdralign::batch::find::Found;
+use hdralign::batch::find::{self, Found};
 use hdralign::batch::plan::Step;
 use hdralign::batch::schedule::{self, Ending, Event, Limits};
 use hdralign::batch::step::Brief;
 use hdralign::batch::summary::{Row, Status, Summary, Verdict};
 use hdralign::error::Error;
 use hdralign::pipeline::Options;
+use hdralign::write;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Failures that are told again at the end; the summary has all.
+/// Brackets of one kind that are told again at the end.
 const TOLD: usize = 10;
 
 /// How many photographs were looked at.
@@ -153,6 +154,8 @@ pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
 pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
     let home = steps[0].summary.parent().unwrap_or(Path::new(".")).to_owned();
     std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
+    // Whether anything can be written there is known before hours of work.
+    drop(write::whole(&steps[0].summary, b"")?);
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
@@ -162,8 +165,14 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     let endings = schedule::run(steps, &options, &limits, args.work.force, stop, &|event| board.see(&event));
     board.bar.finish_and_clear();
     let summary = Summary::new(steps, &endings, unused(found), board.began.elapsed().as_secs_f64());
-    let files = summary.write(&steps[0].summary)?;
-    finish(&summary, &files, args)
+    let left_over = Some(LeftOver { count: left_over(found), unreadable: unreadable(found) });
+    finish(&summary, &steps[0].summary, left_over.as_ref(), args)
+}
+
+/// Photographs in no bracket.
+pub struct LeftOver<'a> {
+    count: usize,
+    unreadable: Vec<&'a find::LeftOver>,
 }
 
 fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error> {
@@ -183,28 +192,44 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
 fn clear(steps: &[Step]) {
     let folders: BTreeSet<&Path> = steps.iter().filter_map(|step| step.report.parent()).collect();
     for folder in folders {
-        hdralign::write::sweep(folder);
+        write::sweep(folder);
     }
 }
 
-/// Tells how it went, and gives the exit code.
-pub fn finish(summary: &Summary, files: &[PathBuf; 2], args: &Args) -> Result<ExitCode, Error> {
+/// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either.
+pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
+    let files = summary.write(path);
     if !args.work.quiet {
-        lines(summary, files).iter().for_each(|line| eprintln!("{line}"));
+        lines(summary, files.as_ref().ok(), left_over).iter().for_each(|line| eprintln!("{line}"));
     }
+    files?;
     let results = if args.json {
         summary.to_json()
     } else {
         summary.steps.iter().flat_map(|row| &row.outputs).map(|path| format!("{path}\n")).collect()
     };
     super::super::tell(&results)?;
-    let verdict = summary.verdict();
+    let has_unreadable = left_over.is_some_and(|left_over| !left_over.unreadable.is_empty());
+    let verdict = match summary.verdict() {
+        Verdict::All if has_unreadable => Verdict::Some,
+        verdict => verdict,
+    };
     let is_degraded = args.work.strict && summary.counts.degraded > 0;
     Ok(if is_degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
 }
 
+/// The first of `texts` under `label`, and how many more there are.
+fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<String> {
+    let more = texts.len().saturating_sub(TOLD);
+    let mut lines: Vec<String> = texts.take(TOLD).map(|text| format!("{label:<11}{text}")).collect();
+    if more > 0 {
+        lines.push(format!("{label:<11}and {more} more; the summary has all"));
+    }
+    lines
+}
+
 /// The lines at the end.
-fn lines(summary: &Summary, files: &[PathBuf; 2]) -> Vec<String> {
+fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&LeftOver>) -> Vec<String> {
     let counts = &summary.counts;
     let all = [
         (counts.done, "done"),
@@ -215,18 +240,24 @@ fn lines(summary: &Summary, files: &[PathBuf; 2]) -> Vec<String> {
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
     let mut lines = vec![format!("{:<11}{} of {}", "brackets", words.join(", "), counts.steps)];
-    let failed: Vec<&Row> = summary.steps.iter().filter(|row| row.status == Status::Failed).collect();
-    for row in failed.iter().take(TOLD) {
-        lines.push(format!("{:<11}{}: {}", "failed", row.id, row.error.as_deref().unwrap_or_default()));
+    let with = |is: &dyn Fn(&&Row) -> bool| summary.steps.iter().filter(is).collect::<Vec<&Row>>();
+    let failed = with(&|row| row.status == Status::Failed);
+    let why = |row: &&Row| format!("{}: {}", row.id, row.error.as_deref().unwrap_or_default());
+    lines.extend(listed("failed", failed.iter().map(why)));
+    let doubtful = with(&|row| row.brief.degraded);
+    let what = |row: &&Row| format!("{}: {}", row.id, row.brief.warnings.first().map_or("", String::as_str));
+    lines.extend(listed("in doubt", doubtful.iter().map(what)));
+    if let Some(left_over) = left_over {
+        let why = |l: &&find::LeftOver| format!("{}: {}", l.path.display(), l.reason);
+        lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
+        if left_over.count > 0 {
+            let count = many(left_over.count, "photograph");
+            lines.push(format!("{:<11}{count} in no bracket; the summary and --dry-run say why", "left over"));
+        }
     }
-    if failed.len() > TOLD {
-        lines.push(format!("{:<11}and {} more", "failed", failed.len() - TOLD));
+    if let Some([report, table]) = files {
+        lines.push(format!("{:<11}{}, {}", "summary", report.display(), table.display()));
     }
-    if let Some(left_over) = summary.left_over.as_ref().filter(|l| !l.is_empty()) {
-        let count = many(left_over.len(), "photograph");
-        lines.push(format!("{:<11}{count} in no bracket; the summary and --dry-run say why", "left over"));
-    }
-    lines.push(format!("{:<11}{}, {}", "summary", files[0].display(), files[1].display()));
     if let Some(time) = summary.time_s {
         let rate = if counts.done > 0 && time > 0.0 {
             format!(", {:.0} brackets an hour", counts.done as f64 / time * 3600.0)

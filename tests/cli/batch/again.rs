@@ -2,6 +2,7 @@
 
 use super::{card, counts, refused, results};
 use crate::support::Folder;
+use crate::support::card::Card;
 use std::fs;
 use std::path::Path;
 
@@ -41,12 +42,50 @@ fn a_result_that_somebody_changed_is_kept() {
     folder.line("batch in -d out -q").done();
     let picture = "out/a/IMG_0001-IMG_0003.png";
     folder.put(picture, b"retouched");
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [0, 2, 0, 0]);
     let said = refused(folder.line("batch in -d out -q --weight gaussian"));
-    assert!(said.contains("IMG_0001-IMG_0003.png: exists already") && said.contains("--force"), "{said}");
+    assert!(said.contains("IMG_0001-IMG_0003.png: was changed since") && said.contains("--force"), "{said}");
     assert_eq!(counts(&folder), [1, 0, 1, 0]);
     assert_eq!(folder.bytes(picture), b"retouched");
     folder.line("batch in -d out -q --weight gaussian --force").done();
     assert_ne!(folder.bytes(picture), b"retouched");
+}
+
+/// A card that was formatted begins with IMG_0001 again.
+#[test]
+fn photographs_of_the_same_names_do_not_take_the_place_of_others() {
+    let folder = Folder::empty();
+    let mut card = Card::new(150);
+    card.brackets(1, 3, 2.0).write(&folder.at("in"));
+    folder.line("batch in -d out -q").done();
+    let first = results(&folder);
+    card.shots.iter_mut().for_each(|shot| shot.view = 7);
+    card.write(&folder.at("in"));
+    let said = refused(folder.line("batch in -d out -q"));
+    assert!(said.contains("other photographs") && said.contains("{date}"), "{said}");
+    assert!(results(&folder) == first);
+    folder.line("batch in -d out -q --force").done();
+    assert!(results(&folder) != first);
+}
+
+/// A bracket that lost a frame to damage still looks like one: it does not take the place of what the whole one gave.
+#[test]
+fn a_damaged_frame_does_not_make_a_good_result_worse() {
+    let folder = Folder::empty();
+    let paths = card(&folder, 2);
+    folder.line("batch in -d out -q").done();
+    let first = results(&folder);
+    fs::write(&paths[0][1], b"").unwrap();
+    let run = folder.line("batch in -d out");
+    assert_eq!(run.code, 3, "{run:?}");
+    let said = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("unreadable") && said.contains("IMG_0002.JPG too, which is there"), "{said}");
+    assert!(results(&folder) == first);
+    // Taken away, it is missed by nobody.
+    fs::remove_file(&paths[0][1]).unwrap();
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [1, 1, 0, 0]);
 }
 
 #[test]
