@@ -118,6 +118,17 @@ pub enum Verdict {
     Some,
 }
 
+impl Verdict {
+    /// Of `done` steps of `all`; where there are none, none is done.
+    pub fn of(done: usize, all: usize) -> Verdict {
+        match done {
+            0 => Verdict::None,
+            _ if done == all => Verdict::All,
+            _ => Verdict::Some,
+        }
+    }
+}
+
 impl Summary {
     /// Of `steps` that ended as `endings` say.
     pub fn new(steps: &[Step], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
@@ -166,11 +177,7 @@ impl Summary {
 
     /// How it went.
     pub fn verdict(&self) -> Verdict {
-        match self.counts.done + self.counts.unchanged {
-            0 => Verdict::None,
-            n if n == self.counts.steps => Verdict::All,
-            _ => Verdict::Some,
-        }
+        Verdict::of(self.counts.done + self.counts.unchanged, self.counts.steps)
     }
 
     /// As JSON, ended by a line feed.

@@ -282,26 +282,18 @@ impl Args {
 
 /// `--plan`.
 fn print_plan(steps: &[Step], found: &find::Found, args: &Args) -> Result<ExitCode, Error> {
-    let mut lines = String::new();
-    let mut refused = 0;
+    let mut lines = Vec::with_capacity(steps.len());
     for step in steps {
         match step.to_line() {
-            Ok(line) => lines += &(line + "\n"),
-            Err(error) => {
-                refused += 1;
-                eprintln!("hdralign: {error}");
-            }
+            Ok(line) => lines.push(line + "\n"),
+            Err(error) => eprintln!("hdralign: {error}"),
         }
     }
-    super::tell(&lines)?;
+    super::tell(&lines.concat())?;
     if !args.work.quiet {
-        eprintln!("{}", found::counted(found, steps.len() - refused));
+        eprintln!("{}", found::counted(found, lines.len()));
     }
-    Ok(exit_code(match refused {
-        0 => Verdict::All,
-        n if n == steps.len() => Verdict::None,
-        _ => Verdict::Some,
-    }))
+    Ok(exit_code(Verdict::of(lines.len(), steps.len())))
 }
 
 /// `--run PLAN --id ID`.
@@ -332,11 +324,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
         }
     }
     super::tell(&results)?;
-    let verdict = match done {
-        0 => Verdict::None,
-        n if n == steps.len() => Verdict::All,
-        _ => Verdict::Some,
-    };
+    let verdict = Verdict::of(done, steps.len());
     Ok(if args.work.strict && degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
 }
 
