@@ -86,7 +86,7 @@ pub struct Record {
     pub inputs: Vec<Content>,
     /// The results.
     pub outputs: Vec<Content>,
-    /// SHA-256 of results of earlier runs that these take the place of.
+    /// SHA-256 of the older results that these take the place of.
     pub replaced: Vec<String>,
 }
 

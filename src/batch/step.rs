@@ -117,10 +117,8 @@ pub fn begin<'a>(
     }
     let folder = step.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
-    let replaced = known.map_or_else(Vec::new, |record| {
-        let made = record.outputs.into_iter().map(|content| content.sha256);
-        made.chain(record.replaced).collect()
-    });
+    let older = existing.iter().filter(|path| **path != step.report);
+    let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
     let prepared = match step.kind {
         Kind::Merge => Prepared::Merged(Box::new(pipeline::prepare(&step.inputs, options, watch)?)),
         Kind::Response => {
@@ -194,10 +192,6 @@ impl Made<'_> {
             }
         };
         let outputs = files.iter().map(content).collect::<Result<Vec<_>>>()?;
-        let mut older: Vec<String> = replaced;
-        older.retain(|digest| outputs.iter().all(|content| content.sha256 != *digest));
-        older.sort();
-        older.dedup();
         let record = Record {
             id: step.id.clone(),
             key,
@@ -205,7 +199,7 @@ impl Made<'_> {
             options: step.options.clone(),
             inputs,
             outputs,
-            replaced: older,
+            replaced,
         };
         report["step"] = as_value(&record);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default() + "\n";
