@@ -20,6 +20,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 /// Steps that may wait for the disk before those that compute do too.
 const WAITING: usize = 4;
 
+/// Bytes that a thread keeps for itself, beside the first of a step.
+const THREAD: u64 = 32 << 20;
+
 /// What the machine may be used for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
@@ -67,7 +70,7 @@ pub fn run(
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
         scope.spawn(|| name(&board, made));
-        for _ in 0..limits.jobs.clamp(1, steps.len().max(1)) {
+        for _ in 0..workers(steps, limits) {
             let (to_namer, board) = (to_namer.clone(), &board);
             scope.spawn(move || work(board, options, force, &to_namer));
         }
@@ -76,11 +79,19 @@ pub fn run(
     board.endings()
 }
 
+/// How many steps there may ever be at a time, by their number and by memory.
+fn workers(steps: &[Step], limits: &Limits) -> usize {
+    let least = steps.iter().map(pixels).min().unwrap_or(0).max(1);
+    let fitting = usize::try_from(capacity(limits) / least).unwrap_or(usize::MAX);
+    limits.jobs.min(steps.len()).min(fitting).max(1)
+}
+
 /// Takes one step after the other.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
-    // Threads are kept from step to step: each has memory of its own that would be left behind with it.
+    // Threads are kept from step to step, for each has memory of its own that would be left behind with it; but not while there is nothing to
+    // do, for they keep what they had.
     let mut pool: Option<ThreadPool> = None;
-    while let Some((i, share)) = board.take() {
+    while let Some((i, share)) = board.take(|| pool = None) {
         let own = share.options(options);
         if pool.as_ref().is_none_or(|pool| pool.current_num_threads() != share.threads) {
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
@@ -126,9 +137,24 @@ struct Share {
     threads: usize,
     /// Bytes for pixels.
     pixels: u64,
+    /// Bytes of those for all steps: for pixels, and for threads beside the first.
+    taken: u64,
 }
 
 impl Share {
+    /// Of a step that needs `pixels` of the bytes that are `free`, and may have so many `threads`: a small one has the threads that there is
+    /// memory for, a large one gives up some of its own for them.
+    fn of(pixels: u64, free: u64, threads: usize) -> Share {
+        let extra = THREAD * (threads as u64 - 1);
+        if pixels.saturating_add(extra) <= free {
+            return Share { threads, pixels, taken: pixels + extra };
+        }
+        if pixels >= 4 * extra {
+            return Share { threads, pixels: free - extra, taken: free };
+        }
+        Share { threads: 1, pixels, taken: pixels }
+    }
+
     fn options(&self, options: &Options) -> Options {
         let mut own = Options { threads: Some(self.threads), ..options.clone() };
         if let Some(limit) = &mut own.load.memory {
@@ -184,8 +210,8 @@ impl<'a> Board<'a> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next step, and what it may use; none when there is nothing left to begin.
-    fn take(&self) -> Option<(usize, Share)> {
+    /// The next step, and what it may use; none when there is nothing left to begin. Whoever has to wait for it is `idle`.
+    fn take(&self, mut idle: impl FnMut()) -> Option<(usize, Share)> {
         let mut open = self.lock();
         loop {
             if self.stop.load(Ordering::SeqCst) {
@@ -200,17 +226,18 @@ impl<'a> Board<'a> {
                 // Where there is memory for one at a time alone, it may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
-                let threads = (self.limits.threads / at_once).max(1);
+                let share = Share::of(pixels, open.free, (self.limits.threads / at_once).max(1));
                 open.states[i] = State::Going;
-                open.free -= pixels;
+                open.free -= share.taken;
                 open.going += 1;
                 drop(open);
                 (self.watch)(Event::Begins(&self.steps[i]));
-                return Some((i, Share { threads, pixels }));
+                return Some((i, share));
             }
             if !open.states.iter().any(|state| matches!(state, State::Open)) {
                 return None;
             }
+            idle();
             open = self.changed.wait(open).unwrap_or_else(PoisonError::into_inner);
         }
     }
@@ -246,7 +273,7 @@ impl<'a> Board<'a> {
     /// The step computes no more.
     fn give_back(&self, share: &Share) {
         let mut open = self.lock();
-        open.free += share.pixels;
+        open.free += share.taken;
         open.going -= 1;
         self.changed.notify_all();
     }

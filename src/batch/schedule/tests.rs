@@ -59,35 +59,45 @@ fn what_is_stopped_begins_nothing() {
 #[test]
 fn memory_and_threads_are_shared_out() {
     let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
-    all.iter_mut().for_each(|step| step.memory_mb = 200);
+    all.iter_mut().for_each(|step| step.memory_mb = 400);
     let stop = AtomicBool::new(false);
-    let of_step = 200_000_000 - MemoryLimit::PROGRAM;
+    let of_step = 400_000_000 - MemoryLimit::PROGRAM;
     let watch = |_: Event| ();
 
     let two = limits(2, Some(MemoryLimit::PROGRAM + 2 * of_step));
     let board = Board::new(&all, &two, &stop, &watch);
-    let (first, second) = (board.take().unwrap(), board.take().unwrap());
+    let (first, second) = (board.take(|| ()).unwrap(), board.take(|| ()).unwrap());
     assert_eq!((first.0, second.0), (0, 1));
-    assert_eq!(first.1, Share { threads: 1, pixels: of_step });
+    assert_eq!(first.1, Share { threads: 1, pixels: of_step, taken: of_step });
     assert_eq!(board.lock().free, 0);
     board.give_back(&first.1);
-    assert_eq!(board.take().unwrap().0, 2);
+    assert_eq!(board.take(|| ()).unwrap().0, 2);
+
+    assert_eq!(workers(&all, &two), 2);
 
     // There is room for one at a time alone: it has both threads.
     let one = limits(2, Some(MemoryLimit::PROGRAM + of_step + 1));
+    assert_eq!(workers(&all, &one), 1);
     let board = Board::new(&all, &one, &stop, &watch);
-    assert_eq!(board.take().unwrap().1, Share { threads: 2, pixels: of_step });
+    let share = board.take(|| ()).unwrap().1;
+    assert_eq!(share, Share { threads: 2, pixels: of_step + 1 - THREAD, taken: of_step + 1 });
 
-    // One that is larger than all there is has all there is, and by itself; a single one has all threads.
+    // Memory for threads: enough, none, and of a small step.
+    let one_thread = |pixels| Share { threads: 1, pixels, taken: pixels };
+    assert_eq!(Share::of(10, 10 + THREAD, 2), Share { threads: 2, pixels: 10, taken: 10 + THREAD });
+    assert_eq!(Share::of(10, 9 + THREAD, 2), one_thread(10));
+    assert_eq!(Share::of(10, 10, 1), one_thread(10));
+
+    // One that is larger than all there is has all there is, and by itself.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);
-    let (_, share) = board.take().unwrap();
-    assert_eq!(share, Share { threads: 4, pixels: 1000 });
+    let (_, share) = board.take(|| ()).unwrap();
+    assert_eq!(share, one_thread(1000));
     let own = share.options(&Options {
         load: crate::bracket::LoadOptions { memory: little.memory.clone(), ..Default::default() },
         ..Options::default()
     });
-    assert_eq!((own.threads, own.load.memory.map(|m| m.bytes)), (Some(4), Some(MemoryLimit::PROGRAM + 1000)));
+    assert_eq!((own.threads, own.load.memory.map(|m| m.bytes)), (Some(1), Some(MemoryLimit::PROGRAM + 1000)));
 }
 
 #[test]
@@ -100,12 +110,12 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     let watch = |_: Event| ();
     let roomy = limits(2, None);
     let board = Board::new(&all, &roomy, &stop, &watch);
-    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+    assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
     all[0].memory_mb = 150;
     let tight = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
     let board = Board::new(&all, &tight, &stop, &watch);
     // b takes 133 MB of the 170; beside it is no room but for c and, when that is done, d.
-    assert_eq!([board.take().unwrap().0, board.take().unwrap().0], [1, 2]);
+    assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
 }
 
 #[test]
@@ -117,11 +127,11 @@ fn a_response_comes_before_what_needs_it() {
     let limits = limits(2, None);
     let watch = |_: Event| ();
     let board = Board::new(&all, &limits, &stop, &watch);
-    let (first, share) = board.take().unwrap();
+    let (first, share) = board.take(|| ()).unwrap();
     assert_eq!(first, 1);
     board.end(1, Ending::Done(Brief::default()));
     board.give_back(&share);
-    assert_eq!(board.take().unwrap().0, 0);
+    assert_eq!(board.take(|| ()).unwrap().0, 0);
     board.end(0, Ending::Unchanged(Brief::default()));
-    assert_eq!(board.take().map(|(i, _)| i), None);
+    assert_eq!(board.take(|| ()).map(|(i, _)| i), None);
 }
