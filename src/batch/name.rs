@@ -125,9 +125,6 @@ impl Template {
         for part in &self.0 {
             match part {
                 Part::Text(t) => text.push(t),
-                Part::Field(Field::Folder) => text.push(&values.folder),
-                Part::Field(Field::First) => text.push(&values.first),
-                Part::Field(Field::Last) => text.push(&values.last),
                 Part::Field(field) => text.push(values.text(*field)),
             }
         }
@@ -137,19 +134,22 @@ impl Template {
 }
 
 impl Values {
-    /// What stands for `field`; names of files and folders are none of text.
-    fn text(&self, field: Field) -> String {
+    /// What stands for `field`; names of files and folders need be no UTF-8.
+    fn text(&self, field: Field) -> OsString {
         let date_time = self.date_time.as_deref().unwrap_or("unknown unknown");
         let (date, time) = date_time.split_once(' ').unwrap_or((date_time, "unknown"));
-        match field {
-            Field::Folder | Field::First | Field::Last => String::new(),
+        let text = match field {
+            Field::Folder => return self.folder.clone().into_os_string(),
+            Field::First => return self.first.clone(),
+            Field::Last => return self.last.clone(),
             Field::Number => format!("{:04}", self.number),
             Field::Count => self.count.to_string(),
             Field::Set => format!("{:03}", self.set),
             Field::Camera => plain(self.camera.as_deref().unwrap_or("unknown")),
             Field::Date => date.replace(':', "-"),
             Field::Time => time.replace(':', "-"),
-        }
+        };
+        text.into()
     }
 }
 

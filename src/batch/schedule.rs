@@ -218,8 +218,13 @@ impl<'a> Board<'a> {
                 return None;
             }
             let failed = self.with_failed_need(&open);
-            for (i, reason) in failed {
-                self.set(&mut open, i, Ending::Failed(reason));
+            if !failed.is_empty() {
+                failed.iter().for_each(|(i, ending)| open.states[*i] = State::Ended(ending.clone()));
+                drop(open);
+                failed.iter().for_each(|(i, ending)| self.tell(*i, ending));
+                self.changed.notify_all();
+                open = self.lock();
+                continue;
             }
             let ready: Vec<usize> = (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
@@ -259,7 +264,7 @@ impl<'a> Board<'a> {
     }
 
     /// Open steps that need one that failed, or that there is none of.
-    fn with_failed_need(&self, open: &Open) -> Vec<(usize, String)> {
+    fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let reason = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
             None => Some(format!("it needs the step {id}, which the plan does not have")),
             Some(State::Ended(Ending::Failed(why))) => Some(format!("it needs {id}, which failed: {why}")),
@@ -267,7 +272,8 @@ impl<'a> Board<'a> {
         };
         let is_open = |i: &usize| matches!(open.states[*i], State::Open);
         let open_steps = (0..self.steps.len()).filter(is_open);
-        open_steps.filter_map(|i| Some((i, self.steps[i].needs.iter().find_map(reason)?))).collect()
+        let failed = |i: usize| Some((i, Ending::Failed(self.steps[i].needs.iter().find_map(reason)?)));
+        open_steps.filter_map(failed).collect()
     }
 
     /// The step computes no more.
@@ -279,17 +285,17 @@ impl<'a> Board<'a> {
     }
 
     fn end(&self, i: usize, ending: Ending) {
-        let mut open = self.lock();
-        self.set(&mut open, i, ending);
+        self.tell(i, &ending);
+        self.lock().states[i] = State::Ended(ending);
         self.changed.notify_all();
     }
 
-    fn set(&self, open: &mut Open, i: usize, ending: Ending) {
-        if let Ending::Failed(error) = &ending {
+    /// Writes and prints, and so is for whoever does not hold the board.
+    fn tell(&self, i: usize, ending: &Ending) {
+        if let Ending::Failed(error) = ending {
             step::remember_failure(&self.steps[i], error);
         }
-        (self.watch)(Event::Ends(&self.steps[i], &ending));
-        open.states[i] = State::Ended(ending);
+        (self.watch)(Event::Ends(&self.steps[i], ending));
     }
 
     fn endings(self) -> Vec<Ending> {
