@@ -1,33 +1,72 @@
-//! Ctrl-C, and the signal by which systems end a process: nothing half is left behind.
+//! Signals: Ctrl-C, those by which systems end a process, and those of its limits; nothing half is left behind.
 //!
 //! A command stops at once, and its temporary files are taken away. A batch first ends what it has begun; asked a second time it stops
-//! at once too.
+//! at once too. What the process was started to ignore, as `nohup` does, it ignores. A file that grows beyond `ulimit -f` is an error of
+//! the writing, not the end of the process.
 
+use super::say;
 use hdralign::write;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// What a shell says of a process that Ctrl-C ended: 128 and the number of the signal.
-const INTERRUPTED: i32 = 130;
+/// What a shell adds to the number of the signal that ended a process.
+const ENDED_BY: i32 = 128;
 
 static IS_BATCH: AtomicBool = AtomicBool::new(false);
 static STOP: AtomicBool = AtomicBool::new(false);
 static ASKED: AtomicUsize = AtomicUsize::new(0);
 
-/// From here on signals are heard.
+/// Whether a file outgrew its limit; nobody asks, for the write says so itself.
+#[cfg(unix)]
+static OUTGREW: AtomicBool = AtomicBool::new(false);
+
+fn heard(signal: i32) {
+    let times = ASKED.fetch_add(1, Ordering::SeqCst);
+    if IS_BATCH.load(Ordering::SeqCst) && times == 0 {
+        STOP.store(true, Ordering::SeqCst);
+        say("\nhdralign: ending what has begun; once more stops at once");
+        return;
+    }
+    write::abandon();
+    say("\nhdralign: stopped; nothing half-written was left");
+    std::process::exit(ENDED_BY + signal);
+}
+
+/// From here on signals are heard. Where they cannot be they act as they always do.
+#[cfg(unix)]
 pub fn listen() {
-    let heard = || {
-        let times = ASKED.fetch_add(1, Ordering::SeqCst);
-        if IS_BATCH.load(Ordering::SeqCst) && times == 0 {
-            STOP.store(true, Ordering::SeqCst);
-            eprintln!("\nhdralign: ending what has begun; once more stops at once");
-            return;
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXCPU, SIGXFSZ};
+    // Heard, it ends nothing: the system refuses the write, and that is told as an error of the file.
+    let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);
+    let ignored = ignored();
+    let of_end = [SIGINT, SIGTERM, SIGHUP, SIGXCPU].into_iter().filter(move |n| ignored >> (n - 1) & 1 == 0);
+    let (registered, is_registered) = std::sync::mpsc::channel();
+    let hear = move || {
+        let signals = signal_hook::iterator::Signals::new(of_end);
+        // Whoever waits goes on when this is dropped, too.
+        drop(registered);
+        if let Ok(mut signals) = signals {
+            signals.forever().for_each(heard);
         }
-        write::abandon();
-        eprintln!("\nhdralign: stopped; nothing half-written was left");
-        std::process::exit(INTERRUPTED);
     };
-    // Where signals cannot be heard they act as they always do.
-    let _ = ctrlc::set_handler(heard);
+    if std::thread::Builder::new().name("hdralign signals".into()).spawn(hear).is_ok() {
+        let _: Result<(), _> = is_registered.recv();
+    }
+}
+
+/// A bit for each signal, from 1, that the process was started to ignore, as far as Linux tells.
+#[cfg(unix)]
+fn ignored() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let bits = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    bits.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()).unwrap_or(0)
+}
+
+/// From here on Ctrl-C is heard. Where it cannot be it acts as it always does.
+#[cfg(not(unix))]
+pub fn listen() {
+    /// Ctrl-C's number.
+    const INTERRUPT: i32 = 2;
+    let _ = ctrlc::set_handler(|| heard(INTERRUPT));
 }
 
 /// Set when a batch should begin nothing more; the first signal does that from now on.
