@@ -169,12 +169,22 @@ pub enum Error {
         known: &'static str,
     },
     /// A result could not be written.
-    #[error("{}: cannot be written: {source}{}", path.display(), remedy(source, "; check the folder, its permissions and the space left"))]
+    #[error("{}: cannot be written: {source}{}", path.display(), write_remedy(source))]
     Write {
         /// The file.
         path: PathBuf,
         /// What the system or the encoder said.
         source: io::Error,
+    },
+    /// The system refused threads.
+    #[error(
+        "{threads} threads could not be started: {source}; give fewer with --threads, or allow more (`ulimit -u`, `ulimit -v`)"
+    )]
+    Threads {
+        /// How many there should have been.
+        threads: usize,
+        /// What the system said.
+        source: rayon::ThreadPoolBuildError,
     },
     /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
     #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
@@ -238,6 +248,12 @@ pub enum Error {
 }
 
 impl Error {
+    /// Whether a result could not be written for want of space: what is written next would fail as well.
+    pub fn is_disk_full(&self) -> bool {
+        let is_space = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
+        matches!(self, Error::Write { source, .. } if is_space(source.kind()))
+    }
+
     /// Whether the command line, rather than a file or the machine, is at fault: exit code 2 instead of 1.
     pub fn is_usage(&self) -> bool {
         matches!(
@@ -251,11 +267,35 @@ impl Error {
     }
 }
 
-/// `advice`, but where a name was refused by the program itself, which then says what to do.
+/// `advice`, but where a name was refused by the program itself, which then says what to do, and where the system says more.
 fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
     let is_told = matches!(source.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory);
-    if is_told && source.get_ref().is_some() { "" } else { advice }
+    match source.raw_os_error() {
+        None if is_told && source.get_ref().is_some() => "",
+        Some(TOO_MANY_OPEN) if cfg!(unix) => "; allow more open files (`ulimit -n`)",
+        Some(INPUT_OUTPUT) if cfg!(unix) => "; the disk or the card may be damaged: copy the file again",
+        _ => advice,
+    }
 }
+
+/// What to do where a file could not be written.
+fn write_remedy(source: &io::Error) -> &'static str {
+    use io::ErrorKind::{FileTooLarge, InvalidFilename, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    match source.kind() {
+        StorageFull => "; make room there, or write to another disk",
+        QuotaExceeded => "; the quota is used up: make room there, or write to another disk",
+        ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
+        FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
+        InvalidFilename => "; give it a shorter name",
+        _ => remedy(source, "; check the folder, its permissions and the space left"),
+    }
+}
+
+/// EMFILE of Linux, macOS and the BSDs.
+const TOO_MANY_OPEN: i32 = 24;
+
+/// EIO of the same.
+const INPUT_OUTPUT: i32 = 5;
 
 /// What a user should know about a result that was nevertheless made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -313,7 +313,10 @@ const MOST_THREADS: usize = 1024;
 
 /// Runs `work` on a pool of `threads` threads, or on the common one; on the pool that calls it, if that has as many.
 fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
-    let Some(threads) = threads else { return work() };
+    let Some(threads) = threads else {
+        start_threads()?;
+        return work();
+    };
     let refused = |reason: String| Error::Option { option: "--threads", reason };
     if threads == 0 {
         return Err(refused("0 threads cannot work; give 1 or more".into()));
@@ -327,7 +330,42 @@ fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + S
         return work();
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map_err(|e| refused(format!("{threads} threads could not be started: {e}")))?.install(work)
+    pool.map_err(|source| Error::Threads { threads, source })?.install(work)
+}
+
+/// Starts the threads that compute where nothing else is said, one for each core, unless they are there. Whatever computes without having done so
+/// panics where the system refuses them.
+///
+/// # Errors
+/// [`Error::Threads`].
+pub fn start_threads() -> Result<()> {
+    if rayon::current_thread_index().is_some() {
+        return Ok(());
+    }
+    match rayon::ThreadPoolBuilder::new().build_global() {
+        // It has no source where they were there already.
+        Err(source) if std::error::Error::source(&source).is_some() => {
+            let threads = std::thread::available_parallelism().map_or(1, usize::from);
+            Err(Error::Threads { threads, source })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Every file that a run on `images` writes.
+///
+/// # Errors
+/// [`Error::Option`] where two aligned frames would have one name.
+pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<PathBuf>> {
+    let mut files = options.outputs.clone();
+    files.extend(options.save_response.clone());
+    files.extend(options.report.clone());
+    files.extend(options.ghost_mask.clone());
+    files.extend(options.transforms.clone().filter(|path| !path.exists()));
+    if let Some(prefix) = &options.save_aligned {
+        files.extend(aligned::names(prefix, images)?);
+    }
+    Ok(files)
 }
 
 /// Whether everything asked for can be written, before any work is done.
@@ -347,15 +385,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     }
     options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
     write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;
-    let mut files = options.outputs.clone();
-    files.extend(options.save_response.clone());
-    files.extend(options.report.clone());
-    files.extend(options.ghost_mask.clone());
-    files.extend(options.transforms.clone().filter(|path| !path.exists()));
-    if let Some(prefix) = &options.save_aligned {
-        files.extend(aligned::names(prefix, images)?);
-    }
-    write::check_targets(&files, images, options.write.overwrite)
+    write::check_targets(&targets(images, options)?, images, options.write.overwrite)
 }
 
 /// Transforms that were there already, and their file.

@@ -13,6 +13,7 @@ use crate::pipeline::Options;
 use crate::scratch::MemoryLimit;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -43,7 +44,7 @@ pub enum Ending {
     Unchanged(Brief),
     /// It failed, and why.
     Failed(String),
-    /// It was not begun: the run was stopped before.
+    /// It was not begun: the run was stopped before, or there is no room where its results go.
     NotBegun,
 }
 
@@ -54,6 +55,8 @@ pub enum Event<'a> {
     Begins(&'a Step),
     /// A step ended.
     Ends(&'a Step, &'a Ending),
+    /// There is no room for the results of this step, and none of those that go to the same disk is begun any more.
+    Fills(&'a Step),
 }
 
 /// Does `steps` with `options`, and gives how each ended, in their order. With `force` what was done is done again. Once `stop` is set, what
@@ -69,11 +72,14 @@ pub fn run(
     let board = Board::new(steps, limits, stop, watch);
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
-        scope.spawn(|| name(&board, made));
-        for _ in 0..workers(steps, limits) {
+        // This thread works too, and names files where there is none for it: the system may refuse others.
+        let thread = |name: &str| std::thread::Builder::new().name(name.into());
+        let _ = thread("hdralign names").spawn_scoped(scope, || name(&board, made));
+        for _ in 1..workers(steps, limits) {
             let (to_namer, board) = (to_namer.clone(), &board);
-            scope.spawn(move || work(board, options, force, &to_namer));
+            let _ = thread("hdralign steps").spawn_scoped(scope, move || work(board, options, force, &to_namer));
         }
+        work(&board, options, force, &to_namer);
         drop(to_namer);
     });
     board.endings()
@@ -96,7 +102,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
         if pool.as_ref().is_none_or(|pool| pool.current_num_threads() != share.threads) {
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
         }
-        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()));
+        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()), || board.fill(i));
         // Where there is no pool to be had, the step says so itself.
         let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
@@ -105,7 +111,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
             Ok(Begun::Made(made)) => {
                 if let Err(back) = to_namer.send((i, made)) {
                     let (i, made) = back.0;
-                    board.end(i, named(made));
+                    board.end(i, named(board, i, made));
                 }
             }
             Err(error) => board.end(i, Ending::Failed(error)),
@@ -115,20 +121,41 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
 
 /// Waits for the disk, and gives names.
 fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
-    made.iter().for_each(|(i, made)| board.end(i, named(made)));
+    made.iter().for_each(|(i, made)| board.end(i, named(board, i, made)));
 }
 
-fn named(made: Box<Made>) -> Ending {
-    guarded(|| made.commit()).map_or_else(Ending::Failed, Ending::Done)
+fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
+    guarded(|| made.commit(), || board.fill(i)).map_or_else(Ending::Failed, Ending::Done)
 }
 
-/// What `work` gives; should it panic, that is this step's failure alone.
-fn guarded<R>(work: impl FnOnce() -> Result<R>) -> std::result::Result<R, String> {
+/// What `work` gives; should it panic, that is this step's failure alone. Where it found the disk full, `fill` is called.
+fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
-    outcome.map_or_else(
-        |_| Err("the program failed in an unforeseen way; please report it with these photographs".to_owned()),
-        |result| result.map_err(|error| error.to_string()),
-    )
+    let Ok(result) = outcome else {
+        return Err("the program failed in an unforeseen way; please report it with these photographs".to_owned());
+    };
+    result.map_err(|error| {
+        if error.is_disk_full() {
+            fill();
+        }
+        error.to_string()
+    })
+}
+
+/// The disk that the results of `step` go to; where that cannot be known, all are one.
+#[cfg(unix)]
+fn disk(step: &Step) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    let there = step.report.ancestors().skip(1).find_map(|folder| {
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        std::fs::metadata(folder).ok()
+    });
+    there.map_or(0, |folder| folder.dev())
+}
+
+#[cfg(not(unix))]
+fn disk(_: &Step) -> u64 {
+    0
 }
 
 /// What one step may use.
@@ -263,17 +290,38 @@ impl<'a> Board<'a> {
         matches!(open.states[i], State::Open) && self.steps[i].needs.iter().all(is_done)
     }
 
-    /// Open steps that need one that failed, or that there is none of.
+    /// Open steps that need one that failed, was not begun, or that there is none of.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
-        let reason = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
-            None => Some(format!("it needs the step {id}, which the plan does not have")),
-            Some(State::Ended(Ending::Failed(why))) => Some(format!("it needs {id}, which failed: {why}")),
+        let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
+            None => Some(Ending::Failed(format!("it needs the step {id}, which the plan does not have"))),
+            Some(State::Ended(Ending::Failed(why))) => {
+                Some(Ending::Failed(format!("it needs {id}, which failed: {why}")))
+            }
+            Some(State::Ended(Ending::NotBegun)) => Some(Ending::NotBegun),
             _ => None,
         };
         let is_open = |i: &usize| matches!(open.states[*i], State::Open);
         let open_steps = (0..self.steps.len()).filter(is_open);
-        let failed = |i: usize| Some((i, Ending::Failed(self.steps[i].needs.iter().find_map(reason)?)));
+        let failed = |i: usize| Some((i, self.steps[i].needs.iter().find_map(ending)?));
         open_steps.filter_map(failed).collect()
+    }
+
+    /// There is no room for the results of step `i`: what goes to the same disk stays undone, to be taken up when there is room again.
+    fn fill(&self, i: usize) {
+        let full = disk(&self.steps[i]);
+        let mut left = 0;
+        let mut open = self.lock();
+        for (state, step) in open.states.iter_mut().zip(self.steps) {
+            if matches!(state, State::Open) && disk(step) == full {
+                *state = State::Ended(Ending::NotBegun);
+                left += 1;
+            }
+        }
+        drop(open);
+        if left > 0 {
+            (self.watch)(Event::Fills(&self.steps[i]));
+        }
+        self.changed.notify_all();
     }
 
     /// The step computes no more.

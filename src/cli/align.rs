@@ -1,6 +1,7 @@
 //! `hdralign align`.
 
 use super::input::Common;
+use super::leftovers;
 use super::progress::{Bar, Plan};
 use hdralign::error::Error;
 use hdralign::pipeline::{self, Options};
@@ -25,8 +26,9 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.work.quiet);
     let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
+    leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
+    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.work.quiet);
     let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();
     super::finish(&report?, &args.common)

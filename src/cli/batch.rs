@@ -14,7 +14,7 @@ use hdralign::batch::step;
 use hdralign::batch::summary::{Summary, Verdict};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
-use hdralign::pipeline::Options;
+use hdralign::pipeline::{self, Options};
 use hdralign::write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -215,6 +215,7 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
         let reason = "no folder is given to search; name one or more".to_owned();
         return Err(Error::Option { option: "FOLDER", reason });
     }
+    pipeline::start_threads()?;
     let bar = night::Searching::new(args.work.quiet);
     let found = find::find(&args.folders, &args.find_options(), &|count| bar.show(count));
     drop(bar);
@@ -286,12 +287,12 @@ fn print_plan(steps: &[Step], found: &find::Found, args: &Args) -> Result<ExitCo
     for step in steps {
         match step.to_line() {
             Ok(line) => lines.push(line + "\n"),
-            Err(error) => eprintln!("hdralign: {error}"),
+            Err(error) => super::say(format_args!("hdralign: {error}")),
         }
     }
     super::tell(&lines.concat())?;
     if !args.work.quiet {
-        eprintln!("{}", found::counted(found, lines.len()));
+        super::say(found::counted(found, lines.len()));
     }
     Ok(exit_code(Verdict::of(lines.len(), steps.len())))
 }
@@ -316,11 +317,11 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
                 done += 1;
                 degraded |= brief.degraded;
                 if !args.work.quiet {
-                    eprintln!("{}", night::told(&step.id, &brief, is_new));
+                    super::say(night::told(&step.id, &brief, is_new));
                 }
                 results.extend(step.outputs.iter().map(|path| format!("{}\n", path.display())));
             }
-            Err(error) => eprintln!("hdralign: {}: {error}", step.id),
+            Err(error) => super::say(format_args!("hdralign: {}: {error}", step.id)),
         }
     }
     super::tell(&results)?;

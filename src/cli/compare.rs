@@ -1,8 +1,10 @@
 //! `hdralign compare`.
 
+use super::leftovers;
 use super::terminal::Terminal;
 use hdralign::compare::{self, Blessed, Comparison, Criterion, Options, Tolerance};
 use hdralign::error::Error;
+use hdralign::pipeline;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -95,9 +97,11 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let terminal = Terminal::of_stderr();
     let say = |line: &str| {
         if !args.quiet {
-            eprintln!("{line}");
+            super::say(line);
         }
     };
+    pipeline::start_threads()?;
+    leftovers::clear(&args.diff.iter().chain(args.bless.then_some(&args.expected)).collect::<Vec<_>>());
     let compared = match compare::files(&args.expected, &args.actual, &args.options()) {
         Ok(compared) => Some(compared),
         // What is blessed need not have been there, nor been any good; what there is is read again.

@@ -1,6 +1,7 @@
 //! `hdralign inspect`.
 
 use super::input::Aligned;
+use super::leftovers;
 use super::progress::{Bar, Plan};
 use super::summary;
 use super::terminal::Terminal;
@@ -40,13 +41,14 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let Aligned { images, work, .. } = &args.aligned;
     let folder = args.folder.clone().unwrap_or_else(|| pipeline::default_folder(images));
+    leftovers::clear(&[folder.join("tables.txt")]);
     let mut bar = Bar::new(Plan::inspect(images), work.quiet);
     let tables = pipeline::inspect(images, &args.aligned.options(), &folder, &|p| bar.show(p));
     bar.clear();
     let tables = tables?;
     if !work.quiet {
         summary::warn(&tables.warnings, &Terminal::of_stderr());
-        eprint!("{}", tables.to_text());
+        super::say(tables.to_text().trim_end_matches('\n'));
     }
     let paths = || tables.outputs.iter().map(|path| format!("{path}\n")).collect();
     super::tell(&if args.json { tables.to_json() } else { paths() })?;

@@ -1,6 +1,7 @@
 //! `hdralign man`.
 
 use super::Cli;
+use super::leftovers;
 use clap::CommandFactory;
 use clap_mangen::Man;
 use hdralign::error::Error;
@@ -35,6 +36,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         super::tell(&String::from_utf8_lossy(&page))?;
         return Ok(ExitCode::SUCCESS);
     };
+    leftovers::clear(&[folder.join("hdralign.1")]);
     let paths = pages(&program, folder, args.force)?;
     let names: String = paths.iter().map(|path| format!("{}\n", path.display())).collect();
     super::tell(&names)?;

@@ -1,6 +1,7 @@
 //! `hdralign merge`.
 
 use super::input::Common;
+use super::leftovers;
 use super::merging::Merging;
 use super::progress::{Bar, Plan};
 use hdralign::bracket::LoadOptions;
@@ -96,11 +97,13 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         super::tell(&help)?;
         return Ok(ExitCode::SUCCESS);
     }
+    let options = args.options()?;
+    leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
     let mut bar = Bar::new(
         Plan::merge(&args.common.aligned.images, args.merging.deghost.is_some()),
         args.common.aligned.work.quiet,
     );
-    let report = pipeline::run(&args.common.aligned.images, &args.options()?, &|p| bar.show(p));
+    let report = pipeline::run(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();
     super::finish(&report?, &args.common)
 }

@@ -9,6 +9,7 @@ mod completions;
 mod input;
 mod inspect;
 mod interrupt;
+mod leftovers;
 mod man;
 mod memory;
 mod merge;
@@ -98,8 +99,11 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let matches = Cli::command().get_matches();
-    let command = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit()).command;
+    let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
+    let (command, matches) = match parsed {
+        Ok(parsed) => parsed,
+        Err(asked) => return answer(&asked),
+    };
     let name = command.name();
     interrupt::listen();
     let outcome = match command {
@@ -123,11 +127,23 @@ pub fn run() -> ExitCode {
             };
             let words = format!("{error}{example}");
             for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
-                eprintln!("{}{line}", if i == 0 { "hdralign: " } else { "          " });
+                say(format_args!("{}{line}", if i == 0 { "hdralign: " } else { "          " }));
             }
             // 1 is the answer of `compare` that files differ: trouble is something else.
             ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
+    }
+}
+
+/// Help and the version, which are results, or what is wrong with the arguments.
+fn answer(asked: &clap::Error) -> ExitCode {
+    let told = asked.print().and_then(|()| std::io::stdout().flush());
+    match told.map_or_else(lost, Ok) {
+        Err(error) if !asked.use_stderr() => {
+            say(format_args!("hdralign: {error}"));
+            ExitCode::FAILURE
+        }
+        _ => u8::try_from(asked.exit_code()).map_or(ExitCode::FAILURE, ExitCode::from),
     }
 }
 
@@ -156,12 +172,21 @@ fn exit_code(degraded: bool) -> ExitCode {
 
 /// Puts results on stdout.
 fn tell(results: &str) -> Result<(), Error> {
-    // A reader that has heard enough is no failure: the files are written.
-    let told = std::io::stdout().lock().write_all(results.as_bytes());
-    if let Err(source) = told
-        && source.kind() != std::io::ErrorKind::BrokenPipe
-    {
-        return Err(Error::Write { path: "standard output".into(), source });
+    let mut stdout = std::io::stdout().lock();
+    stdout.write_all(results.as_bytes()).and_then(|()| stdout.flush()).or_else(lost)
+}
+
+/// What it means that stdout took no more: a reader that has heard enough is no failure, for files are written.
+fn lost(source: std::io::Error) -> Result<(), Error> {
+    if source.kind() == std::io::ErrorKind::BrokenPipe {
+        return Ok(());
     }
-    Ok(())
+    let words = format!("{source}; send it elsewhere (files that were to be written are, and are whole)");
+    let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, words);
+    Err(Error::Write { path: "standard output".into(), source })
+}
+
+/// Puts a line on stderr. Where nobody can have it, as on a full disk or by a pipe whose reader is gone, the work goes on all the same.
+fn say(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -1,6 +1,7 @@
 //! `hdralign response`.
 
 use super::input::Aligned;
+use super::leftovers;
 use super::progress::{Bar, Plan};
 use super::recovery::Recovery;
 use super::summary;
@@ -58,6 +59,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         plots: args.plot.clone(),
         lenient: false,
     };
+    leftovers::clear(&options.targets(images));
     let mut bar = Bar::new(Plan::unknown(), work.quiet);
     let report = camera::run(images, &options, &|p| bar.show(p));
     bar.clear();
@@ -84,5 +86,5 @@ fn summarise(report: &CameraReport) {
         }
     }
     words.push(format!("{:.2} s", report.time_s));
-    terminal.wrapped(&words.join(", "), 0).iter().for_each(|line| eprintln!("{line}"));
+    terminal.wrapped(&words.join(", "), 0).iter().for_each(super::say);
 }

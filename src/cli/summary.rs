@@ -1,5 +1,6 @@
 //! What was done, in words for people, on stderr: six lines, and the warnings before them.
 
+use super::say;
 use super::terminal::{Terminal, shortened};
 use hdralign::align::Status;
 use hdralign::report::{FrameReport, Report, WarningReport};
@@ -16,11 +17,11 @@ pub fn print(report: &Report, verbose: bool) {
     warn(&report.warnings, &terminal);
     if verbose {
         for frame in &report.frames {
-            terminal.wrapped(&line(frame), 0).iter().for_each(|line| eprintln!("{line}"));
+            terminal.wrapped(&line(frame), 0).iter().for_each(say);
         }
-        terminal.wrapped(&times(report), 0).iter().for_each(|line| eprintln!("{line}"));
+        terminal.wrapped(&times(report), 0).iter().for_each(say);
     }
-    lines(report, &terminal).iter().for_each(|line| eprintln!("{line}"));
+    lines(report, &terminal).iter().for_each(say);
 }
 
 /// Prints warnings, each in as many lines as the terminal needs.
@@ -29,9 +30,9 @@ pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
         let label = "warning:";
         for (i, line) in terminal.wrapped(&warning.message, label.len() + 1).iter().enumerate() {
             if i == 0 {
-                eprintln!("{} {line}", terminal.doubtful(label));
+                say(format_args!("{} {line}", terminal.doubtful(label)));
             } else {
-                eprintln!("{:1$} {line}", "", label.len());
+                say(format_args!("{:1$} {line}", "", label.len()));
             }
         }
     }

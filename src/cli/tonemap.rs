@@ -1,5 +1,6 @@
 //! `hdralign tonemap`.
 
+use super::leftovers;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
 use super::summary;
@@ -72,6 +73,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         write: args.radiance.write(args.force),
         threads: args.threads,
     };
+    leftovers::clear(&options.outputs);
     let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);
     let report = pipeline::tonemap_file(&args.input, &options, &|p| bar.show(p));
     bar.clear();
@@ -80,7 +82,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         summary::warn(&report.warnings, &Terminal::of_stderr());
         let stops = report.radiance.dynamic_range_stops;
         let (width, height, time) = (report.width_px, report.height_px, report.time_s.total);
-        eprintln!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s");
+        super::say(format_args!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s"));
     }
     let paths = || report.outputs.iter().map(|path| format!("{path}\n")).collect();
     super::tell(&if args.json { report.to_json() } else { paths() })?;

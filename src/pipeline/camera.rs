@@ -90,6 +90,15 @@ impl CameraReport {
     }
 }
 
+impl Options {
+    /// Every file that a run on `images` writes; where none is named, one of a name that the photographs will tell.
+    pub fn targets(&self, images: &[PathBuf]) -> Vec<PathBuf> {
+        let named: Vec<PathBuf> = self.curves.iter().chain(&self.plots).cloned().collect();
+        let is_beside = |image: &PathBuf| if image.is_dir() { image.join("response.json") } else { image.clone() };
+        if self.curves.is_empty() { named.into_iter().chain(images.first().map(is_beside)).collect() } else { named }
+    }
+}
+
 /// Recovers the response of the camera that took `images`, photographs and folders; those of one folder are one bracket.
 ///
 /// # Errors

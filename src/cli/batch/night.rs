@@ -2,7 +2,9 @@
 
 use super::super::input::Work;
 use super::super::interrupt;
+use super::super::leftovers;
 use super::super::progress::left;
+use super::super::say;
 use super::super::summary::duration;
 use super::super::terminal::Terminal;
 use super::found::{left_over, many, unreadable, unused};
@@ -16,7 +18,6 @@ use hdralign::error::Error;
 use hdralign::pipeline::Options;
 use hdralign::write;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -36,7 +37,9 @@ impl Searching {
         if let Ok(style) = ProgressStyle::with_template("{spinner} looking at {pos} photographs") {
             bar.set_style(style);
         }
-        bar.enable_steady_tick(Duration::from_millis(200));
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(Duration::from_millis(200));
+        }
         Searching(bar)
     }
 
@@ -91,7 +94,11 @@ impl Board {
     }
 
     fn see(&self, event: &Event) {
-        let Event::Ends(step, ending) = event else { return };
+        let (step, ending) = match event {
+            Event::Begins(_) => return,
+            Event::Fills(step) => return self.bar.suspend(|| say(full(step))),
+            Event::Ends(step, ending) => (step, ending),
+        };
         let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
         let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
         let line = match ending {
@@ -110,9 +117,9 @@ impl Board {
             if let Some(line) = line.filter(|_| is_failure || !self.quiet) {
                 let terminal = Terminal::of_stderr();
                 let text = if is_failure { terminal.bad(&line) } else { line };
-                eprintln!("{text}");
+                say(text);
             }
-            warnings.iter().for_each(|warning| eprintln!("    warning: {warning}"));
+            warnings.iter().for_each(|warning| say(format_args!("    warning: {warning}")));
         });
         self.bar.set_position(ended as u64);
         let is_work = !matches!(ending, Ending::Unchanged(_));
@@ -129,6 +136,15 @@ impl Board {
         }
         (so_far.0 > 0.0).then(|| self.began.elapsed().as_secs_f64() / so_far.0 * (all - so_far.1).max(0.0))
     }
+}
+
+/// What is said once where there is no room any more.
+fn full(step: &Step) -> String {
+    let folder = step.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    format!(
+        "hdralign: {}: the disk is full, and no further bracket is begun that goes there; make room, and start it again: what is done stays",
+        folder.display()
+    )
 }
 
 /// A step that was done, in a line.
@@ -159,7 +175,7 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
-    clear(steps);
+    leftovers::clear(&steps.iter().flat_map(|step| [&step.report, &step.summary]).collect::<Vec<_>>());
     let stop = interrupt::stopping();
     let board = Board::new(steps, args);
     let endings = schedule::run(steps, &options, &limits, args.work.force, stop, &|event| board.see(&event));
@@ -188,21 +204,16 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Takes away what a run that was killed left in the folders that are written to.
-fn clear(steps: &[Step]) {
-    let folders: BTreeSet<&Path> = steps.iter().filter_map(|step| step.report.parent()).collect();
-    for folder in folders {
-        write::sweep(folder);
-    }
-}
-
-/// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either.
+/// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either, nor a
+/// summary that cannot be written.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path);
     if !args.work.quiet {
-        lines(summary, files.as_ref().ok(), left_over).iter().for_each(|line| eprintln!("{line}"));
+        lines(summary, files.as_ref().ok(), left_over).iter().for_each(say);
     }
-    files?;
+    if let Err(error) = &files {
+        say(format_args!("hdralign: {error}"));
+    }
     let results = if args.json {
         summary.to_json()
     } else {
@@ -211,7 +222,7 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     super::super::tell(&results)?;
     let has_unreadable = left_over.is_some_and(|left_over| !left_over.unreadable.is_empty());
     let verdict = match summary.verdict() {
-        Verdict::All if has_unreadable => Verdict::Some,
+        Verdict::All if has_unreadable || files.is_err() => Verdict::Some,
         verdict => verdict,
     };
     let is_degraded = args.work.strict && summary.counts.degraded > 0;
