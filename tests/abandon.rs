@@ -23,6 +23,8 @@ fn after_the_end_nothing_is_there_and_nothing_comes() {
     let pending = write::text(&at("a.txt"), "a").unwrap().file;
     let whole = write::whole(&at("b.txt"), b"b").unwrap();
     assert_eq!(unnamed(folder.path()), 2);
+    let new = write::NewFolder::create(&at("new")).unwrap();
+    let inside = write::whole(&at("new/c.txt"), b"c").unwrap();
     write::abandon();
     assert!(folder.listing().is_empty(), "at once");
     let is_abandoned = |error: Error, name: &str| {
@@ -32,6 +34,8 @@ fn after_the_end_nothing_is_there_and_nothing_comes() {
     is_abandoned(write::commit(vec![pending], true).unwrap_err(), "a.txt");
     is_abandoned(write::place(vec![whole], true).unwrap_err(), "b.txt");
     is_abandoned(Pending::create(&at("c.txt")).unwrap_err(), "c.txt");
+    is_abandoned(write::NewFolder::create(&at("d")).unwrap_err(), "d: is not written");
+    drop((inside, new));
     assert!(folder.listing().is_empty());
 }
 

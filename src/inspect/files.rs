@@ -8,7 +8,7 @@ use super::picture::png_rgb;
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};
 use crate::error::{Error, Result};
-use crate::write::{self, Whole};
+use crate::write::{self, NewFolder, Whole};
 use rayon::prelude::*;
 use std::fs;
 use std::io;
@@ -63,7 +63,7 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
 /// [`Error::Write`]; [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off.
 pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
     // Declared first and so dropped last: a folder is only removed once the temporary files in it are gone.
-    let mut made = Made::new(folder)?;
+    let made = NewFolder::create(folder)?;
     let mut files: Vec<Whole> = Vec::new();
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {
         let stem = stem(frame.path());
@@ -99,32 +99,6 @@ pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<
     write::place(files, overwrite)?;
     made.keep();
     Ok(tables)
-}
-
-/// A folder that goes again, if it was made here, unless it is kept.
-struct Made<'a>(Option<&'a Path>);
-
-impl<'a> Made<'a> {
-    fn new(folder: &'a Path) -> Result<Self> {
-        match fs::create_dir(folder) {
-            Ok(()) => Ok(Made(Some(folder))),
-            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(Made(None)),
-            Err(e) => Err(write_error(folder, e)),
-        }
-    }
-
-    fn keep(&mut self) {
-        self.0 = None;
-    }
-}
-
-impl Drop for Made<'_> {
-    fn drop(&mut self) {
-        if let Some(folder) = self.0 {
-            // What went wrong before is what is told; a folder that is not empty stays.
-            let _ = fs::remove_dir(folder);
-        }
-    }
 }
 
 fn stem(image: &Path) -> String {
@@ -163,16 +137,5 @@ mod tests {
         fs::write(at("old/b.xor.svg"), "x").unwrap();
         fails("old", &images, "--force");
         check(&at("old"), &images, true).unwrap();
-    }
-
-    #[test]
-    fn a_folder_made_in_vain_goes_again() {
-        let dir = tempfile::tempdir().unwrap();
-        let folder = dir.path().join("new");
-        drop(Made::new(&folder).unwrap());
-        assert!(!folder.exists());
-        Made::new(&folder).unwrap().keep();
-        drop(Made::new(&folder).unwrap());
-        assert!(folder.exists());
     }
 }

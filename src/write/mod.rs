@@ -36,7 +36,7 @@ use std::path::Path;
 use bands::Bands;
 pub use files::{Files, Settled, is_among, write};
 pub use target::{Pending, Whole, check_targets, commit, place};
-pub use unnamed::{abandon, sweep};
+pub use unnamed::{NewFolder, abandon, sweep};
 
 /// The formats written, told by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

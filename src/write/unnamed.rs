@@ -29,6 +29,8 @@ pub(super) struct Registry(Mutex<State>);
 struct State {
     is_abandoned: bool,
     paths: BTreeSet<PathBuf>,
+    /// Folders that were made for them.
+    folders: BTreeSet<PathBuf>,
     /// How many whole files are kept open.
     held: usize,
 }
@@ -38,7 +40,7 @@ pub(super) static OF_PROCESS: Registry = Registry::new();
 
 impl Registry {
     pub const fn new() -> Self {
-        Registry(Mutex::new(State { is_abandoned: false, paths: BTreeSet::new(), held: 0 }))
+        Registry(Mutex::new(State { is_abandoned: false, paths: BTreeSet::new(), folders: BTreeSet::new(), held: 0 }))
     }
 
     /// What it holds is sound after every statement: a thread that panicked leaves nothing half-done.
@@ -53,6 +55,10 @@ impl Registry {
         for path in std::mem::take(&mut state.paths) {
             // It may be gone already, and there is nobody to tell.
             let _ = fs::remove_file(path);
+        }
+        for folder in std::mem::take(&mut state.folders) {
+            // One that is not empty stays.
+            let _ = fs::remove_dir(folder);
         }
     }
 
@@ -96,6 +102,48 @@ fn sweep_one(path: &Path) -> bool {
     let is_file = fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
     let file = if is_file { OpenOptions::new().write(true).open(path).ok() } else { None };
     file.is_some_and(|file| file.try_lock().is_ok() && fs::remove_file(path).is_ok())
+}
+
+/// A folder for files that have no names yet. Dropped, it goes again if it was made here and is empty; so it does when the process gives up.
+#[derive(Debug)]
+pub struct NewFolder(Option<PathBuf>);
+
+impl NewFolder {
+    /// Makes `folder`, unless it is there.
+    ///
+    /// # Errors
+    /// [`Error::Write`], [`Error::Abandoned`].
+    pub fn create(folder: &Path) -> Result<Self> {
+        let mut state = OF_PROCESS.state();
+        if state.is_abandoned {
+            return Err(Error::Abandoned { path: folder.to_owned() });
+        }
+        match fs::create_dir(folder) {
+            Ok(()) => {
+                state.folders.insert(folder.to_owned());
+                Ok(NewFolder(Some(folder.to_owned())))
+            }
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(NewFolder(None)),
+            Err(source) => Err(Error::Write { path: folder.to_owned(), source }),
+        }
+    }
+
+    /// It stays.
+    pub fn keep(mut self) {
+        if let Some(folder) = self.0.take() {
+            OF_PROCESS.state().folders.remove(&folder);
+        }
+    }
+}
+
+impl Drop for NewFolder {
+    fn drop(&mut self) {
+        if let Some(folder) = self.0.take() {
+            OF_PROCESS.state().folders.remove(&folder);
+            // What went wrong before is what is told; a folder that is not empty stays.
+            let _ = fs::remove_dir(folder);
+        }
+    }
 }
 
 /// A temporary file, open and locked; dropped, it is gone.
@@ -246,6 +294,19 @@ mod tests {
             assert_eq!((made.len(), names(folder).len(), sweep(folder)), (200, 200, 0));
         });
         assert!(registry.state().paths.is_empty() && names(folder).is_empty());
+    }
+
+    #[test]
+    fn a_folder_made_in_vain_goes_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("new");
+        drop(NewFolder::create(&folder).unwrap());
+        assert!(!folder.exists());
+        NewFolder::create(&folder).unwrap().keep();
+        drop(NewFolder::create(&folder).unwrap());
+        assert!(folder.exists());
+        let error = NewFolder::create(&dir.path().join("none/new")).unwrap_err().to_string();
+        assert!(error.contains("none/new: cannot be written"), "{error}");
     }
 
     #[test]

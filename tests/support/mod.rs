@@ -58,6 +58,11 @@ fn small_jpegs() -> &'static [Vec<u8>] {
     FILES.get_or_init(|| (1..=FRAMES).map(|i| jpeg(&small(i), Some(i))).collect())
 }
 
+/// The program under test: that of this build, or the one that `HDRALIGN_BIN` names.
+pub fn program() -> PathBuf {
+    std::env::var_os("HDRALIGN_BIN").map_or_else(|| env!("CARGO_BIN_EXE_hdralign").into(), PathBuf::from)
+}
+
 /// A folder of its own for one test, gone when the test is over.
 pub struct Folder(TempDir);
 
@@ -104,8 +109,7 @@ impl Folder {
 
     /// Runs the program in this folder.
     pub fn run<S: AsRef<OsStr>>(&self, arguments: impl IntoIterator<Item = S>) -> Run {
-        let program = env!("CARGO_BIN_EXE_hdralign");
-        let output = Command::new(program).args(arguments).current_dir(self.path()).stdin(Stdio::null()).output();
+        let output = Command::new(program()).args(arguments).current_dir(self.path()).stdin(Stdio::null()).output();
         let output = output.expect("the program starts");
         Run {
             code: output.status.code().expect("an exit code"),

@@ -1,0 +1,160 @@
+//! No room: files that outgrow `ulimit -f`, and small disks of their own.
+
+use super::{FRAMES, bracket, can, fails, shell, unnamed};
+use crate::support::Folder;
+use crate::support::card::Card;
+use serde_json::Value;
+use std::fs;
+
+/// A folder `full` that is a disk of `size`, in which `script` runs; nothing of it stays.
+fn on_disk(folder: &Folder, size: &str, script: &str) -> Option<crate::support::Run> {
+    if !can("mount a disk of memory", "unshare -rm sh -c 'mount -t tmpfs none /mnt'") {
+        return None;
+    }
+    fs::create_dir_all(folder.at("full")).expect("a folder");
+    let script = format!("mount -t tmpfs -o size={size} none full && {script}");
+    Some(shell(folder, &format!("unshare -rm sh -c '{script}'")))
+}
+
+#[test]
+fn a_file_that_outgrows_its_limit_is_named_and_none_is_left() {
+    let folder = bracket();
+    folder.line(&format!("merge {FRAMES} -q -o a.exr -o b.exr -o a.png")).done();
+    // Blocks of 512 bytes: less than any of these files takes.
+    for (blocks, line, name) in [
+        (8, "merge FRAMES -q -o c.exr", "c.exr"),
+        (8, "merge FRAMES -q -o c.hdr", "c.hdr"),
+        (8, "merge FRAMES -q -o c.tif", "c.tif"),
+        (8, "merge FRAMES -q -o c.png", "c.png"),
+        (8, "merge FRAMES -q -o c.jpg", "c.jpg"),
+        (8, "merge FRAMES -q -o c.jpg --gain-map none", "c.jpg"),
+        (8, "merge FRAMES -q -o c.exr --force -o a.exr", "c.exr"),
+        (1, "align FRAMES -q --report r.json", "r.json"),
+        (8, "align FRAMES -q --report r.html", "r.html"),
+        (1, "align FRAMES -q --transforms t.json", "t.json"),
+        (8, "align FRAMES -q --save-aligned on_", "on_w"),
+        (8, "response FRAMES -q -o r.json", "r.json"),
+        (8, "response FRAMES -q", ".json"),
+        (8, "response FRAMES -q -o r.csv", "r.csv"),
+        (8, "response FRAMES -q -o r.json --plot r.png", "r."),
+        (8, "inspect FRAMES -q -d look", "look/"),
+        (8, "tonemap a.exr -q -o c.png", "c.png"),
+        (1, "man pages", "pages/hdralign"),
+    ] {
+        let line = line.replace("FRAMES", FRAMES);
+        if line.starts_with("man") {
+            fs::create_dir_all(folder.at("pages")).expect("a folder");
+        }
+        fails(
+            &folder,
+            &format!("ulimit -f {blocks}; $H {line}"),
+            1,
+            &[name, "cannot be written", "File too large", "ulimit -f"],
+        );
+    }
+    // 1 is the answer of compare that files differ.
+    let grown = ["d.png", "cannot be written", "ulimit -f"];
+    fails(&folder, "ulimit -f 1; $H compare a.exr b.exr -q --diff d.png", 2, &grown);
+    fails(&folder, "ulimit -f 8; $H compare e.exr a.exr -q --bless", 2, &["e.exr", "ulimit -f"]);
+    let scratch = "ulimit -f 8; $H merge FRAMES -q --max-memory 64MB --scratch . -o c.exr".replace("FRAMES", FRAMES);
+    fails(&folder, &scratch, 1, &["File too large", "--scratch", "--max-memory"]);
+}
+
+#[test]
+fn of_several_files_none_is_named_when_one_has_no_room_and_older_ones_stay() {
+    let folder = bracket();
+    let files = "-o a.png -o a.jpg -o a.hdr -o a.tif -o a.exr --report a.json";
+    folder.line(&format!("merge {FRAMES} -q {files} --response-model srgb")).done();
+    let sizes: Vec<(String, u64)> = folder.listing().into_iter().filter(|(name, _)| name.starts_with("a.")).collect();
+    let before: Vec<Vec<u8>> = sizes.iter().map(|(name, _)| folder.bytes(name)).collect();
+    let (largest, size) = sizes.iter().max_by_key(|(_, size)| *size).expect("six files");
+    // Room for all but the largest.
+    let script = format!("ulimit -f {}; $H merge {FRAMES} -q --force {files}", size / 512 - 1);
+    fails(&folder, &script, 1, &[largest, "File too large"]);
+    assert!(sizes.iter().zip(&before).all(|((name, _), bytes)| folder.bytes(name) == *bytes), "an older one was lost");
+    for (name, _) in &sizes {
+        fs::remove_file(folder.at(name)).expect("a file");
+    }
+    fails(&folder, &script, 1, &[largest]);
+}
+
+#[test]
+fn a_full_disk_is_named_with_what_to_do() {
+    let folder = bracket();
+    for (size, line) in [
+        ("40k", "merge FRAMES -q -o full/c.exr"),
+        ("20k", "merge FRAMES -q -o full/c.png"),
+        ("20k", "merge FRAMES -q -o full/c.jpg"),
+        ("100k", "merge FRAMES -q -o full/c.hdr -o full/c.tif -o full/c.exr"),
+        ("20k", "align FRAMES -q --save-aligned full/on_"),
+        ("20k", "align FRAMES -q --report full/r.html"),
+        ("4k", "response FRAMES -q -o full/r.json"),
+        ("60k", "inspect FRAMES -q -d full/look"),
+        ("16k", "man full"),
+    ] {
+        let line = line.replace("FRAMES", FRAMES);
+        let Some(run) = on_disk(&folder, size, &format!("{{ $H {line}; echo $?; ls -A full; }}")) else { return };
+        assert_eq!(run.stdout, "1\n", "{line}: {run:?}");
+        let is_told = run.stderr.contains("full/") && run.stderr.contains("make room there, or write to another disk");
+        assert!(is_told && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
+    }
+    let line = format!("$H merge {FRAMES} -q --max-memory 64MB --scratch full -o c.exr; echo $?; ls -A full");
+    let Some(run) = on_disk(&folder, "40k", &line) else { return };
+    assert_eq!(run.stdout, "1\n", "{run:?}");
+    assert!(run.stderr.contains("full: ") && run.stderr.contains("name another folder with --scratch"), "{run:?}");
+    assert!(!folder.at("c.exr").exists());
+}
+
+#[test]
+fn a_disk_that_is_read_only_is_named() {
+    let folder = bracket();
+    let line = format!("mount -o remount,ro full && {{ $H merge {FRAMES} -q -o full/c.exr; echo $?; ls -A full; }}");
+    let Some(run) = on_disk(&folder, "1m", &line) else { return };
+    assert_eq!(run.stdout, "1\n", "{run:?}");
+    assert!(run.stderr.contains("full/c.exr") && run.stderr.contains("mount this one for writing"), "{run:?}");
+}
+
+/// Once, and no further bracket is begun; with more room the next run does what is missing, and nothing else.
+#[test]
+fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
+    let folder = Folder::empty();
+    Card::new(150).brackets(8, 3, 2.0).write(&folder.at("in"));
+    folder.line("batch in -d whole -q --formats exr,png").done();
+    let batch = "$H batch in -d full -q --formats exr,png --jobs 1 --threads 1";
+    let script = format!(
+        "{batch} 2>first; echo $?; ls -A full | grep -c part; ls full | grep -c exr; \
+         mount -o remount,size=16m full; {batch} --json >second; echo $?; cp -r full kept"
+    );
+    // Each bracket is some 110 kB.
+    let Some(run) = on_disk(&folder, "400k", &script) else { return };
+    let told: Vec<&str> = run.stdout.split_whitespace().filter(|word| word.parse::<u32>().is_ok()).collect();
+    let first = String::from_utf8_lossy(&folder.bytes("first")).into_owned();
+    let done: usize = told[2].parse().expect("a number");
+    assert!((told[0], told[1], told[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
+    assert_eq!(first.matches("the disk is full, and no further bracket is begun").count(), 1, "{first}");
+    // One job beside the thread that names: two may have been under way.
+    assert!((1..=3).contains(&first.matches("failed: ").count()), "{first}");
+    let summary: Value = serde_json::from_slice(&folder.bytes("second")).expect("JSON");
+    let counts = ["done", "unchanged", "failed", "not_done"].map(|key| summary["counts"][key].as_u64());
+    assert_eq!(counts, [Some(8 - done as u64), Some(done as u64), Some(0), Some(0)], "{first}");
+    for entry in fs::read_dir(folder.at("whole")).expect("a folder").flatten() {
+        let path = entry.path();
+        if path.extension().is_some_and(|e| e == "exr" || e == "png") {
+            let kept = folder.at("kept").join(entry.file_name());
+            assert!(fs::read(&path).expect("a result") == fs::read(&kept).expect("the same"), "{path:?}");
+        }
+    }
+    assert_eq!(unnamed(folder.path()), 0);
+}
+
+/// What was made is not forgotten because the summary has no room.
+#[test]
+fn a_summary_that_cannot_be_written_costs_nothing_else() {
+    let folder = Folder::empty();
+    Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
+    fs::create_dir_all(folder.at("out/batch.json")).expect("a folder in its place");
+    let run = folder.line("batch in -d out --formats png");
+    assert_eq!(run.code, 3, "{run:?}");
+    assert!(run.stderr.contains("batch.json") && run.stderr.contains("brackets   2 done"), "{run:?}");
+    assert_eq!((run.stdout.lines().count(), unnamed(folder.path())), (2, 0));
+}

@@ -1,0 +1,177 @@
+//! Photographs that are none, cannot be read to their end, or have names that are hard to handle.
+
+use super::{FRAMES, bracket, can, fails, unnamed};
+use crate::support::Folder;
+use crate::support::card::Card;
+use serde_json::Value;
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::os::unix::fs::symlink;
+use std::os::unix::net::UnixListener;
+use std::path::Path;
+
+#[test]
+fn what_is_no_photograph_is_named_for_what_it_is() {
+    let folder = bracket();
+    fs::create_dir(folder.at("d.jpg")).expect("a folder");
+    folder.put("e.jpg", b"");
+    let _socket = UnixListener::bind(folder.at("s.jpg")).expect("a socket");
+    let link = |to: &str, name: &str| symlink(to, folder.at(name)).expect("a link");
+    link("nowhere", "gone.jpg");
+    link("two.jpg", "one.jpg");
+    link("one.jpg", "two.jpg");
+    link("/dev/null", "null.jpg");
+    for (name, said) in [
+        ("d.jpg", "it is a folder"),
+        ("e.jpg", "empty"),
+        ("s.jpg", "cannot be read"),
+        ("gone.jpg", "No such file"),
+        ("one.jpg", "symbolic links"),
+        ("null.jpg", "empty"),
+        ("w2.jpg/x.jpg", "Not a directory"),
+    ] {
+        for line in ["merge -o a.exr", "align", "inspect -d look", "response -o r.json"] {
+            // To response a folder is a bracket.
+            let (code, said) =
+                if line.starts_with("response") && name == "d.jpg" { (2, "0 photographs") } else { (1, said) };
+            fails(&folder, &format!("$H {line} w2.jpg w3.jpg {name}"), code, &[name, said]);
+        }
+    }
+    for line in ["tonemap e.jpg", "tonemap s.jpg -o b.png", "merge FRAMES --response one.jpg -o a.exr"] {
+        let code = if line.contains("--response") { 2 } else { 1 };
+        fails(&folder, &format!("$H {}", line.replace("FRAMES", FRAMES)), code, &[".jpg"]);
+    }
+    link("two.json", "one.json");
+    link("one.json", "two.json");
+    fails(&folder, &format!("$H merge {FRAMES} --response one.json -o a.exr"), 1, &["one.json", "symbolic links"]);
+    fails(&folder, "$H compare e.jpg w2.jpg", 2, &["e.jpg"]);
+}
+
+/// /proc/self/mem opens like a file and fails when it is read, as a damaged card does.
+#[test]
+fn a_file_that_fails_while_it_is_read_is_named() {
+    if !Path::new("/proc/self/mem").exists() {
+        eprintln!("NOT TESTED: there is no /proc/self/mem here");
+        return;
+    }
+    let folder = bracket();
+    symlink("/proc/self/mem", folder.at("bad.jpg")).expect("a link");
+    symlink("/proc/self/mem", folder.at("bad.exr")).expect("a link");
+    let said = ["Input/output error", "damaged"];
+    fails(&folder, "$H merge w2.jpg w3.jpg bad.jpg -o a.exr -o a.png", 1, &[said[0], said[1], "bad.jpg"]);
+    fails(&folder, "$H tonemap bad.exr -o a.png", 1, &[said[0], said[1], "bad.exr"]);
+    fails(&folder, "$H compare bad.exr bad.exr", 2, &[said[0], said[1], "bad.exr"]);
+}
+
+#[test]
+fn a_file_that_may_not_be_read_is_named() {
+    let folder = bracket();
+    let nobody = "setpriv --reuid 65534 --regid 65534 --clear-groups";
+    let program = crate::support::program();
+    let others = format!("[ \"$(id -u)\" = 0 ] && {nobody} test -x {}", program.display());
+    let of_nobody = can("be somebody else", &others);
+    fs::set_permissions(folder.path(), std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("permissions");
+    fs::set_permissions(folder.at("w3.jpg"), std::os::unix::fs::PermissionsExt::from_mode(0)).expect("permissions");
+    // Root may read everything; anybody else is nobody enough.
+    let run_as = if of_nobody { nobody } else { "" };
+    if of_nobody || fs::read(folder.at("w3.jpg")).is_err() {
+        let said = ["w3.jpg: cannot be read", "Permission denied", "check the name and the permissions"];
+        fails(
+            &folder,
+            &format!("cd / && {run_as} $H merge {0}/w2.jpg {0}/w3.jpg -o /tmp/none.exr", folder.path().display()),
+            1,
+            &said,
+        );
+    }
+    if of_nobody {
+        // The folder is root's.
+        let said = ["a.exr: cannot be written", "Permission denied", "permissions"];
+        fails(&folder, &format!("{nobody} $H merge w2.jpg w4.jpg -o a.exr"), 1, &said);
+        fails(&folder, &format!("{nobody} $H inspect w2.jpg w4.jpg -d look"), 1, &["look", "Permission denied"]);
+    }
+}
+
+/// Names that shells, JSON, CSV and terminals take for something else.
+const ODD: [&[u8]; 12] = [
+    b"a b",
+    b"new\nline",
+    b"tab\t",
+    b"\"quo'ted\"",
+    b"-lead",
+    b"*",
+    b"[a-z]?",
+    b"$HOME;`x`",
+    b"back\\slash,comma",
+    "\u{1f4f7}\u{202e}".as_bytes(),
+    b"not\xff\xfeutf8",
+    b"CON:|<>",
+];
+
+/// `name` and `ending`, in one.
+fn odd(name: &[u8], ending: &str) -> OsString {
+    OsString::from_vec([name, ending.as_bytes()].concat())
+}
+
+#[test]
+fn names_of_any_bytes_go_in_and_out() {
+    let tiny = bracket();
+    let folder = Folder::empty();
+    for name in ODD {
+        for (frame, suffix) in [("w2.jpg", "1.jpg"), ("w3.jpg", "2.jpg")] {
+            fs::write(folder.at(odd(name, suffix)), tiny.bytes(frame)).expect("a photograph");
+        }
+        let with = |ending: &str| Path::new(".").join(odd(name, ending)).into_os_string();
+        let words = [
+            "merge".into(),
+            with("1.jpg"),
+            with("2.jpg"),
+            "-o".into(),
+            with(".exr"),
+            "--report".into(),
+            with(".json"),
+            "--json".into(),
+        ];
+        let run = folder.run(words).done();
+        let said: Value = serde_json::from_str(&run.stdout).expect("JSON");
+        let written: Value =
+            serde_json::from_slice(&fs::read(folder.at(with(".json"))).expect("a report")).expect("JSON");
+        assert!(said["frames"] == written["frames"] && said["outputs"].as_array().is_some_and(|all| all.len() == 1));
+        assert!(folder.at(with(".exr")).is_file(), "{name:?}");
+        let gone = folder.run(["merge".into(), with("1.jpg"), with("gone.jpg"), "-o".into(), "a.exr".into()]);
+        assert!(gone.code == 1 && gone.stderr.contains("cannot be read"), "{gone:?}");
+        folder.run(["inspect".into(), with("1.jpg"), with("2.jpg"), "-q".into(), "-d".into(), with(".look")]).done();
+        folder.run(["tonemap".into(), with(".exr"), "-q".into(), "-o".into(), with(".png")]).done();
+        folder.run(["compare".into(), with(".exr"), with(".exr")]).done();
+    }
+    // By themselves too, where they do not look like an option.
+    folder.run(["merge", "--", "-lead1.jpg", "-lead2.jpg"]).done();
+    assert!(folder.at("-lead1--lead2.exr").is_file() && unnamed(folder.path()) == 0);
+}
+
+/// Folders of such names: the summary stays JSON and CSV, and a second run knows what is done.
+#[test]
+fn a_batch_takes_folders_of_any_name() {
+    let folder = Folder::empty();
+    for name in ODD {
+        let mut card = Card::new(64);
+        card.bracket(&[0.0, -2.0, 2.0]);
+        card.write(&folder.at("in").join(OsStr::from_bytes(name)));
+    }
+    folder.line("batch in -d out -q --by-folder --formats png").done();
+    let rows = |folder: &Folder| {
+        let text = folder.bytes("out/batch.csv");
+        let rows = csv::Reader::from_reader(&text[..]).into_records().collect::<Result<Vec<_>, _>>().expect("CSV");
+        let summary: Value = serde_json::from_slice(&folder.bytes("out/batch.json")).expect("JSON");
+        (rows.len(), summary["counts"].clone())
+    };
+    let (count, counts) = rows(&folder);
+    assert_eq!((count, counts["done"].as_u64()), (ODD.len(), Some(ODD.len() as u64)));
+    folder.line("batch in -d out -q --by-folder --formats png").done();
+    assert_eq!(rows(&folder).1["unchanged"].as_u64(), Some(ODD.len() as u64));
+    // A plan is UTF-8: what is not is told, and not planned wrongly.
+    let plan = folder.line("batch in -d again --by-folder --formats png --plan");
+    assert!(plan.code == 3 && plan.stdout.lines().count() == ODD.len() - 1, "{plan:?}");
+    assert!(plan.stdout.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
+    assert_eq!(unnamed(folder.path()), 0);
+}

@@ -1,0 +1,145 @@
+//! Signals at many moments of every command: all that was asked for, or nothing, and never a temporary file.
+//!
+//! `HDRALIGN_MOMENTS` says how many moments of each command; a dozen by default.
+
+use super::{FRAMES, bracket, shell, unnamed};
+use crate::support::{Folder, program};
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+fn moments() -> u32 {
+    std::env::var("HDRALIGN_MOMENTS").ok().and_then(|text| text.parse().ok()).unwrap_or(12)
+}
+
+fn begin(folder: &Folder, line: &str) -> Child {
+    let mut command = Command::new(program());
+    command.args(line.split_whitespace()).current_dir(folder.path());
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
+}
+
+fn send(signal: &str, child: &Child) {
+    // It may have ended before.
+    let _ = Command::new("kill").args([format!("-{signal}"), child.id().to_string()]).stderr(Stdio::null()).status();
+}
+
+/// Sends a signal at moments from the begin to the end of `line`, which names the files `outputs`.
+fn interrupted(folder: &Folder, line: &str, outputs: &[&str]) {
+    let before = folder.listing();
+    let clear = || {
+        for name in outputs {
+            let _ = fs::remove_file(folder.at(name));
+            if let Some(parent) = folder.at(name).parent().filter(|parent| *parent != folder.path()) {
+                let _ = fs::remove_dir_all(parent);
+            }
+        }
+        assert_eq!(folder.listing(), before, "{line}");
+    };
+    let began = Instant::now();
+    assert!(begin(folder, line).wait().expect("its end").success(), "{line}");
+    let whole = began.elapsed();
+    assert!(outputs.iter().all(|name| folder.at(name).is_file()), "{line}");
+    clear();
+    let mut stopped = 0;
+    for i in 0..moments() {
+        let (signal, number) = [("INT", 2), ("TERM", 15), ("HUP", 1), ("XCPU", 24)][i as usize % 4];
+        let mut child = begin(folder, line);
+        std::thread::sleep(whole * i / moments() + Duration::from_millis(2));
+        send(signal, &child);
+        let end = child.wait().expect("its end");
+        let there = outputs.iter().filter(|name| folder.at(name).exists()).count();
+        let said = format!("{line}: {signal} at moment {i}: {end}, {there} files");
+        // Before the first line of it runs a signal acts as it always does.
+        let is_stopped = end.code() == Some(128 + number) || end.signal() == Some(number);
+        assert!(is_stopped || end.success(), "{said}");
+        // One that comes when all is done is told by the exit code alone.
+        assert!(there == outputs.len() || is_stopped && there == 0, "{said}");
+        assert_eq!(unnamed(folder.path()), 0, "{said}");
+        stopped += u32::from(there == 0);
+        clear();
+    }
+    assert!(stopped > 0, "{line}: no moment was early enough");
+}
+
+#[test]
+fn merge_leaves_all_or_nothing() {
+    let line =
+        format!("merge {FRAMES} -o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr --report a.html --save-response a.rsp");
+    interrupted(&bracket(), &line, &["a.exr", "a.png", "a.jpg", "a.tif", "a.hdr", "a.html", "a.rsp"]);
+}
+
+#[test]
+fn align_leaves_all_or_nothing() {
+    let line = format!("align {FRAMES} --save-aligned on_ --transforms t.json --max-memory 64MB --scratch .");
+    interrupted(&bracket(), &line, &["on_w2.tif", "on_w3.tif", "on_w4.tif", "t.json"]);
+}
+
+#[test]
+fn tonemap_and_response_leave_all_or_nothing() {
+    let folder = bracket();
+    folder.line(&format!("merge {FRAMES} -q -o map.exr")).done();
+    interrupted(&folder, "tonemap map.exr --tmo mantiuk06 -o b.png -o b.jpg", &["b.png", "b.jpg"]);
+    interrupted(&folder, &format!("response {FRAMES} -o r.json -o r.csv --plot r.png"), &["r.json", "r.csv", "r.png"]);
+}
+
+#[test]
+fn inspect_leaves_all_or_nothing_of_its_folder() {
+    interrupted(&bracket(), &format!("inspect {FRAMES} -d look"), &["look/tables.txt", "look/w2.threshold.png"]);
+}
+
+/// As by `nohup`, and as a shell does with what it runs in the background.
+#[test]
+fn what_is_to_be_ignored_is_ignored() {
+    let folder = bracket();
+    for (i, signal) in ["HUP", "INT"].into_iter().enumerate() {
+        let script = format!(
+            "trap '' {signal}; $H merge {FRAMES} -q -o a{i}.exr & \
+             for k in 1 2 3 4 5 6 7 8; do kill -{signal} $! 2>/dev/null; sleep 0.02; done; wait $!"
+        );
+        let run = shell(&folder, &script);
+        assert_eq!((run.code, run.stderr.as_str(), run.stdout), (0, "", format!("a{i}.exr\n")), "{signal}");
+    }
+    assert!(folder.bytes("a0.exr") == folder.bytes("a1.exr"));
+}
+
+/// A pause, and a pipe's signal, change nothing.
+#[test]
+fn a_pause_changes_nothing() {
+    let folder = bracket();
+    folder.line(&format!("merge {FRAMES} -q -o a.exr")).done();
+    let mut child = begin(&folder, &format!("merge {FRAMES} -q -o b.exr"));
+    for _ in 0..4 {
+        std::thread::sleep(Duration::from_millis(15));
+        send("PIPE", &child);
+        send("STOP", &child);
+        std::thread::sleep(Duration::from_millis(15));
+        send("CONT", &child);
+    }
+    let end = child.wait().expect("its end");
+    // The very first signal may come before the program has begun to ignore it.
+    assert!(end.success() || end.signal() == Some(13), "{end}");
+    assert!(!end.success() || folder.bytes("a.exr") == folder.bytes("b.exr"));
+    assert_eq!(unnamed(folder.path()), 0);
+}
+
+/// The second signal stops a batch at once.
+#[test]
+fn a_batch_told_twice_stops_at_once() {
+    let folder = Folder::empty();
+    crate::support::card::Card::new(300).brackets(6, 3, 2.0).write(&folder.at("in"));
+    let mut child = begin(&folder, "batch in -d out -q --jobs 1 --threads 1");
+    let began = Instant::now();
+    let has_begun = || fs::read_dir(folder.at("out")).is_ok_and(|entries| entries.count() > 1);
+    while !has_begun() && began.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    send("TERM", &child);
+    std::thread::sleep(Duration::from_millis(20));
+    send("TERM", &child);
+    let end = child.wait().expect("its end");
+    // The step that had begun may have ended between the two.
+    assert!(end.code() == Some(143) || end.code() == Some(3), "{end}");
+    assert_eq!(unnamed(folder.path()), 0);
+    folder.line("batch in -d out -q").done();
+}

@@ -1,0 +1,181 @@
+//! A run is killed at a random moment, again and again, by what nothing can hear: what has its final name is whole, and what else is left are
+//! temporary files, which the next run takes away.
+//!
+//! `HDRALIGN_KILLS` says how often, 12 by default; `HDRALIGN_SEED` when; `HDRALIGN_BIN` which program. One kill in three is of each: a `merge` of
+//! new files, a `merge --force` over older ones, a `batch` that goes on from kill to kill.
+
+#![cfg(unix)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use support::card::Card;
+use support::{Folder, jpeg, program, shrink, window};
+
+const MERGE: &str =
+    "merge w2.jpg w3.jpg w4.jpg -q -o r/a.exr -o r/a.png -o r/a.jpg -o r/a.tif -o r/a.hdr --save-response r/a.csv";
+const OLDER: &str = "--response-model srgb --tmo drago";
+const BATCH: &str = "batch in -d out -q --formats exr,png";
+
+/// Steele, Lea & Flood 2014: SplitMix64.
+struct Random(u64);
+
+impl Random {
+    /// 0 to 1.
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+fn number(variable: &str) -> Option<u64> {
+    std::env::var(variable).ok().and_then(|text| text.parse().ok())
+}
+
+/// All files below `folder`, with what they hold.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                all.insert(path.clone(), fs::read(&path).expect("a file"));
+            }
+        }
+    }
+    all
+}
+
+fn is_unnamed(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with(".hdralign-") && name.ends_with(".part")
+}
+
+/// Runs `line` to its end, and gives how long that took.
+fn run(folder: &Folder, line: &str) -> Duration {
+    let began = Instant::now();
+    folder.line(line).done();
+    began.elapsed()
+}
+
+/// Begins `line` and kills it after `pause`; whether it was still going on.
+fn kill(folder: &Folder, line: &str, pause: Duration) -> bool {
+    let mut command = Command::new(program());
+    command.args(line.split_whitespace()).current_dir(folder.path());
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts");
+    std::thread::sleep(pause);
+    child.kill().expect("an end");
+    !child.wait().expect("its end").success()
+}
+
+/// What was counted.
+#[derive(Debug, Default)]
+struct Tally {
+    kills: usize,
+    /// Kills that came before the run had ended.
+    in_time: usize,
+    /// Files under their final names that were looked at.
+    named: usize,
+    /// Temporary files that were left, and that the next run took away.
+    unnamed: usize,
+}
+
+impl Tally {
+    /// Every file in `folder` that has its name is as one of `whole` has it, or, a report, is JSON or a table; all others are temporary.
+    fn check(&mut self, folder: &Path, whole: &[&BTreeMap<PathBuf, Vec<u8>>]) {
+        for (path, bytes) in files(folder) {
+            if is_unnamed(&path) {
+                self.unnamed += 1;
+                continue;
+            }
+            self.named += 1;
+            // Reports and summaries have times in them.
+            let is_whole = match path.extension().and_then(|e| e.to_str()) {
+                Some("json") => serde_json::from_slice::<serde_json::Value>(&bytes).is_ok(),
+                Some("csv") if path.ends_with("batch.csv") => bytes.ends_with(b"\n"),
+                _ => whole.iter().any(|whole| whole.get(&path) == Some(&bytes)),
+            };
+            assert!(is_whole, "{} is damaged: {} bytes; {self:?}", path.display(), bytes.len());
+        }
+    }
+}
+
+/// Whether nothing temporary is left in `folder`, and all results are those of `whole`.
+fn is_complete(folder: &Path, whole: &BTreeMap<PathBuf, Vec<u8>>) -> bool {
+    let is_result = |path: &Path| path.extension().is_some_and(|e| e != "json" && !path.ends_with("batch.csv"));
+    let there: BTreeMap<_, _> = files(folder).into_iter().filter(|(path, _)| is_result(path)).collect();
+    let wanted: BTreeMap<_, _> = whole.iter().filter(|(path, _)| is_result(path)).collect();
+    there.iter().eq(wanted)
+}
+
+#[test]
+fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() {
+    let folder = Folder::empty();
+    for i in 2..=4 {
+        let picture = image::open(window(i)).expect("a frame").to_rgb8();
+        folder.put(&format!("w{i}.jpg"), &jpeg(&shrink(&picture, 8), Some(i)));
+    }
+    Card::new(100).brackets(4, 3, 2.0).write(&folder.at("in"));
+    let (results, out) = (folder.at("r"), folder.at("out"));
+    fs::create_dir(&results).expect("a folder");
+
+    run(&folder, &format!("{MERGE} {OLDER}"));
+    let older = files(&results);
+    let merging = run(&folder, &format!("{MERGE} --force"));
+    let newer = files(&results);
+    assert!(newer.len() == 6 && newer.iter().all(|(path, bytes)| older[path] != *bytes), "the two differ");
+    let batching = run(&folder, BATCH);
+    let night = files(&out);
+
+    let mut random = Random(number("HDRALIGN_SEED").unwrap_or(1));
+    let mut tally = Tally::default();
+    for i in 0..number("HDRALIGN_KILLS").unwrap_or(12) {
+        tally.kills += 1;
+        let mut pause = |whole: Duration| whole.mul_f64(random.next());
+        match i % 3 {
+            0 => {
+                fs::remove_dir_all(&results).and_then(|()| fs::create_dir(&results)).expect("an empty folder");
+                tally.in_time += usize::from(kill(&folder, MERGE, pause(merging)));
+                tally.check(&results, &[&newer]);
+                run(&folder, &format!("{MERGE} --force"));
+                assert!(is_complete(&results, &newer), "{tally:?}");
+            }
+            1 => {
+                older.iter().for_each(|(path, bytes)| fs::write(path, bytes).expect("an older file"));
+                tally.in_time += usize::from(kill(&folder, &format!("{MERGE} --force"), pause(merging)));
+                tally.check(&results, &[&older, &newer]);
+                assert!(newer.keys().all(|path| path.is_file()), "an older file was lost: {tally:?}");
+                run(&folder, &format!("{MERGE} --force"));
+                assert!(is_complete(&results, &newer), "{tally:?}");
+            }
+            _ => {
+                if i % 2 == 0 {
+                    fs::remove_dir_all(&out).expect("the results of the night");
+                }
+                tally.in_time += usize::from(kill(&folder, BATCH, pause(batching)));
+                tally.check(&out, &[&night]);
+                // Every other time it is killed in what it takes up again.
+                if i % 2 == 1 {
+                    tally.in_time += usize::from(kill(&folder, BATCH, pause(batching)));
+                    tally.kills += 1;
+                    tally.check(&out, &[&night]);
+                }
+                run(&folder, BATCH);
+                assert!(is_complete(&out, &night), "{tally:?}");
+            }
+        }
+    }
+    println!("{tally:?}");
+    assert!(tally.kills < 12 || tally.in_time > tally.kills / 3, "too few came in time: {tally:?}");
+}
