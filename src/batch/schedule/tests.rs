@@ -1,6 +1,7 @@
 use super::super::plan::tests::step;
 use super::super::plan::{Kind, Step};
 use super::*;
+use crate::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
@@ -43,6 +44,43 @@ fn one_bad_step_stops_nothing_but_what_needs_it() {
         assert_eq!(ended.load(Ordering::SeqCst), 4);
         assert!(steps.iter().all(|s| step::Failure::read(s).is_some_and(|f| f.id == s.id)));
     }
+}
+
+#[test]
+fn on_a_full_disk_nothing_more_is_begun_and_that_is_told_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = steps(&[("a", &[]), ("b", &[]), ("c", &["b"])], dir.path());
+    let (stop, limits) = (AtomicBool::new(false), limits(2, None));
+    let (told, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let watch = |event: Event| match event {
+        Event::Fills(step) => assert_eq!((step.id.as_str(), told.fetch_add(1, Ordering::SeqCst)), ("a", 0)),
+        Event::Ends(..) => assert_eq!(ended.fetch_add(1, Ordering::SeqCst), 0),
+        Event::Begins(_) => {}
+    };
+    let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
+    let write = || Error::Write { path: "a.exr".into(), source: full() };
+    // What has no room on the scratch disk may be larger than what comes.
+    let scratch = || Error::Scratch { folder: "s".into(), source: full() };
+    assert!(write().is_disk_full() && !scratch().is_disk_full());
+    let board = Board::new(&steps, &limits, &stop, &watch);
+    assert_eq!(board.take(|| ()).unwrap().0, 0);
+    let outcome = guarded(|| Err::<(), _>(write()), || board.fill(0));
+    board.end(0, Ending::Failed(outcome.unwrap_err()));
+    board.fill(0);
+    assert!(board.take(|| ()).is_none());
+    assert!(matches!(&board.endings()[..], [Ending::Failed(_), Ending::NotBegun, Ending::NotBegun]));
+    assert_eq!((told.into_inner(), ended.into_inner()), (1, 1));
+}
+
+/// A step that was not begun for want of room is not waited for by those that go to other disks.
+#[test]
+fn what_needs_a_step_that_is_not_begun_is_not_begun() {
+    let steps = steps(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
+    let (stop, limits) = (AtomicBool::new(false), limits(1, None));
+    let board = Board::new(&steps, &limits, &stop, &|_| ());
+    board.lock().states[0] = State::Ended(Ending::NotBegun);
+    assert!(board.take(|| ()).is_none());
+    assert_eq!(board.endings(), [Ending::NotBegun, Ending::NotBegun]);
 }
 
 #[test]
