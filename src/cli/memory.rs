@@ -8,14 +8,7 @@ pub fn free() -> Option<u64> {
     // Where the process is confined, as in a container, less.
     let read = |name: &str| fs::read_to_string(format!("/sys/fs/cgroup/{name}")).ok()?.trim().parse::<u64>().ok();
     let of_group = read("memory.max").map(|most| most.saturating_sub(read("memory.current").unwrap_or(0)));
-    let of_process = fs::read_to_string("/proc/self/limits").ok().as_deref().and_then(address_space);
-    Some([of_group, of_process].into_iter().flatten().fold(of_machine, u64::min))
-}
-
-/// `ulimit -v` of /proc/self/limits, in bytes, where there is one: of it goes what the program has before it has a photograph, too.
-fn address_space(limits: &str) -> Option<u64> {
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
-    line.split_whitespace().next()?.parse().ok()
+    Some(of_group.map_or(of_machine, |group| group.min(of_machine)))
 }
 
 /// `MemAvailable` of /proc/meminfo, in bytes.
@@ -63,11 +56,6 @@ mod tests {
             "MemTotal:       24000000 kB\nMemFree:          500000 kB\nMemAvailable:   20000000 kB\nBuffers: 1 kB\n";
         assert_eq!(available(text), Some(20_480_000_000));
         assert_eq!(available("MemTotal: 3 kB"), None);
-        let limits = "Max resident set          unlimited            unlimited            bytes\nMax address space         4096000000           unlimited            bytes\n";
-        assert_eq!(
-            (address_space(limits), address_space(&limits.replace("4096000000", "unlimited"))),
-            (Some(4_096_000_000), None)
-        );
         assert!(!cfg!(target_os = "linux") || free().is_some_and(|bytes| bytes > 1 << 20));
     }
 

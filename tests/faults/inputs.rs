@@ -1,6 +1,6 @@
 //! Photographs that are none, cannot be read to their end, or have names that are hard to handle.
 
-use super::{FRAMES, bracket, can, fails, unnamed};
+use super::{FRAMES, bracket, can, fails, shell, unnamed};
 use crate::support::Folder;
 use crate::support::card::Card;
 use serde_json::Value;
@@ -46,6 +46,18 @@ fn what_is_no_photograph_is_named_for_what_it_is() {
     link("one.json", "two.json");
     fails(&folder, &format!("$H merge {FRAMES} --response one.json -o a.exr"), 1, &["one.json", "symbolic links"]);
     fails(&folder, "$H compare e.jpg w2.jpg", 2, &["e.jpg"]);
+}
+
+#[test]
+fn a_pipe_is_a_photograph_when_somebody_writes_it() {
+    let folder = bracket();
+    let run = shell(&folder, "mkfifo p.jpg && { cat w3.jpg >p.jpg & $H merge w2.jpg p.jpg -q -o a.exr; }");
+    assert_eq!(run.code, 0, "{run:?}");
+    folder.line("merge w2.jpg w3.jpg -q -o b.exr").done();
+    assert!(folder.bytes("a.exr") == folder.bytes("b.exr"));
+    // Nobody does: whoever waits can be told to end.
+    let script = "$H merge w2.jpg p.jpg -q -o c.exr & sleep 0.5; kill $!; wait $!";
+    fails(&folder, script, 143, &["nothing half-written was left"]);
 }
 
 /// /proc/self/mem opens like a file and fails when it is read, as a damaged card does.
