@@ -7,7 +7,7 @@
 //! use, so the loops give the same bytes on every arm. [`choose`] lets tests and benches hold them side by side.
 
 use pulp::{Arch, NullaryFnOnce};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 
 /// For which processor loops are run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -15,15 +15,50 @@ pub enum Arm {
     /// The widest that this processor has.
     #[default]
     Native,
+    /// AVX-512 of x86 (x86-64-v4).
+    Avx512,
+    /// AVX2 of x86, with fused products that nothing here uses (x86-64-v3).
+    Avx2,
+    /// NEON of 64-bit ARM.
+    Neon,
     /// The least that every processor of the target has.
     Scalar,
 }
 
-static IS_SCALAR: AtomicBool = AtomicBool::new(false);
+impl Arm {
+    /// All, the widest first; which of them are here, [`choose`] tells.
+    pub const ALL: [Arm; 5] = [Arm::Native, Arm::Avx512, Arm::Avx2, Arm::Neon, Arm::Scalar];
 
-/// From now on all of the process runs on `arm`. The results are the same: it is for tests and benches.
-pub fn choose(arm: Arm) {
-    IS_SCALAR.store(arm == Arm::Scalar, Ordering::Relaxed);
+    /// What pulp calls it; none where this processor does not have it.
+    #[inline]
+    fn arch(self) -> Option<Arch> {
+        match self {
+            Arm::Native => Some(Arch::new()),
+            Arm::Scalar => Some(Arch::Scalar),
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Arm::Avx512 => pulp::x86::V4::try_new().map(Arch::V4),
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Arm::Avx2 => pulp::x86::V3::try_new().map(Arch::V3),
+            #[cfg(target_arch = "aarch64")]
+            Arm::Neon => pulp::aarch64::Neon::try_new().map(Arch::Neon),
+            #[allow(unreachable_patterns)]
+            _ => None,
+        }
+    }
+}
+
+/// The chosen one's place in [`Arm::ALL`].
+static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
+
+/// From now on all of the process runs on `arm`, if this processor has it; whether it has. The results are the same: it is for tests and
+/// benches.
+#[must_use = "an arm that is not here is not chosen"]
+pub fn choose(arm: Arm) -> bool {
+    let is_here = arm.arch().is_some();
+    if is_here {
+        CHOSEN.store(arm as u8, Ordering::Relaxed);
+    }
+    is_here
 }
 
 /// Loops over plain slices that are worth the widest vectors.
@@ -39,7 +74,9 @@ pub trait Loops {
 /// What `loops` give, run on the chosen arm.
 #[inline]
 pub fn vectorised<L: Loops>(loops: L) -> L::Output {
-    if IS_SCALAR.load(Ordering::Relaxed) { loops.run() } else { Arch::new().dispatch(Native(loops)) }
+    let chosen = Arm::ALL[usize::from(CHOSEN.load(Ordering::Relaxed))];
+    // It was here when it was chosen.
+    chosen.arch().unwrap_or_default().dispatch(Native(loops))
 }
 
 /// What pulp calls with the processor's features enabled.
@@ -129,13 +166,14 @@ mod tests {
     }
 
     #[test]
-    fn both_arms_give_the_same_bits() {
+    fn all_arms_give_the_same_bits() {
         let values: Vec<f32> = (0..1003).map(|i| 1.0 / (i as f32 + 0.3)).collect();
-        let native = vectorised(Polynomial(&values));
-        choose(Arm::Scalar);
-        let scalar = vectorised(Polynomial(&values));
-        choose(Arm::Native);
-        assert_eq!(native, scalar);
+        let textbook = Polynomial(&values).run();
+        let here = Arm::ALL.into_iter().filter(|&arm| choose(arm)).inspect(|arm| {
+            assert_eq!(vectorised(Polynomial(&values)), textbook, "{arm:?}");
+        });
+        assert!(here.count() >= 2, "what the processor has, and what all have");
+        assert!(choose(Arm::default()));
     }
 
     #[test]

@@ -103,10 +103,10 @@ fn little_memory_does_not_change_a_byte() {
 /// The files and the report that `options` give on `arm`. The choice is the process's: of the tests in this file only one runs the library
 /// in it, the others start the program.
 fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
-    simd::choose(arm);
+    assert!(simd::choose(arm));
     let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
     let report = pipeline::run(&images, options, &|_| ()).expect("the window merges");
-    simd::choose(Arm::Native);
+    assert!(simd::choose(Arm::Native));
     let mut report: Value = serde_json::from_str(&report.to_json()).expect("JSON");
     report["time_s"].take();
     (options.outputs.iter().map(|path| fs::read(path).expect("an output")).collect(), report)
@@ -133,13 +133,38 @@ fn vector_instructions_do_not_change_a_byte() {
         },
         ..by_default.clone()
     };
+    let arms: Vec<Arm> = Arm::ALL.into_iter().filter(|&arm| arm != Arm::Native && simd::choose(arm)).collect();
+    assert_eq!(arms, of_processor(), "an arm that this processor has would go untested");
+    println!("{} of {} arms: {arms:?}", arms.len(), Arm::ALL.len() - 1);
     for options in [by_default, asked_for] {
         let (native, told) = on(Arm::Native, &folder, &options);
-        let (scalar, other) = on(Arm::Scalar, &folder, &options);
-        for (path, (a, b)) in options.outputs.iter().zip(native.iter().zip(&scalar)) {
-            let first = a.iter().zip(b).position(|(a, b)| a != b);
-            assert!(a == b, "{}: {} and {} bytes, first at {first:?}", path.display(), a.len(), b.len());
+        for &arm in &arms {
+            let (others, other) = on(arm, &folder, &options);
+            for (path, (a, b)) in options.outputs.iter().zip(native.iter().zip(&others)) {
+                let first = a.iter().zip(b).position(|(a, b)| a != b);
+                assert!(a == b, "{arm:?}: {}: {} and {} bytes, first at {first:?}", path.display(), a.len(), b.len());
+            }
+            assert_eq!(told, other, "{arm:?}: the report");
         }
-        assert_eq!(told, other, "the report");
     }
+}
+
+/// The arms that the standard library says this processor has: it does not ask pulp.
+fn of_processor() -> Vec<Arm> {
+    let mut arms = Vec::new();
+    #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+    {
+        let bytes_and_words = is_x86_feature_detected!("avx512bw") && is_x86_feature_detected!("avx512dq");
+        let lengths = is_x86_feature_detected!("avx512vl") && is_x86_feature_detected!("avx512cd");
+        if is_x86_feature_detected!("avx512f") && bytes_and_words && lengths {
+            arms.push(Arm::Avx512);
+        }
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            arms.push(Arm::Avx2);
+        }
+    }
+    #[cfg(target_arch = "aarch64")]
+    arms.push(Arm::Neon);
+    arms.push(Arm::Scalar);
+    arms
 }

@@ -239,6 +239,17 @@ fn no_module_is_named_for_what_does_not_belong_together() {
     assert_none(vague.map(|s| format!("{}:1", s.path)).collect(), "modules that could hold anything");
 }
 
+/// Crates whose sums are in another order, or fused, on another processor, though nobody asks them to.
+const OF_THE_PROCESSOR: [&str; 3] = ["matrixmultiply", "gemm", "blas-src"];
+
+#[test]
+fn no_crate_has_the_processor_choose_the_order_of_sums() {
+    let lock = include_str!("../../Cargo.lock");
+    assert!(lock.contains("name = \"nalgebra\""), "the check is blind");
+    let found = OF_THE_PROCESSOR.iter().filter(|name| lock.contains(&format!("name = \"{name}\"")));
+    assert_none(found.map(|name| format!("Cargo.lock: {name}")).collect(), "bytes would differ between processors");
+}
+
 #[test]
 fn unsafe_is_nowhere() {
     let found: Vec<String> =
