@@ -68,13 +68,40 @@ fn run(folder: &Folder, line: &str) -> Duration {
     began.elapsed()
 }
 
-/// Begins `line` and kills it after `pause`; whether it was still going on.
-fn kill(folder: &Folder, line: &str, pause: Duration) -> bool {
+/// When a run is killed.
+enum When {
+    /// So long after its begin.
+    After(Duration),
+    /// So long after the first temporary file is seen in this folder: while it writes, or gives names.
+    Writing(PathBuf, Duration),
+}
+
+impl When {
+    /// A moment of a run that takes `whole` and writes to `folder`: any, or, every other time, one in the fifth of it that follows the first file.
+    fn of(random: &mut Random, whole: Duration, folder: &Path) -> When {
+        let (is_any, part) = (random.next() < 0.5, random.next());
+        if is_any {
+            When::After(whole.mul_f64(part))
+        } else {
+            When::Writing(folder.to_owned(), whole.mul_f64(part / 5.0))
+        }
+    }
+}
+
+/// Begins `line` and kills it; whether it was still going on.
+fn kill(folder: &Folder, line: &str, when: When) -> bool {
     let mut command = Command::new(program());
     command.args(line.split_whitespace()).current_dir(folder.path());
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts");
-    std::thread::sleep(pause);
+    match when {
+        When::After(pause) => std::thread::sleep(pause),
+        When::Writing(folder, pause) => {
+            let is_begun = || fs::read_dir(&folder).into_iter().flatten().flatten().any(|e| is_unnamed(&e.path()));
+            while child.try_wait().expect("its state").is_none() && !is_begun() {}
+            std::thread::sleep(pause);
+        }
+    }
     child.kill().expect("an end");
     !child.wait().expect("its end").success()
 }
@@ -142,18 +169,18 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
     let mut tally = Tally::default();
     for i in 0..number("HDRALIGN_KILLS").unwrap_or(12) {
         tally.kills += 1;
-        let mut pause = |whole: Duration| whole.mul_f64(random.next());
+        let mut when = |whole: Duration, folder: &Path| When::of(&mut random, whole, folder);
         match i % 3 {
             0 => {
                 fs::remove_dir_all(&results).and_then(|()| fs::create_dir(&results)).expect("an empty folder");
-                tally.in_time += usize::from(kill(&folder, MERGE, pause(merging)));
+                tally.in_time += usize::from(kill(&folder, MERGE, when(merging, &results)));
                 tally.check(&results, &[&newer]);
                 run(&folder, &format!("{MERGE} --force"));
                 assert!(is_complete(&results, &newer), "{tally:?}");
             }
             1 => {
                 older.iter().for_each(|(path, bytes)| fs::write(path, bytes).expect("an older file"));
-                tally.in_time += usize::from(kill(&folder, &format!("{MERGE} --force"), pause(merging)));
+                tally.in_time += usize::from(kill(&folder, &format!("{MERGE} --force"), when(merging, &results)));
                 tally.check(&results, &[&older, &newer]);
                 assert!(newer.keys().all(|path| path.is_file()), "an older file was lost: {tally:?}");
                 run(&folder, &format!("{MERGE} --force"));
@@ -163,11 +190,11 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
                 if i % 2 == 0 {
                     fs::remove_dir_all(&out).expect("the results of the night");
                 }
-                tally.in_time += usize::from(kill(&folder, BATCH, pause(batching)));
+                tally.in_time += usize::from(kill(&folder, BATCH, when(batching, &out)));
                 tally.check(&out, &[&night]);
                 // Every other time it is killed in what it takes up again.
                 if i % 2 == 1 {
-                    tally.in_time += usize::from(kill(&folder, BATCH, pause(batching)));
+                    tally.in_time += usize::from(kill(&folder, BATCH, when(batching, &out)));
                     tally.kills += 1;
                     tally.check(&out, &[&night]);
                 }
