@@ -198,8 +198,8 @@ fn the_packed_search_is_the_textbooks() {
         let zones = [&pa, &pb].map(|p| Zone::about(p.histogram(0).level(Percentile::MEDIAN), 4));
         let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN, zones };
         let reach = packed.reach(0.15);
-        assert_eq!(reach, 12);
-        let slow = textbook(&a, &b, reach, 4);
+        assert_eq!(reach, (12, 12));
+        let slow = textbook(&a, &b, reach.0, 4);
         let fast: Vec<(f64, i64, i64)> =
             packed.rate_shifts(0.0, reach).into_iter().map(|(rate, m)| (rate, m.dx as i64, m.dy as i64)).collect();
         assert_eq!(fast, slow);
