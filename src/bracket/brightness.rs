@@ -27,6 +27,8 @@ const BARELY_EXPOSED: (usize, usize) = (4, 250);
 const TAIL: u64 = 32;
 /// A step below this, in EV, is none at all.
 const STEP: f64 = 0.2;
+/// A step that is off by this, in EV, is off by no weather: a slip of the pen, or a tag that counts otherwise.
+const FAR_OFF: f64 = 3.0;
 
 /// The histogram of a frame's green channel, at 8 bit.
 #[derive(Debug, Clone)]
@@ -56,6 +58,11 @@ impl Brightness {
     fn mean(&self) -> f64 {
         let sum: u64 = self.counts.iter().zip(0u64..).map(|(n, code)| n * code).sum();
         sum as f64 / self.total().max(1) as f64
+    }
+
+    /// Whether the two have as many pixels of every code.
+    pub fn is_like(&self, other: &Brightness) -> bool {
+        self.counts == other.counts
     }
 
     fn total(&self) -> u64 {
@@ -111,7 +118,8 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
     let mut ratios = Vec::new();
     for k in low..high {
         let below = dark.below[k + 1];
-        if below.min(dark.total() - below) < TAIL {
+        // Above a code that no pixel has, there is nothing but the gap to the next; a drawing of two tones is all gap.
+        if below.min(dark.total() - below) < TAIL || dark.counts[k] == 0 {
             continue;
         }
         let (from, to) = (k as f64 + 0.5, bright.code_at(below as f64 * scale));
@@ -198,7 +206,8 @@ pub fn all_alike(evs: &[f64]) -> bool {
 /// Why `written`, the exposures in EV that the files give, cannot be those of `frames`; `None` where they may well be.
 ///
 /// Plain contradictions only, since the estimate is rough and light may change between frames: all written alike although the pictures
-/// differ by more than 0.6 EV, or a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more.
+/// differ by more than 0.6 EV; a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more; or a step
+/// that is at least twice, and at least 3 EV more, or as much less, than the pictures have.
 pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     if spread(written) <= 0.05 {
         let seen = spread(&estimate(frames)?);
@@ -209,8 +218,16 @@ pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];
         let seen = step(&frames[pair[0]], &frames[pair[1]])? / CONTRAST;
-        (said >= 0.3 && seen <= -0.5)
-            .then(|| format!("one frame should be {said:.1} EV brighter than the next, but is {:.1} EV darker", -seen))
+        if said >= 0.3 && seen <= -0.5 {
+            let darker = -seen;
+            return Some(format!(
+                "one frame should be {said:.1} EV brighter than the next, but is {darker:.1} EV darker"
+            ));
+        }
+        let (less, more) = if said < seen { (said, seen) } else { (seen, said) };
+        (more - less >= FAR_OFF && more >= 2.0 * less).then(|| {
+            format!("one frame should be {said:.1} EV brighter than the next, but is brighter by about {seen:.1} EV")
+        })
     })
 }
 
