@@ -290,6 +290,29 @@ mod tests {
     }
 
     #[test]
+    fn a_step_that_is_far_off_contradicts() {
+        let frames = [picture(0.0, 1.4, 0), picture(2.0, 1.4, 0)];
+        // A millionth and a million are 20 EV; two EV more than there are may be a rough estimate.
+        assert_eq!(contradiction(&[0.0, 4.0], &frames), None);
+        assert!(contradiction(&[0.0, 22.0], &frames).is_some());
+        assert!(contradiction(&[22.0, 0.0], &frames).is_some());
+        let far = [picture(-2.0, 1.4, 0), picture(2.0, 1.4, 0)];
+        assert!(contradiction(&[0.0, 0.5], &far).is_some());
+        assert_eq!(contradiction(&[0.0, 2.5], &far), None);
+    }
+
+    /// Between its two codes anything may be: a step has nothing to hold on to.
+    #[test]
+    fn two_tones_tell_no_step() {
+        let tones = |dark: u8, bright: u8| {
+            let codes = (0..3 * 64 * 64).map(|i| if i / 24 % 2 == 0 { dark } else { bright }).collect();
+            Brightness::of(&Samples::Eight(codes), 64)
+        };
+        assert_eq!(estimate(&[tones(15, 115), tones(30, 190)]), None);
+        assert_eq!(contradiction(&[0.0, 2.0], &[tones(15, 115), tones(30, 190)]), None);
+    }
+
+    #[test]
     fn sixteen_bits_give_what_eight_give() {
         let eight: Vec<u8> = (0..3 * 64 * 64u32).map(|i| (i * 7 % 251) as u8).collect();
         let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
