@@ -115,11 +115,10 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
     // Rises from both ends, but reaches 1 soon: the middle is not better than the rest.
     let trust = |code: f64| (code - lowest + 1.0).min(highest + 1.0 - code).min(40.0);
     let scale = bright.total() as f64 / dark.total().max(1) as f64;
-    let mut ratios = Vec::new();
+    let (mut ratios, mut tones) = (Vec::new(), 0);
     for k in low..high {
         let below = dark.below[k + 1];
-        // Above a code that no pixel has, there is nothing but the gap to the next; a drawing of two tones is all gap.
-        if below.min(dark.total() - below) < TAIL || dark.counts[k] == 0 {
+        if below.min(dark.total() - below) < TAIL {
             continue;
         }
         let (from, to) = (k as f64 + 0.5, bright.code_at(below as f64 * scale));
@@ -127,10 +126,11 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
             let seen = dark.about(k).min((bright.about(to as usize) as f64 / scale) as u64);
             let weight = trust(from).min(trust(to)) * (seen as f64).sqrt();
             ratios.push((libm::log2(linear(to) / linear(from)), weight));
+            tones += usize::from(dark.counts[k] > 0);
         }
     }
-    // Fewer codes than these are a chance match.
-    if ratios.len() < 8 {
+    // Fewer codes than these are a chance match. A drawing of two tones is all gap: between them rank says nothing.
+    if ratios.len() < 8 || tones < 4 {
         return None;
     }
     ratios.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -5,7 +5,7 @@
 //!
 //! The reference that is chosen by itself is the frame that sees the most. Where that is a stray of another scene, one that was saved
 //! mirrored, or one that someone walked through, it is the reference that is wrong and not all others. Of those that could not be placed
-//! beside it the one that sees the most is tried, and taken where more can be placed beside that. A reference of the user's choice stays.
+//! beside it the one that sees the most is tried, and taken where more are surely placed beside that. A reference of the user's choice stays.
 
 use super::Options;
 use crate::align::given::Place;
@@ -15,6 +15,11 @@ use crate::error::{Result, Warning};
 
 /// References that are tried beside the first.
 const OTHERS: usize = 2;
+/// Frames count for another reference that are placed beside it with this confidence: where parallax leaves every place in doubt, the frame that
+/// sees the most is still the best to look from.
+const SURE: f64 = 0.8;
+/// ... and where the first is left alone, with this.
+const LIKELY: f64 = 0.5;
 
 /// Aligns `bracket`, which comes back with the reference that it was aligned to.
 ///
@@ -28,7 +33,7 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     // Who was placed beside one of the references is no stray by itself.
     let mut done: Vec<bool> = left_out(&bracket, options);
     for _ in 0..OTHERS {
-        let placed = count(&alignment);
+        let placed = count(&alignment, 0.0);
         let among = bracket.frames().len() - left_out(&bracket, options).iter().filter(|&&out| out).count();
         // Of two, neither says which is the stray.
         if among < 3 || 2 * placed > among {
@@ -39,7 +44,8 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
         let first = bracket.reference_index();
         bracket = bracket.with_reference(other);
         let (found, said) = align::align(&bracket, &options.align)?;
-        if count(&found) > placed {
+        let least = if placed > 1 { SURE } else { LIKELY };
+        if count(&found, least) > placed {
             (alignment, warnings) = (found, said);
         } else {
             mark(&found, &mut done);
@@ -64,9 +70,9 @@ fn left_out(bracket: &Bracket, options: &Options) -> Vec<bool> {
     out
 }
 
-/// How many frames take part, with the reference.
-fn count(alignment: &Alignment) -> usize {
-    alignment.verdicts.iter().filter(|verdict| verdict.warp.is_some()).count()
+/// How many frames take part, with the reference, of which the place is known with `least` confidence.
+fn count(alignment: &Alignment, least: f64) -> usize {
+    alignment.verdicts.iter().filter(|verdict| verdict.warp.is_some() && verdict.confidence >= least).count()
 }
 
 fn mark(alignment: &Alignment, done: &mut [bool]) {

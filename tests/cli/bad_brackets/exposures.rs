@@ -1,8 +1,6 @@
 //! Exposures that are missing, equal, reversed, impossible; photographs that are there twice.
 
 use super::*;
-use exif::experimental::Writer;
-use exif::{Field, In, Rational, Tag, Value as Exif};
 
 fn relative(merged: &Merged, file: &str) -> f64 {
     merged.frame(file)["relative_exposure"].as_f64().expect("a number")
@@ -16,19 +14,6 @@ fn stops(merged: &Merged, a: &str, b: &str) -> f64 {
 /// The frames 2, 3 and 4, two stops apart, with the EXIF of those of `exif`.
 fn window(folder: &Folder, exif: [usize; 3]) -> String {
     exposed(folder, &[(&frame(2), exif[0]), (&frame(3), exif[1]), (&frame(4), exif[2])])
-}
-
-/// A JPEG whose EXIF has nothing but this exposure time, in s.
-fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
-    let field =
-        Field { tag: Tag::ExposureTime, ifd_num: In::PRIMARY, value: Exif::Rational(vec![Rational { num, denom }]) };
-    let mut writer = Writer::new();
-    writer.push_field(&field);
-    let mut exif = Cursor::new(Vec::new());
-    writer.write(&mut exif, false).expect("EXIF");
-    let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");
-    file.set_exif(Some(exif.into_inner().into()));
-    file.encoder().bytes().to_vec()
 }
 
 #[test]

@@ -92,7 +92,7 @@ fn a_half_black_frame_spoils_nothing() {
     assert!(mean > 50.0, "the lower half is dark: {mean}");
 }
 
-/// A very noisy night: placed within a pixel, or left out; never elsewhere in confidence.
+/// A very noisy night: placed within three pixels, in the farthest corner, or left out; never elsewhere in confidence.
 #[test]
 fn a_noisy_night_is_placed_or_doubted() {
     for most in [10.0, 25.0, 60.0] {
@@ -111,7 +111,7 @@ fn a_noisy_night_is_placed_or_doubted() {
                 assert!(merged.warnings().iter().any(|w| w.contains(file)), "{file}: {:?}", merged.warnings());
             } else {
                 let off = apart(&merged, &truth(), file);
-                assert!(off < 2.0, "{most}: {file} is off by {off} px, confidence {}", merged.confidence(file));
+                assert!(off < 3.0, "{most}: {file} is off by {off} px, confidence {}", merged.confidence(file));
             }
         }
     }

@@ -67,13 +67,23 @@ fn a_jpeg_of_a_longer_side_is_refused() {
     assert_eq!(folder.listing(), before);
 }
 
-/// A slit camera's picture: long, and of some height.
+/// A slit camera's picture, long and of some height, seen three pixels farther on in the second frame.
 #[test]
 fn a_long_picture_is_searched_in_seconds() {
     let folder = Folder::empty();
-    let names = lossless(&folder, &[&strip(20_000, 40, 1.0), &strip(20_000, 40, 2.0)]);
-    let merged = merged(&folder, &format!("{names} -e=0,1"));
-    assert_ne!(merged.status("f1.png"), "rejected");
+    let mut random = Random(11);
+    let bricks: Vec<f64> = (0..2000 * 6).map(|_| 20.0 + 80.0 * random.next()).collect();
+    let slit = |from: u32, light: f64| {
+        RgbImage::from_fn(20_000, 40, |x, y| {
+            let brick = bricks[((x + from) / 11 % 2000 + 2000 * (y / 7)) as usize];
+            Rgb([0.9, 1.0, 0.8].map(|tint| (light * tint * brick) as u8))
+        })
+    };
+    let names = lossless(&folder, &[&slit(0, 1.0), &slit(3, 2.0)]);
+    let merged = merged(&folder, &format!("{names} -e=0,1 --reference f1.png"));
+    assert_eq!(merged.status("f2.png"), "aligned");
+    let shift = &merged.frame("f2.png")["alignment"]["shift_px"];
+    assert!((shift[0].as_f64().expect("a number") + 3.0).abs() < 0.3, "{shift}");
 }
 
 #[test]
