@@ -318,6 +318,25 @@ pub enum Warning {
         /// 0..1.
         confidence: f64,
     },
+    /// A photograph is there twice.
+    #[error("{}: has the same pixels as {}; it adds nothing, leave one of them out", path.display(), other.display())]
+    SamePixels {
+        /// The later one, by name.
+        path: PathBuf,
+        /// The earlier one.
+        other: PathBuf,
+    },
+    /// No frame shows anything by which it could be aligned; all were taken as they lie.
+    #[error(
+        "{}: neither it nor the others show anything to align by ({reason}); all are merged as they lie, look at the result",
+        reference.display()
+    )]
+    NothingToAlign {
+        /// The reference.
+        reference: PathBuf,
+        /// Why not.
+        reason: String,
+    },
     /// The exposures written in the files contradict the pixels; the step was estimated from the pixels.
     #[error(
         "the exposures in the files contradict the pixels ({detail}); estimated from the pixels instead, give -e to set them"
@@ -451,6 +470,8 @@ impl Warning {
         matches!(
             self,
             Warning::FrameRejected { .. }
+                | Warning::SamePixels { .. }
+                | Warning::NothingToAlign { .. }
                 | Warning::LowConfidence { .. }
                 | Warning::ExposureContradicted { .. }
                 | Warning::ExposureEstimated { .. }

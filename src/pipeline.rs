@@ -8,6 +8,7 @@ pub mod camera;
 mod fusion;
 mod line;
 mod names;
+mod referred;
 mod slabs;
 mod tonemapping;
 
@@ -223,7 +224,7 @@ fn merged(
         check_taken(taken, &bracket)?;
         options.calibration.check(bracket.reference())?;
         options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
-        let alignment = line.align(&bracket, options)?;
+        let (bracket, alignment) = line.align(bracket, options)?;
         check_placed(&bracket, &alignment)?;
         let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
         let region = options.crop.rect(&bracket, &alignment);
@@ -270,7 +271,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
         check_taken(taken, &bracket)?;
-        let alignment = line.align(&bracket, options)?;
+        let (bracket, alignment) = line.align(bracket, options)?;
         line.gather(&bracket, &alignment, None, options)?;
         let region = options.crop.rect(&bracket, &alignment);
         let mut report = Report::new(&bracket, &alignment, region);
@@ -299,7 +300,7 @@ pub fn inspect(
         files::check(folder, images, options.write.overwrite)?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
-        let alignment = line.align(&bracket, options)?;
+        let (bracket, alignment) = line.align(bracket, options)?;
         let (tables, _) = line.timed(Stage::Inspect, || {
             let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
             files::write(&inspection, folder, options.write.overwrite)

@@ -13,6 +13,8 @@ use nalgebra::Matrix3;
 
 /// Tiles along the long side.
 const TILES: usize = 16;
+/// Least side of a tile, in pixels: a narrower picture has none, and nothing can be said of it.
+pub(super) const LEAST_SIDE: usize = 8;
 /// How far around its place a tile is sought, in pixels.
 const REACH: isize = 3;
 /// A tile says something where its trusted pixels' standard deviation is at least so many grey levels.
@@ -93,7 +95,8 @@ pub struct Survey {
 pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     let (width, height) = (both.reference.width(), both.reference.height());
     let warped = laid_on_reference(&both.frame, h, (width, height));
-    let side = width.max(height).div_ceil(TILES).max(8);
+    // Of a strip that is longer than so many squares the whole width.
+    let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
     // One task a tile; bands of one row each serve as the indexed map.
     let tiles: Vec<Tile> = map_bands(rows * columns, |range| {

@@ -225,7 +225,7 @@ pub struct Verdict {
     pub error_px: Option<f64>,
     /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
     pub confidence: f64,
-    /// Why it was rejected.
+    /// Why it was rejected, or taken as it lies although nothing shows that it lies so.
     pub reason: Option<String>,
 }
 
@@ -311,6 +311,7 @@ fn search(
     let looked: Vec<Result<(Seen, GreyPyramid)>> = bracket.frames().par_iter().map(look).collect();
     let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
+    let is_plain = seen.iter().all(|s| s.is_plain);
     // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
     let failed = Mutex::new(None);
     let grey = |i: usize| {
@@ -320,7 +321,7 @@ fn search(
         })
     };
     let reference = bracket.reference_index();
-    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, reference, given, options });
+    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
     match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
         None => Ok(found),
         Some(error) => Err(error),
@@ -333,6 +334,8 @@ struct Seen {
     stops: Option<u32>,
     /// Whether it is as good as blank.
     is_blank: bool,
+    /// Whether it is of one tone, blank or not.
+    is_plain: bool,
 }
 
 impl Seen {
@@ -344,6 +347,7 @@ impl Seen {
         Seen {
             stops: (stops >= LEAST_STOPS).then_some(stops),
             is_blank: nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK,
+            is_plain: nearly_most - nearly_least <= BLANK,
         }
     }
 }
@@ -383,6 +387,9 @@ const MOST_STOPS: u32 = 6;
 
 fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     let mut warnings = Vec::new();
+    let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
+    warnings
+        .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
         match verdict.status {
@@ -392,7 +399,7 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });
             }
-            _ if verdict.confidence < DOUBT => {
+            _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
                 warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
             }
             _ => {}

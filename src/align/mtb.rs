@@ -33,7 +33,7 @@ impl Default for MtbOptions {
 }
 
 /// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
-const COARSEST: usize = 32;
+pub(super) const COARSEST: usize = 32;
 
 /// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
 #[derive(Debug, Clone)]
@@ -249,20 +249,27 @@ impl Pair {
         self.reference.threshold.width().min(self.reference.threshold.height())
     }
 
-    /// The largest shift sought along an axis, in pixels of this level.
-    fn reach(&self, max_shift: f64) -> i64 {
-        let bitmap = &self.reference.threshold;
-        libm::ceil(max_shift * bitmap.width().max(bitmap.height()) as f64) as i64
+    /// The largest shifts sought, to the side and up or down, in pixels of this level: as many as [`MOST_WORK`] allows, and none that
+    /// leaves nothing in common. Neither is of any moment to a picture less than four times as long as it is wide.
+    fn reach(&self, max_shift: f64) -> (i64, i64) {
+        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
+        let (mut x, mut y) = (reach.min(width as i64 - 1), reach.min(height as i64 - 1));
+        let words = ((width.div_ceil(64) + ROW_WORDS) * height) as i64;
+        while (2 * x + 1) * (2 * y + 1) * words > MOST_WORK && x.max(y) > 0 {
+            if x >= y { x = x * 7 / 8 } else { y = y * 7 / 8 }
+        }
+        (x, y)
     }
 
     /// The share that differs at every whole shift up to `reach`, turned by `angle`.
-    fn rate_shifts(&self, angle: f64, reach: i64) -> Vec<(f64, Motion)> {
+    fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
         let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
         let mut turned = ThresholdBitmaps::blank(width, height);
         self.frame.lay(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
-        let mut rated = Vec::with_capacity((2 * reach + 1).pow(2) as usize);
-        for dy in -reach..=reach {
-            for dx in -reach..=reach {
+        let mut rated = Vec::with_capacity(((2 * reach.0 + 1) * (2 * reach.1 + 1)) as usize);
+        for dy in -reach.1..=reach.1 {
+            for dx in -reach.0..=reach.0 {
                 let difference = difference_shifted(&self.reference, &turned, dx, dy);
                 let says = difference.compared as f64 >= LEAST_COMPARED * (width * height) as f64;
                 let motion = Motion { angle, ..Motion::default() }.beside(dx, dy);
@@ -323,6 +330,12 @@ pub const ENOUGH_PIXELS: usize = 4_000_000;
 
 /// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
 const RIVALS_SIDE: usize = 128;
+
+/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second. Rivals of a picture of 4:1 take
+/// as many, all others fewer.
+const MOST_WORK: i64 = 1 << 29;
+/// To begin a row takes as long as so many words.
+const ROW_WORDS: usize = 8;
 
 /// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
 const BEAM: usize = 9;

@@ -3,6 +3,7 @@
 //! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`place::by_bitmaps`]; for
 //! one in doubt some times as much.
 
+use super::agreement::LEAST_SIDE;
 use super::comparison::{Comparison, level_to_full, measured_level};
 use super::feature_sets::{self, FeatureSets};
 use super::mtb::{self, GreyPyramid};
@@ -40,6 +41,8 @@ pub(super) struct Search<'a> {
     pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// Which frames are as good as blank.
     pub(super) blank: &'a [bool],
+    /// Whether all frames are of one tone each.
+    pub(super) is_plain: bool,
     pub(super) reference: usize,
     /// The frames whose place is given.
     pub(super) given: &'a [Option<Verdict>],
@@ -112,6 +115,12 @@ impl Search<'_> {
 
     /// By all means, as far as needed.
     pub(super) fn auto(&self) -> Vec<Verdict> {
+        let (width, height) = self.size();
+        if width.min(height) < LEAST_SIDE {
+            let mut verdicts = self.each(|_| rejected(why(None), 0.0, Found::default()));
+            self.take_as_they_lie(&mut verdicts);
+            return verdicts;
+        }
         let repeats = period::repeats(self.base(), &self.options.mtb);
         let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i, repeats)).collect();
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
@@ -128,6 +137,7 @@ impl Search<'_> {
         verdicts.push(Verdict { keypoints, ..Verdict::by_definition(Status::Reference) });
         verdicts.extend(brighter);
         self.keep_company(&mut verdicts);
+        self.take_as_they_lie(&mut verdicts);
         verdicts
     }
 
@@ -289,6 +299,30 @@ impl Search<'_> {
                     verdict.confidence = verdict.confidence.max(BY_COMPANY);
                     verdict.error_px = Some(here.error_px.max(farthest));
                 }
+            }
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Where no frame shows anything, none of them can be placed, nor need it be: a black picture lies right anywhere. Nor can frames that are
+    /// smaller than any level that is searched. That another place would not do as well is not known, so there is no confidence in this one.
+    fn take_as_they_lie(&self, verdicts: &mut [Verdict]) {
+        let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
+        if others().any(|v| v.warp.is_some()) {
+            return;
+        }
+        let (width, height) = self.size();
+        let reason = match (self.is_plain, width.min(height) < mtb::COARSEST) {
+            (true, _) => "each of them is of one tone all over".to_owned(),
+            (_, true) => format!("{width}x{height} pixels are too few"),
+            _ => return,
+        };
+        for (i, verdict) in verdicts.iter_mut().enumerate() {
+            if verdict.status == Status::Rejected && self.given[i].is_none() {
+                let unmoved = Verdict::by_definition(Status::Unmoved);
+                let (inliers, keypoints) = (verdict.inliers, verdict.keypoints);
+                *verdict = Verdict { inliers, keypoints, confidence: 0.0, reason: Some(reason.clone()), ..unmoved };
             }
         }
     }

@@ -27,6 +27,8 @@ const BARELY_EXPOSED: (usize, usize) = (4, 250);
 const TAIL: u64 = 32;
 /// A step below this, in EV, is none at all.
 const STEP: f64 = 0.2;
+/// A step that is off by this, in EV, is off by no weather: a slip of the pen, or a tag that counts otherwise.
+const FAR_OFF: f64 = 3.0;
 
 /// The histogram of a frame's green channel, at 8 bit.
 #[derive(Debug, Clone)]
@@ -56,6 +58,11 @@ impl Brightness {
     fn mean(&self) -> f64 {
         let sum: u64 = self.counts.iter().zip(0u64..).map(|(n, code)| n * code).sum();
         sum as f64 / self.total().max(1) as f64
+    }
+
+    /// Whether the two have as many pixels of every code.
+    pub fn is_like(&self, other: &Brightness) -> bool {
+        self.counts == other.counts
     }
 
     fn total(&self) -> u64 {
@@ -108,7 +115,7 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
     // Rises from both ends, but reaches 1 soon: the middle is not better than the rest.
     let trust = |code: f64| (code - lowest + 1.0).min(highest + 1.0 - code).min(40.0);
     let scale = bright.total() as f64 / dark.total().max(1) as f64;
-    let mut ratios = Vec::new();
+    let (mut ratios, mut tones) = (Vec::new(), 0);
     for k in low..high {
         let below = dark.below[k + 1];
         if below.min(dark.total() - below) < TAIL {
@@ -119,10 +126,11 @@ fn step_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usiz
             let seen = dark.about(k).min((bright.about(to as usize) as f64 / scale) as u64);
             let weight = trust(from).min(trust(to)) * (seen as f64).sqrt();
             ratios.push((libm::log2(linear(to) / linear(from)), weight));
+            tones += usize::from(dark.counts[k] > 0);
         }
     }
-    // Fewer codes than these are a chance match.
-    if ratios.len() < 8 {
+    // Fewer codes than these are a chance match. A drawing of two tones is all gap: between them rank says nothing.
+    if ratios.len() < 8 || tones < 4 {
         return None;
     }
     ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -198,7 +206,8 @@ pub fn all_alike(evs: &[f64]) -> bool {
 /// Why `written`, the exposures in EV that the files give, cannot be those of `frames`; `None` where they may well be.
 ///
 /// Plain contradictions only, since the estimate is rough and light may change between frames: all written alike although the pictures
-/// differ by more than 0.6 EV, or a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more.
+/// differ by more than 0.6 EV; a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more; or a step
+/// that is at least twice, and at least 3 EV more, or as much less, than the pictures have.
 pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     if spread(written) <= 0.05 {
         let seen = spread(&estimate(frames)?);
@@ -209,8 +218,16 @@ pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];
         let seen = step(&frames[pair[0]], &frames[pair[1]])? / CONTRAST;
-        (said >= 0.3 && seen <= -0.5)
-            .then(|| format!("one frame should be {said:.1} EV brighter than the next, but is {:.1} EV darker", -seen))
+        if said >= 0.3 && seen <= -0.5 {
+            let darker = -seen;
+            return Some(format!(
+                "one frame should be {said:.1} EV brighter than the next, but is {darker:.1} EV darker"
+            ));
+        }
+        let (less, more) = if said < seen { (said, seen) } else { (seen, said) };
+        (more - less >= FAR_OFF && more >= 2.0 * less).then(|| {
+            format!("one frame should be {said:.1} EV brighter than the next, but is brighter by about {seen:.1} EV")
+        })
     })
 }
 
@@ -270,6 +287,29 @@ mod tests {
         assert!(contradiction(&[-4.0, -5.0], &frames).is_some());
         // A third of a stop in light is weather, not a contradiction.
         assert_eq!(contradiction(&[0.0, 0.0], &[picture(0.0, 1.4, 0), picture(0.3, 1.4, 0)]), None);
+    }
+
+    #[test]
+    fn a_step_that_is_far_off_contradicts() {
+        let frames = [picture(0.0, 1.4, 0), picture(2.0, 1.4, 0)];
+        // A millionth and a million are 20 EV; two EV more than there are may be a rough estimate.
+        assert_eq!(contradiction(&[0.0, 4.0], &frames), None);
+        assert!(contradiction(&[0.0, 22.0], &frames).is_some());
+        assert!(contradiction(&[22.0, 0.0], &frames).is_some());
+        let far = [picture(-2.0, 1.4, 0), picture(2.0, 1.4, 0)];
+        assert!(contradiction(&[0.0, 0.5], &far).is_some());
+        assert_eq!(contradiction(&[0.0, 2.5], &far), None);
+    }
+
+    /// Between its two codes anything may be: a step has nothing to hold on to.
+    #[test]
+    fn two_tones_tell_no_step() {
+        let tones = |dark: u8, bright: u8| {
+            let codes = (0..3 * 64 * 64).map(|i| if i / 24 % 2 == 0 { dark } else { bright }).collect();
+            Brightness::of(&Samples::Eight(codes), 64)
+        };
+        assert_eq!(estimate(&[tones(15, 115), tones(30, 190)]), None);
+        assert_eq!(contradiction(&[0.0, 2.0], &[tones(15, 115), tones(30, 190)]), None);
     }
 
     #[test]

@@ -8,6 +8,7 @@
 use super::brightness::{self, Brightness};
 use super::capture;
 use super::colour::{Found, Profile};
+use super::copies::{self, Copied, Look};
 use super::decode::{self, Decoded};
 use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
 use super::window::Store;
@@ -88,12 +89,14 @@ pub fn load_with_progress(
     widen_mixed_depths(&mut pictures, scratch.as_ref())?;
 
     let mut warnings = Vec::new();
+    let copies = copies::find(&pictures.iter().map(Picture::look).collect::<Vec<_>>())?;
+    warnings.extend(copies.iter().map(Copied::warning));
     let exposures = match given {
         Some(given) => {
-            warnings.extend(doubtful(&pictures, &given));
+            warnings.extend(doubtful(&pictures, &copies, &given));
             given
         }
-        None => settle_exposures(&mut pictures, &mut warnings)?,
+        None => settle_exposures(&mut pictures, &copies, &mut warnings)?,
     };
     let mut notes = HashMap::new();
     let frames = pictures
@@ -242,6 +245,13 @@ impl Picture {
     }
 }
 
+impl Picture {
+    fn look(&self) -> Look<'_> {
+        let Picture { path, width, height, store, brightness, well_exposed, .. } = self;
+        Look { path, size: (*width, *height), store, brightness, well_exposed: *well_exposed }
+    }
+}
+
 /// The file `path`, decoded.
 pub(super) fn decoded(path: &Path, max_pixels: u64) -> Result<Decoded> {
     let unreadable = |source| Error::Read { path: path.into(), source };
@@ -319,14 +329,15 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
 }
 
 /// What the pixels say against the exposures that the user gives; these are taken all the same.
-fn doubtful(pictures: &[Picture], given: &[Exposure]) -> Option<Warning> {
+fn doubtful(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
     let seen: Vec<Brightness> = pictures.iter().map(|p| p.brightness.clone()).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
-    Some(Warning::ExposureDoubtful { detail: brightness::contradiction(&given, &seen)? })
+    let detail = copies::contradiction(copies, &given).or_else(|| brightness::contradiction(&given, &seen))?;
+    Some(Warning::ExposureDoubtful { detail })
 }
 
 /// The exposures by EXIF where they are whole and possible, else by the pixels.
-fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Result<Vec<Exposure>> {
+fn settle_exposures(pictures: &mut [Picture], copies: &[Copied], warnings: &mut Vec<Warning>) -> Result<Vec<Exposure>> {
     let tags: Vec<_> = pictures.iter().map(|p| p.tags).collect();
     let (by_tags, assumed) = exposure::by_tags(&tags);
     let missing: Vec<usize> = (0..by_tags.len()).filter(|&i| by_tags[i].is_none()).collect();
@@ -345,8 +356,11 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
         };
         warning = |detail| Warning::ExposureEstimated { detail };
     } else {
-        let written: Vec<f64> = order.iter().filter_map(|&i| by_tags[i].as_ref().map(Exposure::ev)).collect();
-        let Some(contradiction) = brightness::contradiction(&written, &seen) else {
+        let written: Vec<f64> = by_tags.iter().flatten().map(Exposure::ev).collect();
+        let by_path: Vec<f64> = order.iter().map(|&i| written[i]).collect();
+        let contradiction =
+            copies::contradiction(copies, &written).or_else(|| brightness::contradiction(&by_path, &seen));
+        let Some(contradiction) = contradiction else {
             for (i, detail) in assumed {
                 let path = pictures[i].path.clone();
                 pictures[i].warnings.push(Warning::ExposureIncomplete { path, detail });
@@ -357,13 +371,22 @@ fn settle_exposures(pictures: &mut [Picture], warnings: &mut Vec<Warning>) -> Re
         warning = |detail| Warning::ExposureContradicted { detail };
     }
 
-    let unknown = |reason: &str| Error::NoExposure {
-        path: pictures[missing.first().copied().unwrap_or(0)].path.clone(),
-        reason: format!("it has no usable exposure in its EXIF, and {reason}"),
+    let unknown = |reason: &str| match missing.first() {
+        Some(&first) => Error::NoExposure {
+            path: pictures[first].path.clone(),
+            reason: format!("it has no usable exposure in its EXIF, and {reason}"),
+        },
+        None => Error::NoExposure {
+            path: pictures[order[0]].path.clone(),
+            reason: format!("the exposures in the files contradict the pixels ({what}), and {reason}"),
+        },
     };
-    let steps = brightness::estimate(&seen)
-        .ok_or_else(|| unknown("the pictures are too dark or too bright to tell it from the pixels"))?;
-    if brightness::all_alike(&steps) {
+    // Copies of one photograph were exposed as one, whatever it shows.
+    let is_one = missing.is_empty() && copies.len() + 1 == pictures.len();
+    let steps = if is_one { Some(vec![0.0; pictures.len()]) } else { brightness::estimate(&seen) };
+    let steps = steps
+        .ok_or_else(|| unknown("the pictures are too dark, too bright or too plain to tell it from the pixels"))?;
+    if brightness::all_alike(&steps) && !is_one {
         return Err(unknown("the pictures are equally bright"));
     }
     // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them.
@@ -400,7 +423,8 @@ fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     exposure
 }
 
-fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
+/// What there is to say of frames whose colours are others than the reference's.
+pub(crate) fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
     let name = |frame: &Frame| frame.profile.as_ref().map_or("none, so sRGB".into(), |p| p.description.clone());
     let kept = bracket.reference();
     bracket

@@ -8,6 +8,7 @@ mod brightness;
 mod capture;
 mod carried;
 pub mod colour;
+mod copies;
 mod decode;
 pub mod exposure;
 mod grey;
@@ -18,8 +19,8 @@ mod photograph;
 mod reference;
 mod window;
 
-pub(crate) use load::identity;
 pub use load::{LoadOptions, load, load_with_progress};
+pub(crate) use load::{differing_profiles, identity};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub use window::{Codes, Window};
@@ -229,6 +230,20 @@ impl Bracket {
             },
         };
         Ok(Bracket { frames, reference, scratch: None })
+    }
+
+    /// The same frames, but that with index `reference` is the one that the others are aligned to.
+    ///
+    /// # Panics
+    /// Where there is no such frame.
+    pub fn with_reference(self, reference: usize) -> Self {
+        assert!(reference < self.frames.len(), "the reference is one of the frames");
+        Bracket { reference, ..self }
+    }
+
+    /// The index of the frame that sees the most of those that `is_open` tells; none where there is none.
+    pub(crate) fn best_of(&self, is_open: impl Fn(usize) -> bool) -> Option<usize> {
+        reference::best_of(&self.frames, is_open)
     }
 
     /// The same frames in the same order, the exposure of each corrected by so many stops: order is by the exposures as loaded.

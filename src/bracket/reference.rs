@@ -62,14 +62,18 @@ pub(super) fn named(frames: &[Frame], path: &Path) -> Option<usize> {
 /// None of `except` is chosen, unless there is no other.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let excluded: Vec<usize> = except.iter().filter_map(|path| named(frames, path)).collect();
-    let is_open = |i: &usize| !excluded.contains(i) || excluded.len() >= frames.len();
-    let seen: Vec<u64> = frames.iter().enumerate().map(|(i, f)| if is_open(&i) { f.well_exposed } else { 0 }).collect();
+    let is_open = |i: usize| !excluded.contains(&i) || excluded.len() >= frames.len();
+    best_of(frames, is_open).unwrap_or(frames.len() / 2)
+}
+
+/// The frame that sees the most of those that `is_open` tells.
+pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Option<usize> {
+    let seen: Vec<u64> = frames.iter().enumerate().map(|(i, f)| if is_open(i) { f.well_exposed } else { 0 }).collect();
     let most = seen.iter().copied().max().unwrap_or(0);
     let centre = frames.len() as i64 - 1;
     (0..frames.len())
-        .filter(|&i| is_open(&i) && 20 * seen[i] >= 19 * most)
+        .filter(|&i| is_open(i) && 20 * seen[i] >= 19 * most)
         .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
-        .unwrap_or(frames.len() / 2)
 }
 
 /// Of every fourth pixel of every fourth row of a picture `width` pixels wide, how many have all channels within 1/16 .. 15/16 of the range.

@@ -3,10 +3,11 @@
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
 use super::fusion;
+use super::referred;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
-use crate::align::{self, Alignment, Rect};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::error::{Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Unit};
@@ -151,12 +152,19 @@ impl<'a> Line<'a> {
         Ok(bracket)
     }
 
-    pub fn align(&mut self, bracket: &Bracket, options: &Options) -> Result<Alignment> {
-        let (aligned, time) = self.timed(Stage::Align, || align::align(bracket, &options.align));
-        let (alignment, warnings) = aligned?;
+    /// Where its frames lie, and the bracket with the reference that this is of: that which it has, or another ([`referred`]).
+    pub fn align(&mut self, bracket: Bracket, options: &Options) -> Result<(Bracket, Alignment)> {
+        let reference = bracket.reference_index();
+        let (aligned, time) = self.timed(Stage::Align, || referred::align(bracket, options));
+        let (bracket, alignment, warnings) = aligned?;
         self.times.align = time;
+        if bracket.reference_index() != reference {
+            // Of colours that are others than the reference's there is something else to say.
+            self.warnings.retain(|warning| !matches!(warning, Warning::ProfilesDiffer { .. }));
+            self.warnings.extend(bracket::differing_profiles(&bracket));
+        }
         self.warnings.extend(warnings);
-        Ok(alignment)
+        Ok((bracket, alignment))
     }
 
     /// The bracket with the exposures that are divided out, and the curve.

@@ -100,6 +100,10 @@ impl Operator {
     pub fn settled(&self, overview: Overview) -> Tones {
         let width = overview.width();
         let Some(scene) = overview.scene() else { return Tones::black(width) };
+        // Nothing in it says what is dark and what is bright.
+        if scene.is_plain() {
+            return Tones::as_photographed(scene.to_srgb, width);
+        }
         match self {
             Operator::Natural(options) => natural::natural(&scene, options),
             Operator::Reinhard02(options) => reinhard::global(&scene, options),
@@ -156,10 +160,53 @@ impl Rendering {
     }
 }
 
-/// The picture of `radiance` by `operator`. Same radiance but for a factor, same picture, unless options fix the scale.
+/// The picture of `radiance` by `operator`. Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
 pub fn tonemap(radiance: &RadianceMap, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries);
     overview.see(0, pixels);
     DisplayImage { pixels: operator.settled(overview).picture(pixels) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+
+    fn every() -> Vec<Operator> {
+        vec![
+            Operator::Natural(natural::Options::default()),
+            Operator::Reinhard02(reinhard::Options::default()),
+            Operator::Reinhard02Local(reinhard::Options::default()),
+            Operator::Drago(drago::Options::default()),
+            Operator::Durand(durand::Options::default()),
+            Operator::Fattal(fattal::Options::default()),
+            Operator::Mantiuk06(mantiuk06::Options::default()),
+            Operator::Mantiuk08(mantiuk08::Options::default()),
+        ]
+    }
+
+    /// Radiance 1 is the middle code; 4.7 and what is above it is white (1 / 0.2159 = 4.63); the least code but 0 is 0.00014 / 0.2159.
+    #[test]
+    fn one_tone_is_what_the_photographs_showed() {
+        for operator in every() {
+            let code = |pixel: [f32; 3], size: (usize, usize)| {
+                let pixels = Plane::filled(size.0, size.1, pixel);
+                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, &operator).pixels;
+                assert!(picture.as_slice().iter().all(|p| *p == picture.at(0, 0)), "{}", operator.name());
+                picture.at(0, 0)
+            };
+            for size in [(1, 1), (2, 3), (70, 65)] {
+                assert_eq!(code([1.0; 3], size), [128; 3], "{}", operator.name());
+                assert_eq!(code([4.7; 3], size), [255; 3], "{}", operator.name());
+                assert_eq!(code([9e-5; 3], size), [0; 3], "{}", operator.name());
+                let [r, g, b] = code([2.0, 1.0, 0.5], size);
+                assert!(
+                    r > g && g > b && g.abs_diff(128) <= 1 && r.abs_diff(176) <= 1,
+                    "{} {r} {g} {b}",
+                    operator.name()
+                );
+            }
+        }
+    }
 }

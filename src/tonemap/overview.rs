@@ -107,6 +107,9 @@ impl Overview {
     }
 }
 
+/// What a plain surface may vary by, in stops, through noise and rounding; the least that light falls off by towards a picture's corners is more.
+const ONE_TONE: f32 = 0.25;
+
 /// What stands for the logarithm where there is no light.
 const UNLIT: f32 = -1000.0;
 
@@ -160,6 +163,14 @@ impl Scene {
     /// The log2 luminance that a part `p`, 0..=1, of the pixels is below.
     pub fn percentile(&self, p: f64) -> f64 {
         f64::from(quantile(&self.sample, p))
+    }
+
+    /// Whether it is of one tone: all that is lit within [`ONE_TONE`].
+    pub fn is_plain(&self) -> bool {
+        let cells = self.logs.as_slice().iter();
+        let (least, most) =
+            self.sample.iter().chain(cells).fold((f32::MAX, f32::MIN), |(a, b), &l| (a.min(l), b.max(l)));
+        most - least <= ONE_TONE
     }
 
     /// The mean of the log2 luminances, those beyond `ends` counted as the ends.

@@ -7,6 +7,7 @@
 
 use super::display::{Encoder, ToSrgb, into_gamut, luminance};
 use super::guide::Guide;
+use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised};
 
@@ -79,6 +80,13 @@ impl Tones {
     pub fn black(width: usize) -> Self {
         let none = Curve::new(|_| 0.0, |_| 0.0, 0.0);
         Tones::new(ToSrgb::from(&crate::bracket::colour::Primaries::SRGB), Guide::shifted(0.0), none, width)
+    }
+
+    /// As a photograph shows it: radiance 1 has the middle code, 128, as in the reference that it was merged to.
+    pub fn as_photographed(to_srgb: ToSrgb, width: usize) -> Self {
+        let middle = srgb_to_linear(128.0 / 255.0);
+        let curve = Curve::new(|v| middle * libm::exp2(v), |_| 1.0, 1.0);
+        Tones::new(to_srgb, Guide::shifted(0.0), curve, width)
     }
 
     /// Maps whole rows of radiance, the first of which is row `first` of the picture, to as many codes.

@@ -3,6 +3,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod bad_brackets;
 mod batch;
 mod cards;
 mod compare;

@@ -73,10 +73,9 @@ fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Li
     if is_one_of_many {
         own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
     }
-    let alignment = line.align(&bracket, &own)?;
+    let (mut bracket, alignment) = line.align(bracket, &own)?;
     check_placed(&bracket, &alignment)?;
     let mut places = Places::of(&bracket, &alignment)?;
-    let mut bracket = bracket;
     if own.exposures == Exposures::FineTuned {
         let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
         line.warnings.extend(warnings);

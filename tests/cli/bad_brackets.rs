@@ -1,0 +1,211 @@
+//! Brackets that are none, or hardly: what becomes of each is stated in `docs/robustness.md`, and held here.
+
+use crate::support::{FRAMES, Folder, jpeg, small};
+use exif::experimental::Writer;
+use exif::{Field, In, Rational, Tag, Value as Exif};
+use hdralign::read;
+use image::{Rgb, RgbImage};
+use img_parts::{Bytes, ImageEXIF};
+use serde_json::Value;
+use std::io::Cursor;
+use std::sync::OnceLock;
+
+mod exposures;
+mod kinds;
+mod night;
+mod plain;
+mod scenes;
+mod sensors;
+mod sizes;
+mod sweep;
+
+/// Frame `i` of the small bracket, 300 x 200 pixels, opened once.
+fn frame(i: usize) -> RgbImage {
+    static FRAMES_SEEN: OnceLock<Vec<RgbImage>> = OnceLock::new();
+    FRAMES_SEEN.get_or_init(|| (1..=FRAMES).map(small).collect())[i - 1].clone()
+}
+
+/// 120 x 80 pixels of one colour.
+fn flat(colour: [u8; 3]) -> RgbImage {
+    RgbImage::from_pixel(120, 80, Rgb(colour))
+}
+
+/// `picture` with the EXIF of frame `i`, as `f<n>.jpg`, for `n` from 1 on.
+fn exposed(folder: &Folder, pictures: &[(&RgbImage, usize)]) -> String {
+    let name = |n: usize| format!("f{}.jpg", n + 1);
+    for (n, (picture, i)) in pictures.iter().enumerate() {
+        folder.put(&name(n), &jpeg(picture, Some(*i)));
+    }
+    (0..pictures.len()).map(name).collect::<Vec<_>>().join(" ")
+}
+
+/// The pixels as they are, without EXIF, as `f<n>.png`.
+fn lossless(folder: &Folder, pictures: &[&RgbImage]) -> String {
+    let name = |n: usize| format!("f{}.png", n + 1);
+    for (n, picture) in pictures.iter().enumerate() {
+        folder.put(&name(n), &png(picture));
+    }
+    (0..pictures.len()).map(name).collect::<Vec<_>>().join(" ")
+}
+
+/// `picture` as a PNG.
+fn png(picture: &RgbImage) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, image::ImageFormat::Png).expect("a PNG");
+    bytes.into_inner()
+}
+
+/// A JPEG whose EXIF has nothing but this exposure time, in s.
+fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
+    let field =
+        Field { tag: Tag::ExposureTime, ifd_num: In::PRIMARY, value: Exif::Rational(vec![Rational { num, denom }]) };
+    let mut writer = Writer::new();
+    writer.push_field(&field);
+    let mut exif = Cursor::new(Vec::new());
+    writer.write(&mut exif, false).expect("EXIF");
+    let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");
+    file.set_exif(Some(exif.into_inner().into()));
+    file.encoder().bytes().to_vec()
+}
+
+/// `file`, a JPEG or a PNG, with the EXIF of frame `i`.
+fn with_exif_of(i: usize, file: Vec<u8>) -> Vec<u8> {
+    let exif =
+        img_parts::jpeg::Jpeg::from_bytes(Bytes::from(crate::support::small_jpeg(i).to_vec())).expect("a JPEG").exif();
+    let mut file = img_parts::DynImage::from_bytes(Bytes::from(file)).expect("readable").expect("a JPEG or PNG");
+    file.set_exif(exif);
+    file.encoder().bytes().to_vec()
+}
+
+/// A frame of another scene, as bright as frame `i`: a wall of planks and a lamp.
+fn elsewhere(i: usize) -> RgbImage {
+    let light = libm::exp2(2.0 * i as f64 - 6.0);
+    let mut random = Random(77);
+    let plank: Vec<f64> = (0..26).map(|_| 0.05 + 0.4 * random.next()).collect();
+    RgbImage::from_fn(300, 200, |x, y| {
+        let (u, v) = (f64::from(x), f64::from(y));
+        let tilted = ((u + 0.35 * v) / 16.0) as usize;
+        let grain = 1.0 + 0.25 * libm::sin(0.9 * v + 13.0 * plank[tilted] * u);
+        let lamp = 3.0 * libm::exp(-((u - 210.0) * (u - 210.0) + (v - 60.0) * (v - 60.0)) / 900.0);
+        let seen =
+            |tint: f64| (255.0 * libm::pow((light * tint * (plank[tilted] * grain + lamp)).min(1.0), 0.45)) as u8;
+        Rgb([seen(1.0), seen(0.9), seen(0.75)])
+    })
+}
+
+/// Numbers of 0..1 that are the same on every machine (Knuth's congruential generator).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// `picture` with noise evenly from -`most` to `most` codes in each sample.
+    fn noisy(&mut self, picture: &RgbImage, most: f64) -> RgbImage {
+        let mut noisy = picture.clone();
+        for sample in noisy.iter_mut() {
+            *sample = (f64::from(*sample) + most * (2.0 * self.next() - 1.0)).round().clamp(0.0, 255.0) as u8;
+        }
+        noisy
+    }
+}
+
+/// `picture` with every code times `factor`.
+fn times(picture: &RgbImage, factor: f64) -> RgbImage {
+    let mut scaled = picture.clone();
+    scaled.iter_mut().for_each(|v| *v = (f64::from(*v) * factor).round().min(255.0) as u8);
+    scaled
+}
+
+/// What a merge left, looked through.
+struct Merged {
+    report: Value,
+    radiance: Vec<[f32; 3]>,
+    picture: RgbImage,
+}
+
+/// `merge NAMES OPTIONS`, which must succeed; radiance must be finite and not negative, files and report one size, and the warnings told.
+fn merged(folder: &Folder, line: &str) -> Merged {
+    let run = folder.line(&format!("merge {line} -o a.exr -o a.png --report r.json --force")).done();
+    let report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
+    let (map, _) = read::read(&folder.at("a.exr")).expect("an EXR");
+    let picture = image::open(folder.at("a.png")).expect("a PNG").to_rgb8();
+    let size = ["width_px", "height_px"].map(|key| report["crop"][key].as_u64().expect("a number") as usize);
+    assert_eq!(size, [map.pixels.width(), map.pixels.height()], "{line}");
+    assert_eq!(size, [picture.width() as usize, picture.height() as usize], "{line}");
+    let radiance = map.pixels.into_vec();
+    assert!(radiance.iter().flatten().all(|v| v.is_finite() && *v >= 0.0), "{line}: radiance is no light");
+    let told = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    for warning in report["warnings"].as_array().expect("a list") {
+        let message = warning["message"].as_str().expect("a text");
+        assert!(told.contains(message), "{line}: {message:?} is not told:\n{told}");
+    }
+    Merged { report, radiance, picture }
+}
+
+impl Merged {
+    fn frame(&self, file: &str) -> &Value {
+        let frames = self.report["frames"].as_array().expect("a list");
+        frames.iter().find(|f| f["path"] == file).unwrap_or_else(|| panic!("{file} is not in {frames:?}"))
+    }
+
+    fn status(&self, file: &str) -> &str {
+        self.frame(file)["alignment"]["status"].as_str().expect("a text")
+    }
+
+    fn confidence(&self, file: &str) -> f64 {
+        self.frame(file)["alignment"]["confidence"].as_f64().expect("a number")
+    }
+
+    fn warnings(&self) -> Vec<&str> {
+        self.report["warnings"]
+            .as_array()
+            .expect("a list")
+            .iter()
+            .map(|w| w["message"].as_str().expect("a text"))
+            .collect()
+    }
+
+    /// Whether one warning has all of these parts, and counts as `degrades`.
+    fn warns(&self, degrades: bool, parts: &[&str]) -> bool {
+        self.report["warnings"].as_array().expect("a list").iter().any(|w| {
+            let message = w["message"].as_str().expect("a text");
+            w["degrades"] == degrades && parts.iter().all(|part| message.contains(part))
+        })
+    }
+
+    /// Where the corners of the reference lie in `file`, in pixels.
+    fn corners(&self, file: &str) -> [[f64; 2]; 4] {
+        let h = &self.frame(file)["alignment"]["homography"];
+        let n = |i: usize| h[i].as_f64().expect("a number");
+        [[0.0, 0.0], [299.0, 0.0], [0.0, 199.0], [299.0, 199.0]].map(|[x, y]| {
+            let w = n(6) * x + n(7) * y + n(8);
+            [(n(0) * x + n(1) * y + n(2)) / w, (n(3) * x + n(4) * y + n(5)) / w]
+        })
+    }
+}
+
+/// How far apart the places are that two runs found for `file`: the largest distance of a corner, in pixels.
+fn apart(a: &Merged, b: &Merged, file: &str) -> f64 {
+    let (a, b) = (a.corners(file), b.corners(file));
+    let distance = |i: usize| ((a[i][0] - b[i][0]).powi(2) + (a[i][1] - b[i][1]).powi(2)).sqrt();
+    (0..4).map(distance).fold(0.0, f64::max)
+}
+
+/// A merge that is refused: exit code 1, one error with these parts, nothing on stdout, nothing written.
+fn refused(folder: &Folder, line: &str, said: &[&str]) {
+    let before = folder.listing();
+    let run = folder.line(&format!("merge {line} -o a.exr -o a.png"));
+    assert_eq!((run.code, run.stdout.as_str()), (1, ""), "{line}\n{}", run.stderr);
+    assert_eq!(folder.listing(), before, "{line}: something was left behind");
+    for part in said {
+        assert!(run.stderr.contains(part), "{line}\n{}does not say {part:?}", run.stderr);
+    }
+}
+
+/// The exit code of the same with `--strict`.
+fn strict(folder: &Folder, line: &str) -> i32 {
+    folder.line(&format!("merge {line} -o strict.exr --strict --force")).code
+}

@@ -1,0 +1,175 @@
+//! Exposures that are missing, equal, reversed, impossible; photographs that are there twice.
+
+use super::*;
+
+fn relative(merged: &Merged, file: &str) -> f64 {
+    merged.frame(file)["relative_exposure"].as_f64().expect("a number")
+}
+
+/// Stops from `a` to `b`.
+fn stops(merged: &Merged, a: &str, b: &str) -> f64 {
+    libm::log2(relative(merged, b) / relative(merged, a))
+}
+
+/// The frames 2, 3 and 4, two stops apart, with the EXIF of those of `exif`.
+fn window(folder: &Folder, exif: [usize; 3]) -> String {
+    exposed(folder, &[(&frame(2), exif[0]), (&frame(3), exif[1]), (&frame(4), exif[2])])
+}
+
+#[test]
+fn exif_that_is_reversed_or_equal_is_not_believed() {
+    for exif in [[4, 3, 2], [3, 3, 3]] {
+        let folder = Folder::empty();
+        let names = window(&folder, exif);
+        let merged = merged(&folder, &names);
+        assert!(merged.warns(true, &["contradict the pixels", "estimated", "-e"]), "{:?}", merged.warnings());
+        for (a, b) in [("f1.jpg", "f2.jpg"), ("f2.jpg", "f3.jpg")] {
+            let seen = stops(&merged, a, b);
+            // The estimate is right to some tenths of a stop.
+            assert!((seen - 2.0).abs() < 0.4, "{a} {b}: {seen}");
+        }
+        assert_eq!(strict(&folder, &names), 3);
+    }
+}
+
+/// A time of 0, of infinity, or none at all, in one frame of three.
+#[test]
+fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
+    for odd in [timed(&frame(4), 0, 1), timed(&frame(4), 1, 0), timed(&frame(4), 0, 0), jpeg(&frame(4), None)] {
+        let folder = Folder::empty();
+        let names = window(&folder, [2, 3, 4]);
+        folder.put("f3.jpg", &odd);
+        let merged = merged(&folder, &names);
+        assert!(merged.warns(true, &["f3.jpg does not say how it was exposed"]), "{:?}", merged.warnings());
+        assert!((stops(&merged, "f2.jpg", "f3.jpg") - 2.0).abs() < 0.4, "{}", stops(&merged, "f2.jpg", "f3.jpg"));
+    }
+}
+
+/// One frame's time is a million times what it was, or a millionth.
+#[test]
+fn exif_that_is_off_by_a_million_is_not_believed() {
+    for (num, denom) in [(125_000, 1), (1, 8_000_000)] {
+        let folder = Folder::empty();
+        let times = [(1, 128), (1, 32), (num, denom)];
+        for (i, (num, denom)) in times.into_iter().enumerate() {
+            folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), num, denom));
+        }
+        let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg");
+        assert!(merged.warns(true, &["contradict the pixels", "-e"]), "{:?}", merged.warnings());
+        assert!((stops(&merged, "f2.jpg", "f3.jpg") - 2.0).abs() < 0.4, "{}", stops(&merged, "f2.jpg", "f3.jpg"));
+    }
+}
+
+#[test]
+fn exif_that_is_off_by_a_stop_is_mended_in_part_and_told() {
+    let folder = Folder::empty();
+    for (i, denom) in [128, 32, 16].into_iter().enumerate() {
+        folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
+    }
+    let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg");
+    assert!(merged.warns(true, &["the pixels say that its exposure is off by", "give -e"]), "{:?}", merged.warnings());
+    assert_eq!(merged.frame("f3.jpg")["exposure_source"], "exif");
+}
+
+/// The user's word is taken, with a warning where it cannot be; and whatever it is, radiance is light.
+#[test]
+fn what_the_user_says_is_done_and_doubted() {
+    let folder = Folder::empty();
+    let names = window(&folder, [2, 3, 4]);
+    for (ev, is_doubted) in [
+        ("-2,0,2", false),
+        ("2,0,-2", true),
+        ("0,0,0", true),
+        ("-20,0,20", true),
+        ("-2,0,20", true),
+        ("-40,0,40", true),
+        ("-2,1,2", false),
+    ] {
+        let merged = merged(&folder, &format!("{names} -e={ev}"));
+        assert_eq!(merged.warns(true, &["-e contradict the pixels"]), is_doubted, "{ev}: {:?}", merged.warnings());
+        assert_eq!(merged.frame("f1.jpg")["exposure_source"], "given");
+    }
+}
+
+/// Under two names, with one exposure: the same light, as good as one of them, and a warning.
+#[test]
+fn a_copy_adds_nothing_and_is_told() {
+    let folder = Folder::empty();
+    let names = exposed(&folder, &[(&frame(3), 3), (&frame(3), 3)]);
+    let merged = merged(&folder, &names);
+    assert!(
+        merged.warns(true, &["f2.jpg: has the same pixels as f1.jpg", "leave one of them out"]),
+        "{:?}",
+        merged.warnings()
+    );
+    assert_eq!(merged.status("f2.jpg"), "unmoved");
+    assert!(merged.confidence("f2.jpg") > 0.9);
+    assert_eq!(merged.report["crop"]["width_px"], 300);
+    assert_eq!(strict(&folder, &names), 3);
+}
+
+/// One photograph that claims two exposures: it is one exposure, so that the radiance is that of the frame by itself.
+#[test]
+fn a_copy_with_another_exposure_is_one_exposure() {
+    let (one, two) = (Folder::empty(), Folder::empty());
+    let honest = merged(&one, &exposed(&one, &[(&frame(3), 3), (&frame(3), 3)]));
+    let names = exposed(&two, &[(&frame(3), 2), (&frame(3), 3)]);
+    let lying = merged(&two, &names);
+    assert!(lying.warns(true, &["f2.jpg has the same pixels as f1.jpg", "2.0 EV apart"]), "{:?}", lying.warnings());
+    assert_eq!(stops(&lying, "f1.jpg", "f2.jpg"), 0.0);
+    assert_eq!(lying.radiance, honest.radiance);
+    assert_eq!(strict(&two, &names), 3);
+}
+
+/// Among others it does not spoil their steps.
+#[test]
+fn a_copy_among_others_has_the_exposure_of_its_pixels() {
+    let folder = Folder::empty();
+    let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&frame(3), 5)]);
+    let merged = merged(&folder, &names);
+    assert!(merged.warns(true, &["f3.jpg: has the same pixels as f2.jpg"]), "{:?}", merged.warnings());
+    assert!(merged.warns(true, &["contradict the pixels", "estimated"]), "{:?}", merged.warnings());
+    assert!(stops(&merged, "f2.jpg", "f3.jpg").abs() < 0.05);
+    assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 0.6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
+}
+
+#[test]
+fn equal_frames_without_exif_are_asked_for_exposures() {
+    let folder = Folder::empty();
+    let names = lossless(&folder, &[&frame(3), &frame(3)]);
+    refused(&folder, &names, &["f1.png", "no usable exposure", "equally bright", "-e"]);
+}
+
+/// Nothing but one frame is neither black nor burnt out: there is nothing to merge.
+#[test]
+fn all_but_one_burnt_out_or_black_is_refused() {
+    let (white, black) = (RgbImage::from_pixel(300, 200, Rgb([255; 3])), RgbImage::new(300, 200));
+    let middle = frame(3);
+    for pictures in [
+        [(&middle, 3), (&white, 4), (&white, 5)],
+        [(&black, 1), (&black, 2), (&middle, 3)],
+        [(&black, 1), (&middle, 3), (&white, 5)],
+    ] {
+        let folder = Folder::empty();
+        let names = exposed(&folder, &pictures);
+        let reference = format!("f{}.jpg", 1 + pictures.iter().position(|p| p.1 == 3).expect("the middle"));
+        refused(&folder, &names, &[&format!("{reference}: no other photograph could be aligned"), "--align none"]);
+        // From a tripod they are what they say: nothing, and too much.
+        let lain = merged(&folder, &format!("{names} --align none"));
+        assert_eq!(lain.report["crop"]["width_px"], 300);
+    }
+}
+
+/// Beside two that are good, one that is blank is left out.
+#[test]
+fn a_blank_frame_beside_good_ones_is_left_out() {
+    for (blank, at) in [(0, 1), (255, 5)] {
+        let folder = Folder::empty();
+        let picture = RgbImage::from_pixel(300, 200, Rgb([blank; 3]));
+        let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&picture, at)]);
+        let merged = merged(&folder, &names);
+        assert_eq!(merged.status("f3.jpg"), "rejected");
+        assert!(merged.warns(true, &["f3.jpg: left out"]), "{:?}", merged.warnings());
+        assert!(merged.confidence("f1.jpg").min(merged.confidence("f2.jpg")) > 0.8);
+    }
+}

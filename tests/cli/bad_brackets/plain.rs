@@ -1,0 +1,123 @@
+//! Frames that show nothing: black, white, one colour, noise, checkerboards.
+
+use super::*;
+
+/// Nothing to align by: merged as they lie, doubtful, and the picture is what the frames show.
+fn one_tone(colours: [[u8; 3]; 3]) -> Merged {
+    let folder = Folder::empty();
+    let frames = colours.map(flat);
+    let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
+    let merged = merged(&folder, &names);
+    assert!(merged.warns(true, &["show anything to align by", "one tone", "as they lie"]), "{:?}", merged.warnings());
+    for file in ["f1.jpg", "f3.jpg"] {
+        assert_eq!((merged.status(file), merged.confidence(file)), ("unmoved", 0.0), "{file}");
+    }
+    assert_eq!(merged.status("f2.jpg"), "reference");
+    assert_eq!(strict(&folder, &names), 3);
+    assert!(merged.radiance.iter().all(|p| *p == merged.radiance[0]), "one tone is many");
+    merged
+}
+
+#[test]
+fn an_all_black_bracket_is_black() {
+    let merged = one_tone([[0; 3]; 3]);
+    assert!(merged.picture.pixels().all(|p| p.0 == [0; 3]), "{:?}", merged.picture.get_pixel(0, 0));
+    assert_eq!(merged.report["radiance"]["all_black"], 120 * 80);
+}
+
+#[test]
+fn an_all_white_bracket_is_white() {
+    let merged = one_tone([[255; 3]; 3]);
+    assert!(merged.picture.pixels().all(|p| p.0 == [255; 3]), "{:?}", merged.picture.get_pixel(0, 0));
+    assert_eq!(merged.report["radiance"]["all_clipped"], 120 * 80);
+}
+
+#[test]
+fn a_bracket_of_one_colour_has_that_colour() {
+    // Two stops apart by sRGB's curve: a card as three exposures show it. The reference shows it as the picture does.
+    let merged = one_tone([[53, 33, 14], [105, 69, 35], [199, 136, 76]]);
+    let shown = merged.picture.get_pixel(0, 0).0;
+    // Exposures are not the camera's own steps, and JPEG rounds: within 6 codes of the reference.
+    assert!((0..3).all(|c| shown[c].abs_diff([105, 69, 35][c]) <= 6), "{shown:?}");
+}
+
+/// The same pixels at three exposures cannot be: they are one exposure, and the radiance that of one frame.
+#[test]
+fn one_colour_at_every_exposure_is_one_exposure() {
+    let merged = one_tone([[128; 3]; 3]);
+    assert!(merged.warns(true, &["f2.jpg has the same pixels as f1.jpg", "2.0 EV"]), "{:?}", merged.warnings());
+    assert!(merged.radiance.iter().flatten().all(|v| (v - 1.0).abs() < 0.02), "{:?}", merged.radiance[0]);
+    assert!(merged.picture.pixels().all(|p| p.0.iter().all(|v| v.abs_diff(128) <= 1)));
+}
+
+#[test]
+fn one_colour_a_frame_is_that_of_the_frame_that_shows_it() {
+    let merged = one_tone([[0; 3], [128; 3], [255; 3]]);
+    assert!(
+        merged.picture.pixels().all(|p| p.0.iter().all(|v| v.abs_diff(128) <= 1)),
+        "{:?}",
+        merged.picture.get_pixel(0, 0)
+    );
+}
+
+#[test]
+fn without_exposures_plain_frames_are_asked_for_them() {
+    for colour in [[0; 3], [255; 3], [90, 120, 60]] {
+        let folder = Folder::empty();
+        let names = lossless(&folder, &[&flat(colour), &flat(colour)]);
+        refused(&folder, &names, &["f1.png", "no usable exposure", "too dark, too bright or too plain", "-e"]);
+        let given = merged(&folder, &format!("{names} -e=-1,1"));
+        assert_eq!(given.status("f2.png"), if given.status("f1.png") == "reference" { "unmoved" } else { "reference" });
+    }
+}
+
+fn noise(seed: u64) -> RgbImage {
+    let mut random = Random(seed);
+    RgbImage::from_fn(150, 100, |_, _| Rgb([0; 3].map(|_| (256.0 * random.next()) as u8)))
+}
+
+#[test]
+fn noise_that_stays_is_a_still_picture() {
+    let folder = Folder::empty();
+    let pixels = noise(1);
+    let names = lossless(&folder, &[&times(&pixels, 0.5), &pixels]);
+    let merged = merged(&folder, &format!("{names} -e=-2,0"));
+    for file in ["f1.png", "f2.png"] {
+        assert!(matches!(merged.status(file), "unmoved" | "reference"), "{file}");
+    }
+}
+
+#[test]
+fn noise_that_changes_is_no_bracket() {
+    let folder = Folder::empty();
+    let names = lossless(&folder, &[&noise(1), &noise(2), &noise(3)]);
+    refused(&folder, &format!("{names} -e=-2,0,2"), &["no other photograph could be aligned", "--align none"]);
+}
+
+fn checkerboard(side: u32, most: u8) -> RgbImage {
+    RgbImage::from_fn(120, 80, |x, y| Rgb([if (x / side + y / side) % 2 == 0 { most / 8 } else { most }; 3]))
+}
+
+/// Its place is known up to its period: where it lies is as good as any, and the exposures stay as they are said to be. Two codes to a frame
+/// tell no steps.
+#[test]
+fn a_checkerboard_stays_where_it_is() {
+    let folder = Folder::empty();
+    let boards = [60, 110, 200].map(|most| checkerboard(8, most));
+    let names = exposed(&folder, &[(&boards[0], 2), (&boards[1], 3), (&boards[2], 4)]);
+    let merged = merged(&folder, &names);
+    for file in ["f1.jpg", "f2.jpg", "f3.jpg"] {
+        assert!(matches!(merged.status(file), "unmoved" | "reference"), "{file}");
+        assert_eq!(merged.frame(file)["exposure_source"], "exif", "{file}: {:?}", merged.warnings());
+    }
+}
+
+/// Of squares of a pixel every second place is right, and no level below the full size shows them.
+#[test]
+fn a_checkerboard_of_pixels_is_refused_and_merged_where_it_is_said_to_lie() {
+    let folder = Folder::empty();
+    let names = lossless(&folder, &[&checkerboard(1, 100), &checkerboard(1, 200)]);
+    refused(&folder, &format!("{names} -e=-2,0"), &["no other photograph could be aligned", "--align none"]);
+    let merged = merged(&folder, &format!("{names} -e=-2,0 --align none"));
+    assert_ne!(merged.radiance[0], merged.radiance[1]);
+}

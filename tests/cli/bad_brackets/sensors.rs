@@ -1,0 +1,147 @@
+//! Frames that the camera spoilt: dead rows and columns, hot pixels, shutters and flashes, noise.
+
+use super::*;
+
+/// The bracket as it is, against which the spoilt one is held; the reference is the third.
+fn truth() -> Merged {
+    let folder = Folder::empty();
+    let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&frame(4), 4)]);
+    merged(&folder, &format!("{names} --reference f3.jpg"))
+}
+
+/// The same with `spoilt` frames: all are placed where they truly lie, to within `most` pixels in every corner.
+fn places_hold(spoilt: impl Fn(&mut RgbImage, usize), most: f64, least_confidence: f64) -> Merged {
+    let folder = Folder::empty();
+    let frames: Vec<RgbImage> = (2..=4)
+        .map(|i| {
+            let mut picture = frame(i);
+            spoilt(&mut picture, i);
+            picture
+        })
+        .collect();
+    let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
+    let merged = merged(&folder, &format!("{names} --reference f3.jpg"));
+    let truth = truth();
+    for file in ["f1.jpg", "f2.jpg"] {
+        assert_eq!(merged.status(file), "aligned", "{file}");
+        let off = apart(&merged, &truth, file);
+        assert!(off < most, "{file} is off by {off} px");
+        assert!(merged.confidence(file) > least_confidence, "{file}: {}", merged.confidence(file));
+    }
+    merged
+}
+
+#[test]
+fn a_dead_row_or_column_does_not_lead() {
+    places_hold(|picture, _| (0..300).for_each(|x| picture.put_pixel(x, 90, Rgb([0; 3]))), 0.3, 0.8);
+    places_hold(|picture, _| (0..200).for_each(|y| picture.put_pixel(120, y, Rgb([255; 3]))), 0.3, 0.8);
+    // In one frame of three.
+    places_hold(
+        |picture, i| {
+            let is_dead = i == 3;
+            (0..300).filter(|_| is_dead).for_each(|x| picture.put_pixel(x, 90, Rgb([0; 3])));
+        },
+        0.3,
+        0.8,
+    );
+}
+
+/// On the sensor they stay where they are while the hand moves by three to five pixels: 0 would be their answer.
+#[test]
+fn hot_pixels_do_not_lead() {
+    let hot = |picture: &mut RgbImage, _| {
+        let mut random = Random(5);
+        for _ in 0..300 {
+            let (x, y) = ((300.0 * random.next()) as u32, (200.0 * random.next()) as u32);
+            picture.put_pixel(x, y, Rgb([255; 3]));
+        }
+    };
+    let merged = places_hold(hot, 0.4, 0.8);
+    let moved = merged.frame("f1.jpg")["alignment"]["shift_px"][1].as_f64().expect("a number");
+    assert!(moved.abs() > 3.0, "{moved}");
+    // The same by night, when little else is bright.
+    let folder = Folder::empty();
+    let frames: Vec<RgbImage> = (2..=4)
+        .map(|i| {
+            let mut night = times(&frame(i), 0.15);
+            hot(&mut night, i);
+            night
+        })
+        .collect();
+    let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
+    let night = super::merged(&folder, &format!("{names} --reference f3.jpg"));
+    for file in ["f1.jpg", "f2.jpg"] {
+        assert!(apart(&night, &truth(), file) < 1.0, "{file} is off by {} px", apart(&night, &truth(), file));
+    }
+}
+
+/// A shutter or a flash that left half of a frame black: where that half is placed, the other frames show what it does not.
+#[test]
+fn a_half_black_frame_spoils_nothing() {
+    let folder = Folder::empty();
+    let mut half = frame(4);
+    (0..300 * 100).for_each(|i| half.put_pixel(i % 300, 100 + i / 300, Rgb([0; 3])));
+    let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&half, 4)]);
+    let merged = merged(&folder, &names);
+    for file in ["f1.jpg", "f2.jpg"] {
+        assert!(merged.confidence(file) > 0.9, "{file}");
+    }
+    let lit = merged.picture.enumerate_pixels().filter(|(_, y, _)| *y > 120).map(|(_, _, p)| f64::from(p.0[1]));
+    let lit: Vec<f64> = lit.collect();
+    let mean = lit.iter().sum::<f64>() / lit.len() as f64;
+    assert!(mean > 50.0, "the lower half is dark: {mean}");
+}
+
+/// A very noisy night: placed within three pixels, in the farthest corner, or left out; never elsewhere in confidence.
+#[test]
+fn a_noisy_night_is_placed_or_doubted() {
+    for most in [10.0, 25.0, 60.0] {
+        let folder = Folder::empty();
+        let frames: Vec<RgbImage> = (2..=4).map(|i| Random(i as u64).noisy(&times(&frame(i), 0.3), most)).collect();
+        let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
+        let run = folder.line(&format!("merge {names} --reference f3.jpg -o a.exr -o a.png --report r.json"));
+        if run.code == 1 {
+            assert!(run.stderr.contains("f3.jpg: no other photograph could be aligned"), "{}", run.stderr);
+            assert!(most > 30.0, "{most} codes of noise are too many: {}", run.stderr);
+            continue;
+        }
+        let merged = merged(&folder, &format!("{names} --reference f3.jpg"));
+        for file in ["f1.jpg", "f2.jpg"] {
+            if merged.status(file) == "rejected" || merged.confidence(file) < 0.5 {
+                assert!(merged.warnings().iter().any(|w| w.contains(file)), "{file}: {:?}", merged.warnings());
+            } else {
+                let off = apart(&merged, &truth(), file);
+                assert!(off < 3.0, "{most}: {file} is off by {off} px, confidence {}", merged.confidence(file));
+            }
+        }
+    }
+}
+
+/// Two still frames of one exposure with their own noise have less of it together.
+#[test]
+fn noise_is_less_in_two_frames_than_in_one() {
+    let folder = Folder::empty();
+    let clean = frame(3);
+    let noisy = [1, 2].map(|seed| Random(seed).noisy(&clean, 12.0));
+    let names = lossless(&folder, &[&noisy[0], &noisy[1]]);
+    let options = "--response-model srgb --align none --exposures as-given";
+    let both = merged(&folder, &format!("{names} -e=0,0 {options}"));
+    let twice = {
+        let folder = Folder::empty();
+        let names = lossless(&folder, &[&noisy[0], &noisy[0]]);
+        merged(&folder, &format!("{names} -e=0,0 {options}"))
+    };
+    let pure = {
+        let folder = Folder::empty();
+        let names = lossless(&folder, &[&clean, &clean]);
+        merged(&folder, &format!("{names} -e=0,0 {options}"))
+    };
+    let error = |merged: &Merged| {
+        let pairs = merged.radiance.iter().zip(&pure.radiance).filter(|(_, p)| p[1] > 0.2 && p[1] < 2.0);
+        let logs: Vec<f64> = pairs.map(|(a, b)| f64::from((a[1] / b[1]).log2()).powi(2)).collect();
+        (logs.iter().sum::<f64>() / logs.len() as f64).sqrt()
+    };
+    let (one, two) = (error(&twice), error(&both));
+    // Independent noise: by the root of two, 0.71, in the ideal.
+    assert!(two < 0.8 * one, "{two} is not less than {one}");
+}
