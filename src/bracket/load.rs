@@ -9,7 +9,7 @@ use super::brightness::{self, Brightness};
 use super::capture;
 use super::colour::{Found, Profile};
 use super::decode::{self, Decoded};
-use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
+use super::exposure::{self, Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::window::Store;
 use super::{Bracket, Capture, Codes, Frame, ReferenceChoice, Samples, reference};
 use crate::error::{Error, Result, Warning};
@@ -183,9 +183,6 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
         })
         .collect()
 }
-
-/// No camera goes farther, in stops from t * ISO / N^2 = 1 s: from 2^-40 s on, radiance leaves what a half-float holds.
-const MOST_EV: f64 = 40.0;
 
 /// Finds a file that was given twice, by the same or another name. What does not exist is left to the reading.
 fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
