@@ -20,6 +20,17 @@ pub(crate) const MOST_OF_A_PLAN: u64 = 1 << 30;
 /// # Errors
 /// [`Error::Read`], also for folders, for what is longer, and where the memory for it is not given; [`Error::Changed`].
 pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
+    whole_if(path, most, |_| Ok(()))
+}
+
+/// Bytes by which a format is known.
+const BEGIN: u64 = 512;
+
+/// As [`whole`], of what `is_wanted` by its first bytes; nothing more is read of others, which may have no end.
+///
+/// # Errors
+/// Those of [`whole`] and of `is_wanted`.
+pub(crate) fn whole_if(path: &Path, most: u64, is_wanted: impl FnOnce(&[u8]) -> Result<()>) -> Result<Vec<u8>> {
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
     let mut file = open(path)?;
     let before = file.metadata().map_err(unreadable)?;
@@ -33,7 +44,9 @@ pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
     bytes.try_reserve_exact(expected).map_err(|_| unreadable(not_given(length)))?;
     // One more than there should be: a file that grows is seen by it, and one that has no end as well.
     let read = if is_file { length.saturating_add(1) } else { most.saturating_add(1) };
-    (&mut file).take(read).read_to_end(&mut bytes).map_err(unreadable)?;
+    (&mut file).take(read.min(BEGIN)).read_to_end(&mut bytes).map_err(unreadable)?;
+    is_wanted(&bytes)?;
+    (&mut file).take(read.saturating_sub(BEGIN)).read_to_end(&mut bytes).map_err(unreadable)?;
     if !is_file && bytes.len() as u64 > most {
         return Err(unreadable(too_long(bytes.len() as u64, most)));
     }
@@ -150,6 +163,14 @@ mod tests {
         assert!(matches!(whole(&dir.path().join("gone"), 9), Err(Error::Read { .. })));
         std::fs::write(&path, b"caf\xe9").unwrap();
         assert_eq!(text(&path, 9).unwrap(), "caf\u{fffd}");
+        let long: Vec<u8> = (0..2000).map(|i| (i % 251) as u8).collect();
+        std::fs::write(&path, &long).unwrap();
+        assert_eq!(whole(&path, 2000).unwrap(), long);
+        let unwanted = whole_if(&path, 2000, |begin| {
+            assert_eq!(begin, &long[..512]);
+            Err(Error::Changed { path: path.clone() })
+        });
+        assert!(unwanted.is_err());
     }
 
     /// A sparse file takes no room on the disk, whatever it says of its length.

@@ -51,6 +51,14 @@ struct Stored {
 /// Why a file was refused, in words for [`Error::Decode`].
 type Reason = String;
 
+/// Whether `begin`, the first bytes of the file `path`, are those of a format that is decoded.
+///
+/// # Errors
+/// [`Error::UnknownFormat`].
+pub(super) fn check_format(path: &Path, begin: &[u8]) -> Result<()> {
+    sniff::format(begin).map(|_| ()).map_err(|found| Error::UnknownFormat { path: path.into(), found })
+}
+
 /// Decodes `bytes`, the content of the file `path`, if it asks for no more than `limits`.
 ///
 /// # Errors

@@ -260,7 +260,8 @@ impl Picture {
 
 /// The file `path`, decoded. It is read once, so that there is nothing to be seen twice, and differently.
 pub(super) fn decoded(path: &Path, limits: &Limits) -> Result<Decoded> {
-    decode::decode(path, intake::whole(path, limits.most_bytes())?, limits)
+    let bytes = intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))?;
+    decode::decode(path, bytes, limits)
 }
 
 /// The profile that a file carries, or that its EXIF means.
