@@ -30,6 +30,9 @@ pub enum Reading {
     ExactSteps,
 }
 
+/// No camera goes farther, in stops from t * ISO / N^2 = 1 s: from 2^-40 s on, radiance leaves what a half-float holds.
+pub const MOST_EV: f64 = 40.0;
+
 /// How a frame was exposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exposure {
@@ -75,14 +78,14 @@ impl Exposure {
     }
 
     /// An exposure as the camera noted it, in seconds; what is `None` counts as a factor of 1, so it must be missing in the
-    /// whole bracket. `None` where the relative exposure is no positive, finite number.
+    /// whole bracket. `None` where the relative exposure is beyond +-[`MOST_EV`]: no camera noted that.
     pub fn from_camera(time_s: f64, f_number: Option<f64>, iso: Option<f64>, tags: String) -> Option<Self> {
         let (n, s) = (f_number.unwrap_or(1.0), iso.unwrap_or(1.0));
         Some(Exposure {
             time_s: Some(time_s),
             f_number,
             iso,
-            relative: positive(time_s * s / (n * n))?,
+            relative: positive(time_s * s / (n * n)).filter(|relative| libm::log2(*relative).abs() <= MOST_EV)?,
             correction_stops: 0.0,
             reading: Reading::AsWritten,
             source: ExposureSource::Exif,
@@ -394,6 +397,19 @@ mod tests {
         assert!(assumed.is_empty());
         assert_eq!(Exposure::given(-3.0).unwrap().relative(), 0.125);
         assert_eq!(Exposure::given(-3.0).unwrap().ev(), -3.0);
+        // What is divided out is never 0 and never infinite, whatever the camera wrote.
+        let of = |time, f, iso| by_tags(&[tags(Some(time), Some(f), Some(iso))]).0[0].clone();
+        assert_eq!(of(30.0, 1.0, 4_000_000.0).map(|e| e.ev().round()), Some(27.0));
+        assert_eq!(of(1e-5, 64.0, 25.0).map(|e| e.ev().round()), Some(-24.0));
+        for (time, f, iso) in [
+            (4_294_967_295.0, 1.0, 65_534.0),
+            (1.0, 1.0 / 4_294_967_295.0, 100.0),
+            (1.0 / 4_294_967_295.0, 4_294_967_295.0, 1.0),
+            (f64::MAX, 1.0, f64::MAX),
+            (f64::MIN_POSITIVE, 8.0, 100.0),
+        ] {
+            assert_eq!(of(time, f, iso), None);
+        }
         assert!(Exposure::given(5000.0).is_none() && Exposure::given(f64::NAN).is_none());
     }
 

@@ -1,5 +1,6 @@
 //! `hdralign tonemap`.
 
+use super::input::Largest;
 use super::leftovers;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
@@ -44,6 +45,9 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
 
+    #[command(flatten)]
+    largest: Largest,
+
     /// Replace files that exist
     #[arg(short, long)]
     force: bool,
@@ -72,6 +76,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         outputs,
         write: args.radiance.write(args.force),
         threads: args.threads,
+        limits: args.largest.limits(),
     };
     leftovers::clear(&options.outputs);
     let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);

@@ -26,6 +26,9 @@ use serde::Serialize;
 /// The luminance of the top code times t S / N^2, in cd/m2 times s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
+/// The largest factor: from starlight to the sun it is 1e14. Beyond, floats end.
+const MOST_FACTOR: f64 = 1e20;
+
 /// What the values of a radiance map are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub enum Unit {
@@ -43,7 +46,7 @@ pub enum Unit {
 pub struct Calibration {
     /// Whether the camera's exposure time, f-number and sensitivity tell the luminance, by [`CAMERA_CONSTANT`].
     pub camera: bool,
-    /// A factor on the result, finite and above 0. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
+    /// A factor on the result, above 0, from 1e-20 to 1e20. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
     /// itself the luminance of radiance 1 in cd/m2.
     pub factor: Option<f64>,
 }
@@ -66,10 +69,10 @@ impl Calibration {
     /// [`Error::Option`].
     pub fn validate(&self) -> Result<()> {
         match self.factor {
-            Some(factor) if !(factor.is_finite() && factor > 0.0) => Err(Error::Option {
+            Some(factor) if !(1.0 / MOST_FACTOR..=MOST_FACTOR).contains(&factor) => Err(Error::Option {
                 option: "--calibration-factor",
                 reason: format!(
-                    "{factor} is no factor; give a number above 0: luminance measured over luminance reported"
+                    "{factor} is no factor; give a number above 0, from 1e-20 to 1e20: luminance measured over luminance reported"
                 ),
             }),
             _ => Ok(()),
@@ -179,7 +182,7 @@ mod tests {
         assert_eq!(Calibration::default().settle(&bare, &curve).unwrap(), None);
         let given = Calibration { camera: false, factor: Some(300.0) };
         assert_eq!(given.settle(&bare, &curve).unwrap().unwrap().cd_m2_per_unit, 300.0);
-        for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e21, 1e-21, f64::MIN_POSITIVE] {
             assert!(Calibration { camera: false, factor: Some(wrong) }.settle(&bare, &curve).is_err());
         }
         let mut map = RadianceMap { pixels: Plane::filled(2, 1, [1e-12, 0.5, 1e37]), primaries: Primaries::SRGB };

@@ -34,6 +34,11 @@ const GUARD: (f32, f32) = (16.0, 0.25);
 const TOP: f32 = 253.0;
 const RINGING: f32 = 0.5;
 
+/// Radiance over the reference's middle code, at most, and one over it at least; and weight over that of the longest exposure's middle code,
+/// at most: 80 stops and 40, beyond what exposures and curves that mean anything give. Sums over a bracket of the largest are finite.
+const MOST_RADIANCE: f64 = 1e24;
+const MOST_WEIGHT: f32 = 1e11;
+
 /// What a channel's code counts for in one frame.
 #[derive(Clone)]
 struct Table {
@@ -265,10 +270,11 @@ fn layer<'a>(
     most: f32,
 ) -> Layer<'a> {
     let tables: [Table; 3] = std::array::from_fn(|c| {
-        let radiance = curve.exposures(c).map(|x| (f64::from(x) / time) as f32);
+        let radiance =
+            curve.exposures(c).map(|x| (f64::from(x) / time).clamp(1.0 / MOST_RADIANCE, MOST_RADIANCE) as f32);
         Table {
             radiance,
-            weight: weight.table(curve, c, time, noise).map(|w| w / most),
+            weight: weight.table(curve, c, time, noise).map(|w| at_most(w / most, MOST_WEIGHT)),
             vouched: std::array::from_fn(|code| match code.saturating_sub(LIFT) {
                 lower if lower as f64 <= curve.black(c) => 0.0,
                 lower => radiance[lower],
@@ -279,7 +285,8 @@ fn layer<'a>(
         Weight::Uniform => (f32::MAX, 1.0),
         _ => {
             let (begins, sure) = (table.radiance[CLIPS.0], table.radiance[CLIPS.1]);
-            (sure, 1.0 / (sure - begins))
+            // A curve may be flat between the two, and nothing times infinity is no number.
+            (sure, 1.0 / at_least(sure - begins, f32::MIN_POSITIVE))
         }
     };
     Layer {

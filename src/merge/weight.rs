@@ -67,7 +67,7 @@ impl Weight {
             let above = (code as f64 - black).max(0.0) * 255.0 / (255.0 - black);
             let say = match self {
                 Weight::Uniform => 1.0,
-                Weight::Noise => time * time / noise.variance(curve, channel, code),
+                Weight::Noise => within(time * time / noise.variance(curve, channel, code)),
                 _ => time.sqrt(),
             };
             (self.at(above, g) * say) as f32
@@ -78,10 +78,17 @@ impl Weight {
     pub(super) fn say(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
         match self {
             Weight::Uniform => 1.0,
-            Weight::Noise => (0..3).map(|c| (time * time / noise.variance(curve, c, MID)) as f32).sum::<f32>() / 3.0,
+            Weight::Noise => {
+                (0..3).map(|c| within(time * time / noise.variance(curve, c, MID)) as f32).sum::<f32>() / 3.0
+            }
             _ => time.sqrt() as f32,
         }
     }
+}
+
+/// What a float holds with room to spare, for curves of any unit.
+fn within(weight: f64) -> f64 {
+    weight.clamp(1e-30, 1e30)
 }
 
 /// Codes to a neper of exposure at a code: the inverse of the slope of g.

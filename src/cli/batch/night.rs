@@ -175,6 +175,7 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
+    options.load.max_pixels = args.work.largest.pixels();
     leftovers::clear(&steps.iter().flat_map(|step| [&step.report, &step.summary]).collect::<Vec<_>>());
     let stop = interrupt::stopping();
     let board = Board::new(steps, args);

@@ -1,0 +1,387 @@
+//! Limits: files that ask for more than they hold, than is allowed, or than there is are refused by their headers, in little memory and time.
+//!
+//! Every bomb is built here. Each run has [`ADDRESSES`] of address space (`ulimit -v`), of which the program's code, threads and their stacks
+//! take most: whoever makes room for what a bomb says, gets none, and would be ended by a signal.
+
+use crate::support::{Folder, Run, jpeg, small, small_jpeg};
+use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage};
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use std::fs::{self, File};
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Of addresses, in kB: under a gigabyte, where every bomb asks for more.
+const ADDRESSES: u32 = 900_000;
+
+/// Milliseconds where nothing else runs; tests run beside each other, on machines that do other things too.
+const SOON: Duration = Duration::from_secs(10);
+
+/// Runs `line` in `folder` with `kilobytes` of addresses.
+#[cfg(unix)]
+fn within(folder: &Folder, kilobytes: u32, line: &str) -> Run {
+    let script = format!("ulimit -v {kilobytes} && exec \"$0\" {line}");
+    let program = env!("CARGO_BIN_EXE_hdralign");
+    let mut child = Command::new("sh");
+    let output = child.args(["-c", &script, program]).current_dir(folder.path()).stdin(Stdio::null());
+    let output = output.output().expect("sh starts");
+    let code = output.status.code();
+    let stderr = String::from_utf8(output.stderr).expect("UTF-8 on stderr");
+    Run {
+        code: code.unwrap_or_else(|| panic!("{line}: ended by a signal: {:?}\n{stderr}", output.status)),
+        stdout: String::from_utf8(output.stdout).expect("UTF-8 on stdout"),
+        stderr,
+    }
+}
+
+/// Holds that `line` is refused soon and in little memory, with `said` in the message, and leaves nothing behind.
+#[cfg(unix)]
+fn refused(folder: &Folder, line: &str, said: &[&str]) {
+    let before = folder.listing();
+    let began = Instant::now();
+    // A thread has a stack of its own; `compare` has no such option.
+    let threads = if line.starts_with("compare") { "" } else { "--threads 2" };
+    let run = within(folder, ADDRESSES, &format!("{line} {threads}"));
+    let time = began.elapsed();
+    assert!(matches!(run.code, 1 | 2), "{line}\n{run:?}");
+    assert_eq!((run.stdout.as_str(), folder.listing()), ("", before), "{line}");
+    for part in said {
+        assert!(run.stderr.contains(part), "{line}\n{}does not say {part:?}", run.stderr);
+    }
+    assert!(time < SOON, "{line}: {time:?}");
+}
+
+/// `count` zeros, packed by deflate: a thousandth of that.
+fn zeros(count: usize) -> Vec<u8> {
+    let mut packer = ZlibEncoder::new(Vec::new(), Compression::new(1));
+    let some = vec![0; 1 << 20];
+    for _ in 0..count >> 20 {
+        packer.write_all(&some).expect("in memory");
+    }
+    packer.write_all(&some[..count & ((1 << 20) - 1)]).expect("in memory");
+    packer.finish().expect("in memory")
+}
+
+fn chunk(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    let mut crc = flate2::Crc::new();
+    crc.update(kind);
+    crc.update(content);
+    [&(content.len() as u32).to_be_bytes()[..], kind, content, &crc.sum().to_be_bytes()].concat()
+}
+
+/// A grey PNG of 8 bit that says to be of that size, with `data` for its pixels and `others` before.
+fn png(width: u32, height: u32, others: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
+    let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
+    let head = chunk(b"IHDR", &[&size[..], &[8, 0, 0, 0, 0]].concat());
+    let signature = b"\x89PNG\r\n\x1a\n".to_vec();
+    [signature, head, others.concat(), chunk(b"IDAT", data), chunk(b"IEND", &[])].concat()
+}
+
+/// A TIFF of one strip, `data`, with `tags` of one number each beside its place.
+fn tiff(tags: &[(u16, u32)], data: &[u8]) -> Vec<u8> {
+    let mut all = tags.to_vec();
+    let count = all.len() as u32 + 2;
+    all.extend([(273, 8 + 2 + 12 * count + 4), (279, data.len() as u32)]);
+    all.sort_unstable();
+    let mut bytes = b"II\x2a\0\x08\0\0\0".to_vec();
+    bytes.extend((all.len() as u16).to_le_bytes());
+    for (tag, value) in all {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend([4, 0, 1, 0, 0, 0]);
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend([0; 4]);
+    bytes.extend(data);
+    bytes
+}
+
+/// The same, of one sample of `bits` that is a float (`format` 3) or not, packed by deflate or not.
+fn grey_tiff(size: (u32, u32), bits: u32, format: u32, is_packed: bool, data: &[u8]) -> Vec<u8> {
+    let packing = if is_packed { 8 } else { 1 };
+    let tags =
+        [(256, size.0), (257, size.1), (258, bits), (259, packing), (262, 1), (277, 1), (278, size.1), (339, format)];
+    tiff(&tags, data)
+}
+
+/// The small second frame, with another size in its header (SOF0: marker, length, depth, height, width).
+fn jpeg_of(width: u16, height: u16) -> Vec<u8> {
+    let mut bytes = small_jpeg(2).to_vec();
+    let at = bytes.windows(2).position(|w| w == [0xFF, 0xC0]).expect("a baseline JPEG");
+    bytes[at + 5..at + 7].copy_from_slice(&height.to_be_bytes());
+    bytes[at + 7..at + 9].copy_from_slice(&width.to_be_bytes());
+    bytes
+}
+
+#[cfg(unix)]
+#[test]
+fn photographs_that_say_too_much_are_refused_by_their_headers() {
+    let folder = Folder::with_bracket();
+    let some = zeros(1 << 16);
+    let bombs: [(&str, Vec<u8>, &[&str]); 10] = [
+        ("a.png", png(60_000, 60_000, &[], &some), &["60000x60000", "500 million", "--max-pixels 3600M"]),
+        ("a.png", png(u32::MAX / 2, u32::MAX / 2, &[], &some), &["more than the 500 million"]),
+        ("a.png", png(20_000, 20_000, &[], &some), &["too short", "truncated"]),
+        ("a.png", png(20_000, 20_000, &[], &zeros(400_020_000)), &["20000x20000", "MB", "--max-memory"]),
+        ("a.jpg", jpeg_of(65_535, 65_535), &["65535x65535", "--max-pixels"]),
+        ("a.jpg", jpeg_of(22_000, 22_000), &["too short"]),
+        ("a.tif", grey_tiff((1 << 31, 1 << 31), 8, 1, false, &[0; 99]), &["more than the 500 million"]),
+        ("a.tif", grey_tiff((20_000, 20_000), 8, 1, false, &[0; 99]), &["too short"]),
+        ("a.tif", grey_tiff((20_000, 20_000), 16, 1, true, &zeros(800_000_000)), &["20000x20000", "--max-memory"]),
+        ("a.tif", grey_tiff((0, 100), 8, 1, false, &[0; 99]), &["a.tif"]),
+    ];
+    for (name, bytes, said) in bombs {
+        folder.put(name, &bytes);
+        refused(&folder, &format!("merge w1.jpg {name} -o a.exr"), &[&[name], said].concat());
+        fs::remove_file(folder.at(name)).expect("it was put there");
+    }
+}
+
+/// One of each reader that the commands have, on the same bomb.
+#[cfg(unix)]
+#[test]
+fn every_command_refuses_what_says_too_much() {
+    let folder = Folder::with_bracket();
+    folder.put("a.png", &png(60_000, 60_000, &[], &zeros(1 << 16)));
+    for line in [
+        "merge a.png w1.jpg -o a.exr",
+        "align w1.jpg a.png",
+        "response w1.jpg a.png",
+        "inspect w1.jpg a.png",
+        "compare a.png w1.jpg",
+        "compare w1.jpg a.png",
+    ] {
+        refused(&folder, line, &["a.png", "60000x60000", "--max-pixels 3600M"]);
+    }
+    let run = within(&folder, ADDRESSES, "batch . --dry-run --bracket 5 --threads 2");
+    assert!(run.code == 0 && run.stdout.contains("60000x60000"), "{run:?}");
+}
+
+/// What is packed beside the picture: a profile, a text.
+#[cfg(unix)]
+#[test]
+fn what_unfolds_beside_the_picture_is_not_unfolded() {
+    let folder = Folder::empty();
+    let bomb = zeros(1 << 30);
+    for i in 2..=3 {
+        let picture = small(i);
+        let mut bytes = Vec::new();
+        let encoder = PngEncoder::new(&mut bytes);
+        encoder.write_image(&picture, picture.width(), picture.height(), ExtendedColorType::Rgb8).expect("a PNG");
+        let profile = chunk(b"iCCP", &[b"profile\0\0", &bomb[..]].concat());
+        let text = chunk(b"zTXt", &[b"Comment\0\0", &bomb[..]].concat());
+        // Behind IHDR, which is of 13 bytes.
+        let at = 8 + 12 + 13;
+        let file = [&bytes[..at], &profile, &text, &bytes[at..]].concat();
+        folder.put(&format!("p{i}.png"), &file);
+    }
+    let run = within(&folder, ADDRESSES, "merge -e=-2,0 p2.png p3.png --align none -o a.png --threads 2").done();
+    assert!(run.stderr.contains("p2.png: its colour profile is damaged"), "{}", run.stderr);
+}
+
+/// The `.exr` of a small picture.
+fn exr(folder: &Folder) -> Vec<u8> {
+    let channels = SpecificChannels::rgb(|at: Vec2<usize>| (at.x() as f32, 0.5f32, at.y() as f32));
+    Image::from_channels((40, 30), channels).write().to_file(folder.at("small.exr")).expect("an EXR");
+    let bytes = folder.bytes("small.exr");
+    fs::remove_file(folder.at("small.exr")).expect("it was written");
+    bytes
+}
+
+/// The same, with another data window: its last column and row.
+fn exr_of(folder: &Folder, right: i32, bottom: i32) -> Vec<u8> {
+    let mut bytes = exr(folder);
+    for name in [&b"dataWindow\0box2i\0"[..], b"displayWindow\0box2i\0"] {
+        let at = bytes.windows(name.len()).position(|w| w == name).expect("a window") + name.len() + 4;
+        bytes[at + 8..at + 12].copy_from_slice(&right.to_le_bytes());
+        bytes[at + 12..at + 16].copy_from_slice(&bottom.to_le_bytes());
+    }
+    bytes
+}
+
+#[cfg(unix)]
+#[test]
+fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
+    let folder = Folder::empty();
+    let hdr = |size: &str, data: &[u8]| [format!("#?RADIANCE\n\n{size}\n").as_bytes(), data].concat();
+    // A pixel, then repetitions of it by 255, 255 << 8 and 255 << 16: 16 million pixels in 16 bytes.
+    let row = [[9, 9, 9, 130], [1, 1, 1, 255], [1, 1, 1, 255], [1, 1, 1, 255]].concat();
+    let bombs: [(&str, Vec<u8>, &[&str]); 11] = [
+        ("a.exr", exr_of(&folder, i32::MAX - 1, i32::MAX - 1), &["a.exr"]),
+        ("a.exr", exr_of(&folder, 99_999, 99_999), &["100000x100000", "--max-pixels 10000M"]),
+        ("a.exr", exr_of(&folder, 19_999, 19_999), &["too short"]),
+        ("a.hdr", hdr("-Y 100 +X 16711936", &row.repeat(100)), &["16711936x100", "--max-pixels 1672M"]),
+        ("a.hdr", hdr("-Y 25 +X 16711936", &row.repeat(25)), &["16711936x25", "5014 MB", "memory"]),
+        ("a.hdr", hdr("-Y 4000000000 +X 4000000000", &row), &["too short"]),
+        ("a.hdr", hdr("-Y 18446744073709551615 +X 2", &row), &["too short"]),
+        ("a.tif", grey_tiff((1 << 31, 1 << 31), 32, 3, false, &[0; 99]), &["more than the 500 million"]),
+        ("a.tif", grey_tiff((20_000, 20_000), 32, 3, false, &[0; 99]), &["too short"]),
+        ("a.tif", grey_tiff((10_000, 10_000), 32, 3, true, &zeros(400_000_000)), &["10000x10000", "2000 MB", "memory"]),
+        (
+            "a.tif",
+            tiff(
+                &[(256, 9), (257, 9), (258, 32), (259, 8), (262, 1), (277, 65535), (278, 9), (339, 3)],
+                &zeros(1 << 20),
+            ),
+            &["65535 samples to a pixel"],
+        ),
+    ];
+    for (name, bytes, said) in bombs {
+        folder.put(name, &bytes);
+        refused(&folder, &format!("tonemap {name} -o a.png"), &[&[name], said].concat());
+        if name != "a.tif" {
+            refused(&folder, &format!("compare {name} {name}"), said);
+        }
+        fs::remove_file(folder.at(name)).expect("it was put there");
+    }
+}
+
+#[test]
+fn what_is_allowed_is_as_the_user_says() {
+    let folder = Folder::with_bracket();
+    // 300 x 200.
+    let merge = "merge w2.jpg w3.jpg --align none -q -o";
+    let run = folder.line(&format!("{merge} a.exr --max-pixels 59999"));
+    assert!(run.code == 1 && run.stderr.contains("the 59999 allowed"), "{run:?}");
+    folder.line(&format!("{merge} a.exr --max-pixels 60k")).done();
+    let run = folder.line("tonemap a.exr -o b.png --max-pixels 59999");
+    assert!(run.code == 1 && run.stderr.contains("a.exr") && run.stderr.contains("--max-pixels"), "{run:?}");
+    folder.line("tonemap a.exr -o b.png --max-pixels 0.06M").done();
+    let run = folder.line("compare a.exr a.exr --max-pixels 59999");
+    assert!(run.code == 2 && run.stderr.contains("--max-pixels"), "{run:?}");
+    folder.line("compare a.exr a.exr --max-pixels 60000").done();
+    let run = folder.line("batch . --dry-run --bracket 5 --max-pixels 59999");
+    assert!(run.code == 1 && run.stdout.contains("the 59999 allowed"), "{run:?}");
+    for wrong in ["0", "many", "-3", "5K-"] {
+        let run = folder.line(&format!("{merge} c.exr --max-pixels={wrong}"));
+        assert!(run.code == 2 && run.stderr.contains("--max-pixels") && run.stderr.contains("500M"), "{run:?}");
+    }
+    // A plan holds the size that its photographs had, and so is the leave to read them.
+    let plan = folder.line("batch . -d out --plan --formats png --bracket 5 --max-pixels 60000").done().stdout;
+    folder.put("plan.jsonl", plan.as_bytes());
+    let id =
+        serde_json::from_str::<serde_json::Value>(plan.lines().next().expect("a step")).expect("JSON")["id"].clone();
+    let id = id.as_str().expect("a name");
+    let run = folder.line(&format!("batch --run plan.jsonl --id {id} --max-pixels 59999"));
+    assert!(run.code == 1 && run.stderr.contains("the 59999 allowed"), "{run:?}");
+    folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
+}
+
+/// One photograph alone is more than is allowed for all: 20 MP of 16 bit.
+#[test]
+fn a_photograph_that_does_not_fit_is_named_with_what_it_needs() {
+    let folder = Folder::empty();
+    for name in ["a.tif", "b.tif"] {
+        folder.put(name, &grey_tiff((5000, 4000), 16, 1, true, &zeros(40_000_000)));
+    }
+    let run = folder.line("merge -e=0,1 a.tif b.tif -o a.exr --max-memory 64MB");
+    assert!(run.code == 1 && run.stdout.is_empty(), "{run:?}");
+    for part in ["a.tif: ", "5000x4000", "need 161 MB", "the 64 MB", "--max-memory"] {
+        assert!(run.stderr.contains(part), "{} does not say {part}", run.stderr);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn files_of_absurd_length_are_not_read() {
+    let folder = Folder::with_bracket();
+    let sparse = |name: &str, start: &[u8]| {
+        folder.put(name, start);
+        File::options()
+            .write(true)
+            .open(folder.at(name))
+            .expect("it is there")
+            .set_len(100_000_000_000)
+            .expect("sparse");
+    };
+    sparse("huge.jpg", small_jpeg(2));
+    sparse("huge.exr", b"\x76\x2f\x31\x01\x02\0\0\0");
+    sparse("huge.tif", b"II\x2a\0\x08\0\0\0");
+    sparse("huge.json", b"{");
+    sparse("huge.csv", b"#");
+    sparse("huge.rsp", b"1");
+    for line in [
+        "merge w1.jpg huge.jpg -o a.png",
+        "compare w1.jpg huge.jpg",
+        "compare huge.tif huge.exr",
+        "tonemap huge.exr -o a.png",
+        "merge w1.jpg w2.jpg --response huge.json -o a.png",
+        "merge w1.jpg w2.jpg --response huge.csv -o a.png",
+        "merge w1.jpg w2.jpg --response huge.rsp -o a.png",
+        "merge w1.jpg w2.jpg --transforms huge.json -o a.png",
+        "batch --run huge.json --id x",
+        "batch --summarize huge.json",
+    ] {
+        refused(&folder, line, &["huge.", "100000 MB"]);
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn devices_and_folders_are_no_photographs() {
+    let folder = Folder::with_bracket();
+    fs::create_dir(folder.at("sub.jpg")).expect("a folder");
+    let zero = ["/dev/zero", "MB may be read"];
+    refused(&folder, "merge w1.jpg /dev/zero -o a.png", &["/dev/zero", "nothing but zeros"]);
+    refused(&folder, "merge w1.jpg w2.jpg --transforms /dev/zero -o a.png", &zero);
+    refused(&folder, "merge w1.jpg /dev/null -o a.png", &["/dev/null", "empty"]);
+    refused(&folder, "tonemap /dev/zero -o a.png", &["/dev/zero", "a pipe or a device"]);
+    refused(&folder, "compare /dev/zero w1.jpg", &["/dev/zero", "a pipe or a device"]);
+    for line in ["merge w1.jpg sub.jpg -o a.png", "tonemap sub.jpg -o a.png", "compare w1.jpg sub.jpg"] {
+        refused(&folder, line, &["sub.jpg", "it is a folder"]);
+    }
+}
+
+/// A pipe is read to its end; in a folder nobody waits for what may come out of it.
+#[cfg(unix)]
+#[test]
+fn a_pipe_is_a_photograph_where_it_is_named_and_none_where_it_is_found() {
+    let folder = Folder::with_bracket();
+    assert!(Command::new("mkfifo").arg(folder.at("p.jpg")).status().expect("mkfifo").success());
+    let run = folder.line("batch . --dry-run --bracket 5").done();
+    assert!(run.stdout.contains("p.jpg") && run.stdout.contains("a pipe or a device"), "{}", run.stdout);
+    let (path, bytes) = (folder.at("p.jpg"), small_jpeg(2).to_vec());
+    let writer = std::thread::spawn(move || fs::write(path, bytes));
+    folder.line("merge p.jpg w3.jpg --align none -o piped.png").done();
+    writer.join().expect("no panic").expect("written");
+    folder.line("merge w2.jpg w3.jpg --align none -o plain.png").done();
+    assert!(folder.bytes("piped.png") == folder.bytes("plain.png"));
+}
+
+#[test]
+fn a_thousand_photographs_are_no_bracket() {
+    let folder = Folder::empty();
+    let names: Vec<String> = (0..1001).map(|i| format!("{i}.jpg")).collect();
+    let run = folder.run(["merge".to_owned(), "-oa.png".to_owned()].iter().chain(&names));
+    assert!(
+        run.code == 2 && run.stderr.contains("1001 photographs") && run.stderr.contains("hdralign batch"),
+        "{run:?}"
+    );
+}
+
+/// With less and less of it, there is a result or a message, and never a signal: frames are put on disk before they are refused.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_that_is_not_given_is_told() {
+    let folder = Folder::empty();
+    // 900 x 600: large enough that the frames count beside the program.
+    for i in 2..=4 {
+        let large = image::imageops::resize(&small(i), 900, 600, image::imageops::FilterType::Triangle);
+        folder.put(&format!("w{i}.jpg"), &jpeg(&large, Some(i)));
+    }
+    let line = "merge w2.jpg w3.jpg w4.jpg --align none --threads 1 -o a.png --force";
+    let (mut done, mut refused) = (0, 0);
+    for megabytes in [45, 60, 90, 2000] {
+        let run = within(&folder, megabytes * 1000, line);
+        match run.code {
+            0 => done += 1,
+            1 => refused += 1,
+            // Where not even the program is loaded.
+            127 => {}
+            code => panic!("{megabytes} MB: {code}\n{}", run.stderr),
+        }
+    }
+    assert!(done > 0 && refused > 0, "{done} done, {refused} refused");
+}
