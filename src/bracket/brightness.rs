@@ -231,6 +231,41 @@ pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
     })
 }
 
+/// Which of `frames` are at odds with the others where most agree with what was `written`: the fewest, and fewer than half, without which every
+/// step is seen as it was written. `None` where there are no such.
+pub fn at_odds(written: &[f64], frames: &[Brightness]) -> Option<Vec<usize>> {
+    let count = frames.len();
+    let most = if count <= MANY { (count.max(1) - 1) / 2 } else { 1 };
+    (1..=most).find_map(|some| {
+        let mut odd: Vec<usize> = (0..some).collect();
+        loop {
+            if agree(written, frames, &odd) {
+                return Some(odd);
+            }
+            // The next of the combinations, in order.
+            let last = (0..some).rev().find(|&i| odd[i] < count - some + i)?;
+            let next = odd[last] + 1;
+            odd.truncate(last);
+            odd.extend(next..next + some - last);
+        }
+    })
+}
+
+/// Of more frames than these only one is looked for that is at odds.
+const MANY: usize = 12;
+
+/// Whether the frames but those of `odd` show the steps that are written.
+fn agree(written: &[f64], frames: &[Brightness], odd: &[usize]) -> bool {
+    let mut order: Vec<usize> = (0..frames.len()).filter(|i| !odd.contains(i)).collect();
+    order.sort_by(|&a, &b| written[a].total_cmp(&written[b]));
+    order.windows(2).all(|pair| {
+        let said = written[pair[1]] - written[pair[0]];
+        let seen = step(&frames[pair[0]], &frames[pair[1]]).map(|step| step / CONTRAST);
+        // As far apart as cameras' contrasts are: 1.27 to 1.78, of which 1.4 is divided out.
+        seen.is_some_and(|seen| (said - seen).abs() <= 0.2 + 0.25 * said)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -299,6 +334,23 @@ mod tests {
         let far = [picture(-2.0, 1.4, 0), picture(2.0, 1.4, 0)];
         assert!(contradiction(&[0.0, 0.5], &far).is_some());
         assert_eq!(contradiction(&[0.0, 2.5], &far), None);
+    }
+
+    #[test]
+    fn the_few_are_at_odds_with_the_many() {
+        let frames: Vec<_> = [-2.0, 0.0, 2.0, 1.0, -1.0].map(|ev| picture(ev, 1.4, 0)).into();
+        let true_evs = [-2.0, 0.0, 2.0, 1.0, -1.0];
+        let with = |changes: &[(usize, f64)]| {
+            let mut written = true_evs;
+            changes.iter().for_each(|&(i, ev)| written[i] = ev);
+            at_odds(&written, &frames)
+        };
+        assert_eq!(with(&[(2, 20.0)]), Some(vec![2]));
+        assert_eq!(with(&[(1, -9.0), (3, 7.0)]), Some(vec![1, 3]));
+        // Three of five are not the few, and of three that are turned round no two agree.
+        assert_eq!(with(&[(0, 9.0), (1, -9.0), (3, 14.0)]), None);
+        assert_eq!(at_odds(&[2.0, 0.0, -2.0], &frames[..3]), None);
+        assert_eq!(at_odds(&[0.0, 0.0], &frames[..2]), None);
     }
 
     /// Between its two codes anything may be: a step has nothing to hold on to.

@@ -360,6 +360,8 @@ fn settle_exposures(pictures: &mut [Picture], copies: &[Copied], warnings: &mut 
 
     let warning: fn(String) -> Warning;
     let what;
+    // Frames whose EXIF is kept, though that of others is not believed.
+    let mut kept = vec![false; pictures.len()];
     if let Some(&first) = missing.first() {
         what = match missing.len() {
             1 => format!("{} does not say how it was exposed", pictures[first].path.display()),
@@ -380,6 +382,9 @@ fn settle_exposures(pictures: &mut [Picture], copies: &[Copied], warnings: &mut 
         };
         what = contradiction;
         warning = |detail| Warning::ExposureContradicted { detail };
+        if let Some(odd) = brightness::at_odds(&by_path, &seen) {
+            (0..order.len()).filter(|k| !odd.contains(k)).for_each(|k| kept[order[k]] = true);
+        }
     }
 
     let unknown = |reason: &str| match missing.first() {
@@ -400,24 +405,32 @@ fn settle_exposures(pictures: &mut [Picture], copies: &[Copied], warnings: &mut 
     if brightness::all_alike(&steps) && !is_one {
         return Err(unknown("the pictures are equally bright"));
     }
-    // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them.
+    // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them; where some of it is
+    // kept, the nearest of that does.
     let mut offsets: Vec<f64> =
         order.iter().zip(&steps).filter_map(|(&i, step)| Some(by_tags[i].as_ref()?.ev() - step)).collect();
     if offsets.is_empty() {
         offsets = steps.iter().map(|step| -step).collect();
     }
+    let near: Vec<(f64, f64)> = (0..order.len()).filter(|&k| kept[order[k]]).map(|k| (steps[k], offsets[k])).collect();
     offsets.sort_by(f64::total_cmp);
-    let anchor = offsets[offsets.len() / 2];
+    let anchor = |step: f64| {
+        let nearest = near.iter().min_by(|a, b| (a.0 - step).abs().total_cmp(&(b.0 - step).abs()));
+        nearest.map_or(offsets[offsets.len() / 2], |(_, offset)| *offset)
+    };
 
     let mut exposures = by_tags;
-    for (&i, step) in order.iter().zip(&steps) {
-        exposures[i] = Exposure::estimated(step + anchor);
+    for (&i, &step) in order.iter().zip(&steps).filter(|(i, _)| !kept[**i]) {
+        exposures[i] = Exposure::estimated(step + anchor(step));
     }
     let exposures: Vec<Exposure> = exposures.into_iter().flatten().collect();
     let mut by_step = steps;
     by_step.sort_by(f64::total_cmp);
     let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
-    warnings.push(warning(format!("{what}; their steps are about {} EV", listed.join(", "))));
+    let odd = order.iter().filter(|&&i| kept.contains(&true) && !kept[i]);
+    let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
+    let kept = if odd.is_empty() { String::new() } else { format!("; that of {} is not believed", odd.join(", ")) };
+    warnings.push(warning(format!("{what}{kept}; their steps are about {} EV", listed.join(", "))));
     if exposures.len() != pictures.len() {
         return Err(unknown("the pixels give no usable number"));
     }

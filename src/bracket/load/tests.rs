@@ -129,7 +129,7 @@ fn exif_gives_exposure_and_capture() {
 fn the_users_exposures_win_and_go_by_the_order_given() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(0.0, &[time(1, 100)]));
-    let b = files.add("b.jpg", &shot(0.0, &[time(1, 50)]));
+    let b = files.add("b.jpg", &shot(-3.0, &[time(1, 50)]));
     let with = |ev: &[f64]| load(&[a.clone(), b.clone()], &LoadOptions { ev: Some(ev.into()), ..Default::default() });
     let (bracket, warnings) = with(&[2.0, -1.0]).unwrap();
     assert_eq!((evs(&bracket), bracket.frames()[0].path()), (vec![-1.0, 2.0], b.as_path()));

@@ -133,6 +133,24 @@ fn a_copy_among_others_has_the_exposure_of_its_pixels() {
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 0.6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
 }
 
+/// A frame of another scene that is too dark for its exposure: the two that agree are believed, and merged as by themselves.
+#[test]
+fn one_frame_that_is_at_odds_does_not_spoil_the_others() {
+    let folder = Folder::empty();
+    let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(1), 5)]);
+    let merged = merged(&folder, &names);
+    assert!(
+        merged.warns(true, &["contradict the pixels", "that of f3.jpg is not believed"]),
+        "{:?}",
+        merged.warnings()
+    );
+    let sources = ["f1.jpg", "f2.jpg", "f3.jpg"]
+        .map(|file| merged.frame(file)["exposure_source"].as_str().expect("a text").to_owned());
+    assert_eq!(sources, ["exif", "exif", "estimated"]);
+    assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 1e-6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
+    assert_eq!(merged.status("f3.jpg"), "rejected");
+}
+
 #[test]
 fn equal_frames_without_exif_are_asked_for_exposures() {
     let folder = Folder::empty();
