@@ -21,6 +21,12 @@ pub enum Error {
         /// What the system said.
         source: io::Error,
     },
+    /// A file was written, cut or exchanged while it was read, or between two looks at it.
+    #[error("{}: was changed while it was read; wait until it is whole, and start again", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
     /// The content is none of the formats that are read, whatever the extension says.
     #[error("{}: is not a JPEG, PNG or TIFF picture ({found}); convert it first, or leave it out", path.display())]
     UnknownFormat {

@@ -36,7 +36,7 @@
 //!
 //! # The layers
 //!
-//! A module uses only those before it: [`error`], [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! A module uses only those before it: [`error`], [`limits`], `intake`, [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
 //! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
@@ -50,6 +50,8 @@ pub mod bracket;
 pub mod compare;
 pub mod error;
 pub mod inspect;
+mod intake;
+pub mod limits;
 pub mod merge;
 pub mod page;
 pub mod pipeline;

@@ -16,6 +16,7 @@ use super::warp::{Warp, corners, map};
 use super::{Alignment, KeypointCounts, Model, Status, Verdict};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result};
+use crate::intake;
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -185,8 +186,7 @@ impl SavedAlignment {
     /// # Errors
     /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        Self::from_json(&String::from_utf8_lossy(&bytes), path)
+        Self::from_json(&intake::text(path, intake::MOST_OF_A_TEXT)?, path)
     }
 
     /// The places in `text`, the content of the file `path`.

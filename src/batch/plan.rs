@@ -8,10 +8,10 @@ use super::estimate::Size;
 use super::find::FoundBracket;
 use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
+use crate::intake;
 use crate::pipeline::natural;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The version of the format: keys are only ever added to it.
@@ -397,7 +397,7 @@ impl Step {
     /// # Errors
     /// [`Error::Read`]; [`Error::PlanFile`] for what is no plan, of another version, or has an id twice.
     pub fn read_all(path: &Path) -> Result<Vec<Step>> {
-        let text = fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = intake::text(path, intake::MOST_OF_A_PLAN)?;
         let refused = |line: usize, reason: String| Error::PlanFile { path: path.to_owned(), line, reason };
         let mut steps: Vec<Step> = Vec::new();
         let mut ids = BTreeSet::new();

@@ -9,11 +9,12 @@
 
 use super::plan::Step;
 use crate::error::{Error, Result};
+use crate::intake;
 use crate::pipeline::Options;
 use crate::write::Format;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -38,7 +39,7 @@ impl Content {
     /// [`Error::Read`].
     pub fn of(path: &Path) -> Result<Content> {
         let failed = |source| Error::Read { path: path.to_owned(), source };
-        Content::read(path, File::open(path).map_err(failed)?).map_err(failed)
+        Content::read(path, intake::open_regular(path)?).map_err(failed)
     }
 
     /// Of what `file` gives, which is or will be named `path`.
@@ -99,7 +100,7 @@ struct Report {
 impl Record {
     /// The record in the report `path`; none where there is no such file, or none of ours.
     pub fn read(path: &Path) -> Option<Record> {
-        let text = fs::read(path).ok()?;
+        let text = intake::whole(path, intake::MOST_OF_A_TEXT).ok()?;
         Some(serde_json::from_slice::<Report>(&text).ok()?.step)
     }
 
@@ -144,6 +145,7 @@ pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String>
     let mut acting =
         Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
     acting.load.memory = None;
+    acting.load.max_pixels = 0;
     acting.write.overwrite = false;
     take(&format!("{:?} {acting:?}", step.kind));
     for output in &step.outputs {

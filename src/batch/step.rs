@@ -9,6 +9,7 @@
 use super::plan::{Kind, Step};
 use super::record::{self, Content, Record};
 use crate::error::{Error, Result};
+use crate::intake::{self, Stamp};
 use crate::pipeline::camera::{self, CameraReport};
 use crate::pipeline::{self, Options, Progress};
 use crate::report::Report;
@@ -56,7 +57,7 @@ impl Brief {
 
     /// Of the report in the file `path`.
     pub fn read(path: &Path) -> Option<Brief> {
-        Some(Brief::of(&serde_json::from_slice(&fs::read(path).ok()?).ok()?))
+        Some(Brief::of(&serde_json::from_slice(&intake::whole(path, intake::MOST_OF_A_TEXT).ok()?).ok()?))
     }
 }
 
@@ -92,7 +93,7 @@ enum Prepared {
 /// it is done again, and files that somebody else made are replaced.
 ///
 /// # Errors
-/// Those of [`pipeline::run`]; [`Error::OutputExists`], [`Error::OutputChanged`], [`Error::OtherPhotographs`] for a result that neither this
+/// Those of [`pipeline::run`]; [`Error::Changed`] where a photograph is another at the end than it was at the begin; [`Error::OutputExists`], [`Error::OutputChanged`], [`Error::OtherPhotographs`] for a result that neither this
 /// step nor an earlier form of it made; [`Error::FrameLost`].
 pub fn begin<'a>(
     step: &'a Step,
@@ -100,6 +101,7 @@ pub fn begin<'a>(
     force: bool,
     watch: &(dyn Fn(Progress) + Sync),
 ) -> Result<Begun<'a>> {
+    let stamps: Vec<Stamp> = step.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = step.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
     let options = &acting(step, options);
     let key = record::key(step, &inputs, options)?;
@@ -132,6 +134,8 @@ pub fn begin<'a>(
             Prepared::Recovered(Box::new(camera::prepare(&step.by_bracket(), &options, watch)?))
         }
     };
+    // The record must be of what was merged: photographs are read once for it, and once for their pixels.
+    stamps.iter().try_for_each(Stamp::check)?;
     Ok(Begun::Made(Box::new(Made { step, key, inputs, replaced, existing, prepared })))
 }
 
@@ -284,7 +288,8 @@ pub struct Failure {
 impl Failure {
     /// The failure of `step`, if one is told.
     pub fn read(step: &Step) -> Option<Failure> {
-        let failure: Failure = serde_json::from_slice(&fs::read(&step.failure).ok()?).ok()?;
+        let failure: Failure =
+            serde_json::from_slice(&intake::whole(&step.failure, intake::MOST_OF_A_TEXT).ok()?).ok()?;
         (failure.schema == FAILURE).then_some(failure)
     }
 }

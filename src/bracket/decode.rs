@@ -14,9 +14,10 @@ mod tiff;
 
 use super::Samples;
 use crate::error::{Error, Result};
+use crate::intake;
+use crate::limits::Limits;
 use exif::{Exif, In, Tag};
 use sniff::Format;
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -50,17 +51,17 @@ struct Stored {
 /// Why a file was refused, in words for [`Error::Decode`].
 type Reason = String;
 
-/// Decodes `bytes`, the content of the file `path`, if it is of at most `max_pixels` pixels.
+/// Decodes `bytes`, the content of the file `path`, if it asks for no more than `limits`.
 ///
 /// # Errors
 /// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and excessive sizes.
-pub(super) fn decode(path: &Path, bytes: Vec<u8>, max_pixels: u64) -> Result<Decoded> {
+pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Decoded> {
     let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
     let stored = catch_unwind(AssertUnwindSafe(|| match format {
-        Format::Jpeg => jpeg::decode(bytes, max_pixels),
-        Format::Png => png::decode(&bytes, max_pixels),
-        Format::Tiff => tiff::decode(bytes, max_pixels),
+        Format::Jpeg => jpeg::decode(bytes, limits),
+        Format::Png => png::decode(&bytes, limits),
+        Format::Tiff => tiff::decode(bytes, limits),
     }))
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
     .map_err(|reason| Error::Decode { path: path.into(), format: format.name(), reason })?;
@@ -123,10 +124,10 @@ const AT_ONCE: usize = 8192;
 /// Reads what the file `path` says of itself, without its pixels; of the EXIF of a TIFF, the `wanted` tags. Damage of the pixels is not seen.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size cannot be told, is none or is of more than `max_pixels`.
-pub(super) fn head(path: &Path, wanted: &[Tag], max_pixels: u64) -> Result<Head> {
+/// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size cannot be told, is none or is more than `limits` has.
+pub(super) fn head(path: &Path, wanted: &[Tag], limits: &Limits) -> Result<Head> {
     let unreadable = |source| Error::Read { path: path.into(), source };
-    let mut reader = BufReader::with_capacity(AT_ONCE, File::open(path).map_err(unreadable)?);
+    let mut reader = BufReader::with_capacity(AT_ONCE, intake::open_regular(path)?);
     let begin = reader.fill_buf().map_err(unreadable)?;
     let format = sniff::format(begin).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     let error = |reason| Error::Decode { path: path.into(), format: format.name(), reason };
@@ -137,7 +138,7 @@ pub(super) fn head(path: &Path, wanted: &[Tag], max_pixels: u64) -> Result<Head>
     }))
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
     .map_err(error)?;
-    check_size(found.width, found.height, max_pixels).map_err(error)?;
+    limits.check_size(found.width, found.height).map_err(error)?;
     let exif = found.exif.and_then(parsed);
     let (width, height) = match orientation(exif.as_ref()) {
         5..=8 => (found.height, found.width),
@@ -145,21 +146,6 @@ pub(super) fn head(path: &Path, wanted: &[Tag], max_pixels: u64) -> Result<Head>
     };
     let refused = found.refused.map(error);
     Ok(Head { width, height, depth: found.depth, exif, software: found.software, refused })
-}
-
-/// Refuses sizes that are empty or beyond `max_pixels`, before anything is allocated for them.
-fn check_size(width: usize, height: usize, max_pixels: u64) -> std::result::Result<(), Reason> {
-    let pixels = width as u64 * height as u64;
-    if pixels == 0 {
-        return Err("it has no pixels".into());
-    }
-    if pixels > max_pixels {
-        return Err(format!(
-            "it says to be {width}x{height} pixels, more than the {} million allowed; the file is damaged, or scale it down first",
-            max_pixels / 1_000_000
-        ));
-    }
-    Ok(())
 }
 
 /// Interleaved RGB from interleaved pixels of `channels`: grey, grey + alpha, RGB or RGB + alpha.

@@ -4,11 +4,12 @@
 //! Cost: some 10 to 60 kB read, by seeking, and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's own directory, which
 //! says which frame of an automatic bracket it is and the number of the body, P. Harvey's ExifTool, "Canon Tags".
 
+use super::Capture;
 use super::capture::{ascii, is_date};
 use super::decode;
 use super::exposure::{ExposureTags, first_number};
-use super::{Capture, LoadOptions};
 use crate::error::Result;
+use crate::limits::Limits;
 use exif::{DateTime, Exif, In, Tag, Value};
 use std::fmt;
 use std::path::Path;
@@ -152,14 +153,14 @@ const WANTED: [Tag; 25] = [
 ];
 
 impl Header {
-    /// Reads what the photograph `path` says of itself.
+    /// Reads what the photograph `path` says of itself, which may ask for what `limits` allow.
     ///
     /// # Errors
     /// [`Error::Read`](crate::error::Error::Read); [`Error::UnknownFormat`](crate::error::Error::UnknownFormat) and
     /// [`Error::Decode`](crate::error::Error::Decode) for what the decoder would refuse as well, by its kind or by its size. Our own results
     /// are no photographs, but have a header.
-    pub fn read(path: &Path) -> Result<Self> {
-        let head = decode::head(path, &WANTED, LoadOptions::default().max_pixels)?;
+    pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
+        let head = decode::head(path, &WANTED, limits)?;
         let exif = head.exif.as_ref();
         let text = |tag| exif.and_then(|e| ascii(e, tag));
         let notes = exif.and_then(Canon::read).unwrap_or_default();

@@ -13,11 +13,12 @@ use super::exposure::{self, Exposure, ExposureSource, ExposureTags};
 use super::window::Store;
 use super::{Bracket, Capture, Codes, Frame, ReferenceChoice, Samples, reference};
 use crate::error::{Error, Result, Warning};
+use crate::intake;
+use crate::limits::{self, Limits};
 use crate::scratch::{MemoryLimit, Scratch};
 use exif::{Exif, In, Tag};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -29,7 +30,7 @@ pub struct LoadOptions {
     pub ev: Option<Vec<f64>>,
     /// Which frame the others are aligned to. Default: automatic.
     pub reference: ReferenceChoice,
-    /// The most pixels that a file may say to have before it is decoded. Default: 2000 million.
+    /// The most pixels that a photograph may have, by its header. Default: [`Limits::MAX_PIXELS`].
     pub max_pixels: u64,
     /// How much memory may be used: frames that do not fit are put on disk. Default: as much as is needed.
     pub memory: Option<MemoryLimit>,
@@ -42,12 +43,22 @@ impl Default for LoadOptions {
         LoadOptions {
             ev: None,
             reference: ReferenceChoice::Auto,
-            max_pixels: 2_000_000_000,
+            max_pixels: Limits::MAX_PIXELS,
             memory: None,
             keep_gps: false,
         }
     }
 }
+
+impl LoadOptions {
+    /// What one photograph may ask for.
+    pub fn limits(&self) -> Limits {
+        Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(|limit| limit.bytes) }
+    }
+}
+
+/// The most photographs of a bracket.
+pub const MOST_FRAMES: usize = 1000;
 
 /// Reads the files `paths` as one bracket.
 ///
@@ -70,6 +81,13 @@ pub fn load_with_progress(
 ) -> Result<(Bracket, Vec<Warning>)> {
     if paths.len() < 2 {
         return Err(Error::TooFewFrames { given: paths.len() });
+    }
+    if paths.len() > MOST_FRAMES {
+        let reason = format!(
+            "{} photographs are no bracket, which has {MOST_FRAMES} at most; name those of one, or let `hdralign batch FOLDER` find the brackets",
+            paths.len()
+        );
+        return Err(Error::Option { option: "IMAGES", reason });
     }
     let given = options.ev.as_ref().map(|ev| given_exposures(ev, paths.len())).transpose()?;
     refuse_same_files(paths)?;
@@ -128,7 +146,8 @@ fn read_within(
     let (pixels, count) = ((first.width * first.height) as u64, paths.len() as u64);
     let frame = first.store.bytes();
     // Beside the frames, alignment holds a pyramid of each, and merging the radiance.
-    let is_held = count * frame + (count * pixels * 3 / 2).max(12 * pixels) <= limit.for_pixels();
+    let all = count * frame + (count * pixels * 3 / 2).max(12 * pixels);
+    let is_held = all <= limit.for_pixels() && limits::is_given(all);
     let scratch = if is_held { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
@@ -216,7 +235,7 @@ struct Picture {
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
     fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, options.max_pixels)?;
+        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, &options.limits())?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
@@ -242,15 +261,9 @@ impl Picture {
     }
 }
 
-/// The file `path`, decoded.
-pub(super) fn decoded(path: &Path, max_pixels: u64) -> Result<Decoded> {
-    let unreadable = |source| Error::Read { path: path.into(), source };
-    if path.is_dir() {
-        let reason = "it is a folder; name the photographs in it, as in `folder/*.jpg`";
-        return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
-    }
-    let bytes = std::fs::read(path).map_err(unreadable)?;
-    decode::decode(path, bytes, max_pixels)
+/// The file `path`, decoded. It is read once, so that there is nothing to be seen twice, and differently.
+pub(super) fn decoded(path: &Path, limits: &Limits) -> Result<Decoded> {
+    decode::decode(path, intake::whole(path, limits.most_bytes())?, limits)
 }
 
 /// The profile that a file carries, or that its EXIF means.

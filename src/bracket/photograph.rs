@@ -4,9 +4,10 @@
 
 use super::colour::Profile;
 use super::exposure::ExposureTags;
-use super::load::{LoadOptions, decoded, profile};
+use super::load::{decoded, profile};
 use super::{Capture, Samples, capture};
 use crate::error::{Result, Warning};
+use crate::limits::Limits;
 use std::path::Path;
 
 /// A picture as it is to be seen.
@@ -31,13 +32,13 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    /// Reads the file `path`, and gives what was ignored in it.
+    /// Reads the file `path`, which may ask for what `limits` allow, and gives what was ignored in it.
     ///
     /// # Errors
     /// [`Error::Read`](crate::error::Error::Read), [`Error::UnknownFormat`](crate::error::Error::UnknownFormat),
-    /// [`Error::Decode`](crate::error::Error::Decode).
-    pub fn read(path: &Path) -> Result<(Photograph, Vec<Warning>)> {
-        let decoded = decoded(path, LoadOptions::default().max_pixels)?;
+    /// [`Error::Decode`](crate::error::Error::Decode), [`Error::Changed`](crate::error::Error::Changed).
+    pub fn read(path: &Path, limits: &Limits) -> Result<(Photograph, Vec<Warning>)> {
+        let decoded = decoded(path, limits)?;
         let mut notes = decoded.notes;
         let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = decoded.exif.as_ref().map(|exif| capture::read(exif, false)).unwrap_or_default();

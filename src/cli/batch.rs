@@ -239,6 +239,7 @@ impl Args {
             gap_s: self.finding.gap,
             by_folder: self.finding.by_folder,
             skip: self.places.output.iter().cloned().collect(),
+            max_pixels: Some(self.work.largest.pixels()),
         }
     }
 
@@ -311,6 +312,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
         let folder = step.report.parent().unwrap_or(Path::new("."));
         options.load.memory = args.work.memory(|| folder.to_owned());
         options.threads = args.work.threads;
+        options.load.max_pixels = largest(step, &args.work);
         match step::run(step, &options, args.work.force, &|_| ()) {
             Ok((brief, is_new)) => {
                 done += 1;
@@ -326,6 +328,12 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
     super::tell(&results)?;
     let verdict = Verdict::of(done, steps.len());
     Ok(if args.work.strict && degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
+}
+
+/// The pixels that a photograph of `step` may have: what is said here, else as many as it was planned with, or by default.
+fn largest(step: &Step, work: &Work) -> u64 {
+    let planned = (step.width_px as u64).saturating_mul(step.height_px as u64);
+    work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
 }
 
 /// `--summarize PLAN`.

@@ -1,5 +1,6 @@
 //! `hdralign compare`.
 
+use super::input::Largest;
 use super::terminal::Terminal;
 use hdralign::compare::{self, Blessed, Comparison, Criterion, Options, Tolerance};
 use hdralign::error::Error;
@@ -61,6 +62,9 @@ pub struct Args {
     #[arg(long)]
     bless: bool,
 
+    #[command(flatten)]
+    largest: Largest,
+
     /// Replace a difference picture that exists
     #[arg(short, long)]
     force: bool,
@@ -87,7 +91,7 @@ impl Args {
                 most_differing_percent: self.max_differing,
             },
         };
-        Options { criterion, diff: self.diff.clone(), overwrite: self.force }
+        Options { criterion, diff: self.diff.clone(), overwrite: self.force, allowed: self.largest.limits() }
     }
 }
 
@@ -119,7 +123,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let mut code = ExitCode::from(if compared.as_ref().is_some_and(Comparison::is_same) { 0 } else { 1 });
     if args.bless {
         let (expected, actual) = (args.expected.display(), args.actual.display());
-        let blessed = compare::bless(&args.expected, &args.actual)?;
+        let blessed = compare::bless(&args.expected, &args.actual, &args.largest.limits())?;
         say(&match blessed {
             Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),
             Blessed::Replaced => format!("blessed: {expected} is now a copy of {actual}"),

@@ -7,6 +7,7 @@ use hdralign::align::given::{Given, Place};
 use hdralign::align::mtb::MtbOptions;
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
+use hdralign::limits::Limits;
 use hdralign::pipeline::{Crop, Options};
 use hdralign::scratch::MemoryLimit;
 use hdralign::write;
@@ -44,6 +45,9 @@ pub struct Work {
     #[arg(long, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 
+    #[command(flatten)]
+    pub largest: Largest,
+
     /// The folder for what does not fit into memory [default: that of the first result, else the system's for temporary files]
     #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
@@ -59,6 +63,31 @@ pub struct Work {
     /// Say nothing but errors
     #[arg(short, long)]
     pub quiet: bool,
+}
+
+/// How large what is read may be.
+#[derive(Debug, Args)]
+pub struct Largest {
+    /// Pixels that a picture may have at most, as 800M or 2G [default: 500M]; what says to be larger is refused before it is decoded
+    #[arg(long, value_name = "N", value_parser = memory::count)]
+    max_pixels: Option<u64>,
+}
+
+impl Largest {
+    /// Pixels, where the user says so.
+    pub fn given(&self) -> Option<u64> {
+        self.max_pixels
+    }
+
+    /// Pixels, as given or by default.
+    pub fn pixels(&self) -> u64 {
+        self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
+    }
+
+    /// What a file may ask for that is read by itself: three quarters of the memory that is free.
+    pub fn limits(&self) -> Limits {
+        Limits { max_pixels: self.pixels(), memory: memory::free().map(|free| free / 4 * 3) }
+    }
 }
 
 /// What the photographs are, and how they are aligned.
@@ -209,6 +238,7 @@ impl Aligned {
         Options {
             load: LoadOptions {
                 reference: self.reference(),
+                max_pixels: self.work.largest.pixels(),
                 memory: self.work.memory(std::env::temp_dir),
                 ..options.load
             },

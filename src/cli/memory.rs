@@ -8,12 +8,26 @@ pub fn free() -> Option<u64> {
     // Where the process is confined, as in a container, less.
     let read = |name: &str| fs::read_to_string(format!("/sys/fs/cgroup/{name}")).ok()?.trim().parse::<u64>().ok();
     let of_group = read("memory.max").map(|most| most.saturating_sub(read("memory.current").unwrap_or(0)));
-    Some(of_group.map_or(of_machine, |group| group.min(of_machine)))
+    let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
+    let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
+    let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)));
+    [of_group, of_process].into_iter().flatten().chain([of_machine]).min()
+}
+
+/// The bytes of addresses that /proc/self/limits allows (`ulimit -v`); none where there is no limit.
+fn address_space(limits: &str) -> Option<u64> {
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
+    line.split_whitespace().next()?.parse().ok()
 }
 
 /// `MemAvailable` of /proc/meminfo, in bytes.
 fn available(meminfo: &str) -> Option<u64> {
-    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    in_kilobytes(meminfo, "MemAvailable:")
+}
+
+/// The line `name` of a file of /proc that counts in kB, in bytes.
+fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
@@ -46,9 +60,44 @@ pub fn size(text: &str) -> Result<u64, String> {
     Ok(bytes as u64)
 }
 
+/// A count, as `500000000`, `500M`, `500MP` or `2G`.
+pub fn count(text: &str) -> Result<u64, String> {
+    let wrong = || format!("{text:?} is no number of pixels; give it as `500M`, `1.5G` or `500000000`");
+    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    let unit = unit.trim().to_ascii_lowercase();
+    let factor = match unit.strip_suffix("px").or(unit.strip_suffix('p')).unwrap_or(&unit).trim() {
+        "" => 1.0,
+        "k" => 1e3,
+        "m" => 1e6,
+        "g" => 1e9,
+        _ => return Err(wrong()),
+    };
+    let count = number.parse::<f64>().map_err(|_| wrong())? * factor;
+    if count < 1.0 { Err(wrong()) } else { Ok(count as u64) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pixels_are_counted_as_people_do() {
+        let all = ["500M", "1.5g", "24 MP", "300000", "12k", "7px"].map(|t| count(t).unwrap());
+        assert_eq!(all, [500_000_000, 1_500_000_000, 24_000_000, 300_000, 12_000, 7]);
+        for wrong in ["", "M", "0", "-5M", "1.2.3G", "5 lights", "many"] {
+            assert!(count(wrong).unwrap_err().contains("as `500M`"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_limit_of_the_process_is_read_as_linux_writes_it() {
+        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
+            Max cpu time              unlimited            unlimited            seconds   \n\
+            Max address space         629145600            unlimited            bytes     \n";
+        assert_eq!(address_space(limits), Some(629_145_600));
+        assert_eq!(address_space(&limits.replace("629145600", "unlimited")), None);
+    }
 
     #[test]
     fn what_is_free_is_read_as_linux_writes_it() {

@@ -1,5 +1,6 @@
 //! `hdralign tonemap`.
 
+use super::input::Largest;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
 use super::summary;
@@ -43,6 +44,9 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
 
+    #[command(flatten)]
+    largest: Largest,
+
     /// Replace files that exist
     #[arg(short, long)]
     force: bool,
@@ -71,6 +75,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         outputs,
         write: args.radiance.write(args.force),
         threads: args.threads,
+        limits: args.largest.limits(),
     };
     let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);
     let report = pipeline::tonemap_file(&args.input, &options, &|p| bar.show(p));

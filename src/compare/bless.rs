@@ -6,6 +6,8 @@
 
 use super::input::Input;
 use crate::error::{Error, Result};
+use crate::intake;
+use crate::limits::Limits;
 use crate::write;
 use std::fs;
 use std::path::Path;
@@ -25,8 +27,8 @@ pub enum Blessed {
 ///
 /// # Errors
 /// Those of reading `actual`; [`Error::Option`] where the extensions name different formats; [`Error::Write`].
-pub fn bless(expected: &Path, actual: &Path) -> Result<Blessed> {
-    Input::open(actual)?;
+pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<Blessed> {
+    let input = Input::open(actual, limits)?;
     if format(expected) != format(actual) {
         let reason = format!(
             "copies bytes, and {} and {} are of different formats; give them one extension",
@@ -35,7 +37,8 @@ pub fn bless(expected: &Path, actual: &Path) -> Result<Blessed> {
         );
         return Err(Error::Option { option: "--bless", reason });
     }
-    let bytes = fs::read(actual).map_err(|source| Error::Read { path: actual.to_owned(), source })?;
+    let bytes = intake::whole(actual, limits.most_bytes())?;
+    input.check_unchanged()?;
     let is_there = expected.exists();
     if is_there && fs::read(expected).is_ok_and(|there| there == bytes) {
         return Ok(Blessed::Unchanged);

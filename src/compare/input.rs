@@ -6,11 +6,13 @@ use super::{Changed, Side};
 use crate::bracket::colour::Primaries;
 use crate::bracket::{Photograph, Samples};
 use crate::error::{Error, Result, Warning};
+use crate::intake::Stamp;
+use crate::limits::Limits;
 use crate::merge::RadianceMap;
 use crate::read;
 use crate::write::Metadata;
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// A file, read.
@@ -18,6 +20,8 @@ pub(super) struct Input {
     path: PathBuf,
     pub pixels: Pixels,
     pub warnings: Vec<Warning>,
+    /// It is read again where bytes are compared.
+    stamp: Stamp,
 }
 
 /// What it holds.
@@ -27,24 +31,21 @@ pub(super) enum Pixels {
 }
 
 impl Input {
-    /// Reads the file `path`.
-    pub fn open(path: &Path) -> Result<Input> {
+    /// Reads the file `path`, which may ask for what `limits` allow.
+    pub fn open(path: &Path, limits: &Limits) -> Result<Input> {
         let path = path.to_owned();
-        if path.is_dir() {
-            let source = io::Error::new(io::ErrorKind::IsADirectory, "it is a folder; name a file in it");
-            return Err(Error::Read { path, source });
+        let stamp = Stamp::of(&path)?;
+        if read::holds_radiance(&path, limits)? {
+            let (map, metadata) = read::read_within(&path, limits)?;
+            return Ok(Input { path, pixels: Pixels::Radiance(map, Box::new(metadata)), warnings: Vec::new(), stamp });
         }
-        if read::holds_radiance(&path)? {
-            let (map, metadata) = read::read(&path)?;
-            return Ok(Input { path, pixels: Pixels::Radiance(map, Box::new(metadata)), warnings: Vec::new() });
-        }
-        match Photograph::read(&path) {
+        match Photograph::read(&path, limits) {
             Ok((photograph, mut warnings)) => {
                 if has_alpha(&path) {
                     let detail = "its alpha is not compared".into();
                     warnings.push(Warning::Metadata { path: path.clone(), detail });
                 }
-                Ok(Input { path, pixels: Pixels::Display(Box::new(photograph)), warnings })
+                Ok(Input { path, pixels: Pixels::Display(Box::new(photograph)), warnings, stamp })
             }
             Err(Error::UnknownFormat { path, found }) => Err(Error::NotComparable { path, found }),
             Err(error) => Err(error),
@@ -98,6 +99,18 @@ impl Input {
 
     /// Whether the files are the same to the byte.
     pub fn bytes_equal(&self, other: &Input) -> Result<bool> {
+        let equal = self.compare_bytes(other)?;
+        self.stamp.check()?;
+        other.stamp.check()?;
+        Ok(equal)
+    }
+
+    /// Refuses a file that is another than the one that was opened.
+    pub fn check_unchanged(&self) -> Result<()> {
+        self.stamp.check()
+    }
+
+    fn compare_bytes(&self, other: &Input) -> Result<bool> {
         let unreadable = |path: &Path, source| Error::Read { path: path.to_owned(), source };
         let length = |path: &Path| fs::metadata(path).map(|m| m.len()).map_err(|e| unreadable(path, e));
         if length(&self.path)? != length(&other.path)? {

@@ -23,6 +23,7 @@ mod verdict;
 pub use bless::{Blessed, bless};
 
 use crate::error::{Error, Result};
+use crate::limits;
 use crate::plane::Plane;
 use input::{Input, Pixels};
 use serde::Serialize;
@@ -79,6 +80,8 @@ pub struct Options {
     pub diff: Option<PathBuf>,
     /// Whether that replaces a file that exists. No by default.
     pub overwrite: bool,
+    /// What the files may ask for.
+    pub allowed: limits::Limits,
 }
 
 /// What came of it.
@@ -290,7 +293,7 @@ struct Measured {
 /// Compares the file `actual` with the file `expected`.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Decode`]; [`Error::NotComparable`] where a file is of no format that is read;
+/// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] where a file is of no format that is read;
 /// [`Error::KindsDiffer`] where one is radiance and the other a picture; [`Error::Option`] for a tolerance that is none, or for the other
 /// kind; those of writing for the difference picture.
 pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Comparison> {
@@ -298,7 +301,7 @@ pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Compar
     if let Some(diff) = &options.diff {
         picture::check(diff, &[expected.to_owned(), actual.to_owned()], options.overwrite)?;
     }
-    let (a, b) = (Input::open(expected)?, Input::open(actual)?);
+    let (a, b) = (Input::open(expected, &options.allowed)?, Input::open(actual, &options.allowed)?);
     let limits = verdict::limits(&options.criterion, &a)?;
     let is_of_a_size = a.size() == b.size();
     let measured = match (&a.pixels, &b.pixels) {

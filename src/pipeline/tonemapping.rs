@@ -6,6 +6,7 @@
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
 use crate::error::Result;
+use crate::limits::Limits;
 use crate::merge::gamut;
 use crate::read;
 use crate::report::WarningReport;
@@ -28,13 +29,15 @@ pub struct TonemapOptions {
     pub write: write::Options,
     /// Threads that compute; none for as many as there are cores. The results are the same.
     pub threads: Option<usize>,
+    /// What the file may ask for.
+    pub limits: Limits,
 }
 
 /// Tone-maps the radiance map `input` and writes what is asked for. Of a map that `merge` wrote as floats the picture is the same, to
 /// the byte, as the one that `merge` wrote beside it.
 ///
 /// # Errors
-/// Those of [`read::read`] and of writing; on any of them no output exists that did not before.
+/// Those of [`read::read_within`] and of writing; on any of them no output exists that did not before.
 pub fn tonemap_file(
     input: &Path,
     options: &TonemapOptions,
@@ -54,7 +57,7 @@ pub fn tonemap_file(
             Some(since.elapsed().as_secs_f64())
         };
         watch(Progress::Begins(Stage::Load));
-        let (map, metadata) = read::read(input)?;
+        let (map, metadata) = read::read_within(input, &options.limits)?;
         let (map, repaired) = read::repair(map);
         let mut warnings = repaired.warnings(input);
         let (map, outside) = match options.colour {

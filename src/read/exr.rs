@@ -7,49 +7,48 @@
 //! blocks in parallel. Source: as for [`crate::write::exr`].
 
 use crate::bracket::colour::Primaries;
-use crate::error::{Error, Result};
+use crate::limits::{self, DEFLATE, Limits};
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::write::Metadata;
+use ::exr::compression::Compression;
 use ::exr::image::{AnyChannel, FlatSamples};
 use ::exr::math::Vec2;
+use ::exr::meta::MetaData;
 use ::exr::meta::attribute::{AttributeValue, Text};
 use ::exr::prelude::{ReadChannels, ReadLayers, read as reader};
-use std::path::Path;
+use std::io::Cursor;
 
-/// The picture in an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be anything.
+/// The picture in the `bytes` of an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be anything.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::Decode`] for damaged files and those without colour or luminance.
-pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    let damaged = |reason| Error::Decode { path: path.to_owned(), format: "OpenEXR", reason };
+/// The reason for damaged files, for those without colour or luminance, and for those that ask for more than `limits` allow.
+pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), String> {
     let failed = |e| match e {
-        ::exr::error::Error::Io(source) if source.kind() != std::io::ErrorKind::UnexpectedEof => {
-            Error::Read { path: path.to_owned(), source }
-        }
-        ::exr::error::Error::Io(_) => damaged("it is cut short; copy it again".into()),
+        ::exr::error::Error::Io(_) => "it is cut short; copy it again".into(),
         ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
-            damaged(format!("{what}; convert it to RGB first"))
+            format!("{what}; convert it to RGB first")
         }
-        other => damaged(format!("{other}; if it is cut short or damaged, copy it again")),
+        other => format!("{other}; if it is cut short or damaged, copy it again"),
     };
+    check(&MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?, bytes.len(), limits)?;
     let image = reader()
         .no_deep_data()
         .largest_resolution_level()
         .all_channels()
         .all_layers()
         .all_attributes()
-        .from_file(path)
+        .from_buffered(Cursor::new(bytes))
         .map_err(failed)?;
     let chosen = image.layer_data.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
     let grey = || image.layer_data.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
     let Some((layer, channels)) = chosen.or_else(grey) else {
         let names = image.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
         let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
-        return Err(damaged(format!("it has neither R, G and B nor Y, only {}", names.join(", "))));
+        return Err(format!("it has neither R, G and B nor Y, only {}", names.join(", ")));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
-        return Err(damaged("its channels are halved in size; convert it to RGB first".into()));
+        return Err("its channels are halved in size; convert it to RGB first".into());
     }
     let (width, height) = (layer.size.width(), layer.size.height());
     let pixels = Plane::from_rows(width, height, |y, row| {
@@ -86,6 +85,33 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
         metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
     }
     Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+}
+
+/// Holds what the headers say of all parts, which are all read, against what is there and what is allowed: the crate takes their word.
+fn check(told: &MetaData, length: usize, limits: &Limits) -> Result<(), String> {
+    let (mut needed, mut blocks, mut size) = (length as u64, 0, (0, 0));
+    for header in &told.headers {
+        size = (header.layer_size.width(), header.layer_size.height());
+        limits.check_size(size.0, size.1)?;
+        let pixels = size.0 as u64 * size.1 as u64;
+        let each: u64 = header.channels.list.iter().map(|c| c.sample_type.bytes_per_sample() as u64).sum();
+        let most = match header.compression {
+            Compression::Uncompressed => 1,
+            Compression::RLE => 64,
+            // PXR24 drops a byte of four; PIZ has 255 repetitions of 2 bytes in 9 bits, and so less.
+            Compression::ZIP1 | Compression::ZIP16 | Compression::PIZ => DEFLATE,
+            Compression::PXR24 => DEFLATE * 4 / 3,
+            _ => u64::MAX,
+        };
+        // Halved channels have a quarter of the values.
+        limits::check_length(length, pixels * each / 4, most)?;
+        blocks += header.chunk_count as u64;
+        needed = needed.saturating_add(pixels.saturating_mul(each));
+    }
+    // A place in the table, and at least the number and the length of the block itself.
+    limits::check_length(length, blocks.saturating_mul(8 + 8), 1)?;
+    let pixels = told.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
+    limits.check_memory(size, needed.saturating_add(12 * pixels))
 }
 
 type Channel = AnyChannel<FlatSamples>;
@@ -139,7 +165,7 @@ mod tests {
         let channels = AnyChannels::sort(channels.into_iter().collect());
         let layer = Layer::new((4, 3), LayerAttributes::named("any"), encoding, channels);
         Image::from_layer(layer).write().to_file(&path).unwrap();
-        super::read(&path).map(|(map, _)| map)
+        crate::read::read(&path).map(|(map, _)| map)
     }
 
     #[test]
@@ -177,7 +203,7 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         for cut in [bytes.len() - 1, bytes.len() / 2, 100, 9] {
             std::fs::write(&path, &bytes[..cut]).unwrap();
-            assert!(matches!(super::read(&path), Err(crate::error::Error::Decode { .. })), "cut at {cut}");
+            assert!(matches!(crate::read::read(&path), Err(crate::error::Error::Decode { .. })), "cut at {cut}");
         }
     }
 }

@@ -5,26 +5,20 @@
 
 use super::Turn;
 use crate::bracket::colour::{NeutralXyz, Primaries};
-use crate::error::{Error, Result};
+use crate::limits::{self, Limits};
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
 use crate::write::rgbe::{self, Rgbe};
-use std::path::Path;
 
-/// The picture in a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
+/// The picture in the `bytes` of a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
 /// and for XYZE, which becomes RGB of BT.2020, 179 times that: by it, pixels are to be divided to be W/sr/m2. Without PRIMARIES RGBE is
 /// taken for BT.709, as nearly every writer but Radiance means it. Values may be 0, and of XYZE below.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::Decode`] for what is no such file, is damaged or cut short.
-pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    parse(&bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "Radiance HDR", reason })
-}
-
-pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(RadianceMap, Metadata), String> {
+/// The reason for what is no such file, is damaged or cut short, or asks for more than `limits` allow.
+pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), String> {
     let mut rest = bytes;
     if !take_line(&mut rest).is_some_and(|l| l.starts_with("#?")) {
         return Err("it does not begin with #?RADIANCE; it is some other format".into());
@@ -76,8 +70,12 @@ pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(RadianceMap, Metadata)
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
     }
-    let mut pixels = Vec::new();
-    let mut row: Vec<Rgbe> = vec![[0; 4]; scan.length];
+    // Repetitions of the old kind make millions of pixels of a few bytes.
+    limits.check_size(scan.length, scan.lines)?;
+    let count = scan.length * scan.lines;
+    limits.check_memory((scan.length, scan.lines), 12 * count as u64 + bytes.len() as u64)?;
+    let mut pixels = limits::reserved(count)?;
+    let mut row: Vec<Rgbe> = limits::room(scan.length)?;
     for y in 0..scan.lines {
         rgbe::take_row(&mut rest, &mut row).ok_or_else(|| format!("it is damaged or cut short at row {y}"))?;
         pixels.extend(row.iter().map(|&p| rgbe::decode(p)));
@@ -102,7 +100,7 @@ fn take_line(bytes: &mut &[u8]) -> Option<String> {
 }
 
 fn primaries(text: &str) -> Option<Primaries> {
-    let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
+    let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
     let &[rx, ry, gx, gy, bx, by, wx, wy] = numbers.as_slice() else {
         return None;
     };
@@ -141,6 +139,10 @@ mod tests {
     use crate::write::hdr::{Encoding, Writer};
     use crate::write::{Pending, commit, push_all};
 
+    fn parsed(bytes: &[u8]) -> Result<(RadianceMap, Metadata), String> {
+        parse(bytes, &Limits::default())
+    }
+
     fn written(picture: &Plane<[f32; 3]>, encoding: Encoding) -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.hdr");
@@ -157,7 +159,7 @@ mod tests {
             let (x, y) = line(i / 3, i % 3);
             bytes.extend([128 + 10 * x, 128 + 10 * y, 0, 136]);
         }
-        let (map, metadata) = parse(&bytes).unwrap();
+        let (map, metadata) = parsed(&bytes).unwrap();
         assert_eq!(metadata.exposure_scale, 8.0, "a tab makes it another picture's");
         map.pixels
     }
@@ -198,7 +200,7 @@ mod tests {
     #[test]
     fn xyze_is_the_same_light() {
         let picture = Plane::filled(40, 3, [0.3, 1.2, 0.7]);
-        let (map, metadata) = parse(&written(&picture, Encoding::Xyze)).unwrap();
+        let (map, metadata) = parsed(&written(&picture, Encoding::Xyze)).unwrap();
         let back = crate::bracket::colour::Conversion::between(&map.primaries, &Primaries::SRGB).unwrap();
         assert!((metadata.exposure_scale - 1.0).abs() < 1e-9);
         for (a, b) in back.apply(map.pixels.at(39, 2)).iter().zip([0.3, 1.2, 0.7]) {
@@ -220,7 +222,7 @@ mod tests {
             let mut changed = text.replace(from, to).split("+X 50\n").next().unwrap().as_bytes().to_vec();
             changed.extend_from_slice(b"+X 50\n");
             changed.extend_from_slice(&bytes[start..]);
-            parse(&changed).map(|_| ()).unwrap_err()
+            parsed(&changed).map(|_| ()).unwrap_err()
         };
         assert!(with("#?RADIANCE", "PF").contains("#?RADIANCE"));
         assert!(with("EXPOSURE=1e0", "EXPOSURE=0").contains("EXPOSURE"));
@@ -228,7 +230,7 @@ mod tests {
         assert!(with("-Y 9", "-Z 9").contains("resolution"));
         assert!(with("-Y 9", "-Y 10").contains("row 9"));
         assert!(with("-Y 9", "-Y 4000000000").contains("too short"));
-        assert!(parse(&bytes[..bytes.len() - 1]).unwrap_err().contains("row 8"));
-        assert!(parse(&bytes[..40]).unwrap_err().contains("header"));
+        assert!(parsed(&bytes[..bytes.len() - 1]).unwrap_err().contains("row 8"));
+        assert!(parsed(&bytes[..40]).unwrap_err().contains("header"));
     }
 }

@@ -12,25 +12,42 @@ pub mod hdr;
 pub mod tiff;
 
 use crate::error::{Error, Result, Warning};
+use crate::intake;
+use crate::limits::Limits;
 use crate::merge::gamut::{into_gamut, weights};
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::write::Metadata;
 use rayon::prelude::*;
 use std::io::Read;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 /// The radiance in the file `path`, and what its headers tell. Values may be anything that a float can be.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::NotRadiance`] where the content is none of the formats; [`Error::Decode`] where it is damaged, cut short, or
-/// of a kind that is not read.
+/// Those of [`read_within`], with the limits that are by default.
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    let (mut map, mut metadata) = match Kind::of(path)? {
-        Kind::Exr => exr::read(path)?,
-        Kind::Hdr => hdr::read(path)?,
-        Kind::Tiff => tiff::read(path)?,
-    };
+    read_within(path, &Limits::default())
+}
+
+/// As [`read`], of a file that may ask for what `limits` allow.
+///
+/// # Errors
+/// [`Error::Read`], [`Error::Changed`]; [`Error::NotRadiance`] where the content is none of the formats; [`Error::Decode`] where it is
+/// damaged, cut short, of a kind that is not read, or asks for more than is allowed.
+pub fn read_within(path: &Path, limits: &Limits) -> Result<(RadianceMap, Metadata)> {
+    let kind = Kind::of(path)?;
+    let bytes = intake::whole(path, limits.most_bytes())?;
+    // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
+    let parsed = catch_unwind(AssertUnwindSafe(|| match kind {
+        Kind::Exr => exr::parse(&bytes, limits),
+        Kind::Hdr => hdr::parse(&bytes, limits),
+        Kind::Tiff => tiff::parse(bytes, limits),
+    }));
+    let parsed = parsed.unwrap_or_else(|_| Err("it is damaged beyond what its decoder can tell; copy it again".into()));
+    let (mut map, mut metadata) =
+        parsed.map_err(|reason| Error::Decode { path: path.to_owned(), format: kind.name(), reason })?;
     if metadata.exposure_scale != 1.0 {
         let factor = (1.0 / metadata.exposure_scale) as f32;
         map.pixels.as_mut_slice().par_iter_mut().for_each(|p| *p = p.map(|v| v * factor));
@@ -47,14 +64,14 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, told by its content; a TIFF is one by its floats or its LogLuv.
+/// Whether the file `path` is a radiance map, told by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for a TIFF whose directory is damaged.
-pub fn holds_radiance(path: &Path) -> Result<bool> {
+pub fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     match Kind::of(path) {
         Ok(Kind::Exr | Kind::Hdr) => Ok(true),
-        Ok(Kind::Tiff) => tiff::holds_radiance(path),
+        Ok(Kind::Tiff) => tiff::holds_radiance(path, limits),
         Err(Error::NotRadiance { .. }) => Ok(false),
         Err(error) => Err(error),
     }
@@ -68,15 +85,20 @@ enum Kind {
 }
 
 impl Kind {
+    /// For messages.
+    fn name(&self) -> &'static str {
+        match self {
+            Kind::Exr => "OpenEXR",
+            Kind::Hdr => "Radiance HDR",
+            Kind::Tiff => "TIFF",
+        }
+    }
+
     /// By the first bytes.
     fn of(path: &Path) -> Result<Self> {
         let unreadable = |source| Error::Read { path: path.to_owned(), source };
-        if path.is_dir() {
-            let reason = "it is a folder; name a file in it";
-            return Err(unreadable(std::io::Error::new(std::io::ErrorKind::IsADirectory, reason)));
-        }
         let mut start = Vec::new();
-        std::fs::File::open(path).and_then(|f| f.take(16).read_to_end(&mut start)).map_err(unreadable)?;
+        intake::open_regular(path)?.take(16).read_to_end(&mut start).map_err(unreadable)?;
         let found = match start.as_slice() {
             [0x76, 0x2f, 0x31, 0x01, ..] => return Ok(Kind::Exr),
             [b'#', b'?', ..] => return Ok(Kind::Hdr),
@@ -236,9 +258,9 @@ mod tests {
         }
         assert!(matches!(read(dir.path()), Err(Error::Read { .. })));
         std::fs::write(&path, b"\x89PNG\r\n\x1a\n").unwrap();
-        assert!(!holds_radiance(&path).unwrap());
+        assert!(!holds_radiance(&path, &Limits::default()).unwrap());
         std::fs::write(&path, b"#?RADIANCE\n").unwrap();
-        assert!(holds_radiance(&path).unwrap());
+        assert!(holds_radiance(&path, &Limits::default()).unwrap());
         assert!(matches!(read(&dir.path().join("gone.exr")), Err(Error::Read { .. })));
     }
 }

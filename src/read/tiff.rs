@@ -7,12 +7,14 @@
 use super::Turn;
 use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
 use crate::error::{Error, Result};
+use crate::intake;
+use crate::limits::{self, Limits};
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::write::{Metadata, luv};
 use std::io::Cursor;
 use std::path::Path;
-use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::decoder::{Decoder, DecodingResult, Limits as Buffers};
 use tiff::tags::{IfdPointer, Tag};
 
 /// The luminance of a stored 1 (libtiff's name for tag 37439).
@@ -20,22 +22,12 @@ const STONITS: Tag = Tag::Unknown(37439);
 const WHITE_POINT: Tag = Tag::Unknown(318);
 const CHROMATICITIES: Tag = Tag::Unknown(319);
 
-/// The picture in a TIFF, multiplied by its StoNits where it is LogLuv, which becomes RGB of BT.2020. Floats without chromaticities and
-/// without a profile are taken for BT.709. Values may be anything.
-///
-/// # Errors
-/// [`Error::Read`]; [`Error::Decode`] for damaged files and those of integers.
-pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    parse(bytes).map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
-}
-
 /// Whether a TIFF holds floats or LogLuv; whole numbers are a picture.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] where its directory is damaged.
-pub fn holds_radiance(path: &Path) -> Result<bool> {
-    let mut bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+pub(super) fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
+    let mut bytes = intake::whole(path, limits.most_bytes())?;
     disguise_logluv(&mut bytes);
     let look = || -> Parsed<bool> {
         let mut decoder = Decoder::new(Cursor::new(bytes.as_slice())).map_err(said)?;
@@ -54,24 +46,41 @@ fn said(e: tiff::TiffError) -> String {
 type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
-fn parse(mut bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
+/// The picture in the `bytes` of a TIFF, multiplied by its StoNits where it is LogLuv, which becomes RGB of BT.2020. Floats without
+/// chromaticities and without a profile are taken for BT.709. Values may be anything.
+///
+/// # Errors
+/// The reason for damaged files, those of integers, and those that ask for more than `limits` allow.
+pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<(RadianceMap, Metadata)> {
     disguise_logluv(&mut bytes);
     let bytes = bytes.as_slice();
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
-    let mut limits = Limits::default();
-    // What is unpacked is bounded by the picture, whose size is checked here.
-    limits.decoding_buffer_size = usize::MAX;
-    limits.intermediate_buffer_size = usize::MAX;
-    decoder = decoder.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(said)?;
     let (width, height) = (width as usize, height as usize);
-    // No packing reaches a thousandth.
-    let sound = width.checked_mul(height).is_some_and(|n| n > 0 && n / 2000 <= bytes.len());
-    if !sound {
-        return Err(format!("it is too short for {width}x{height} pixels; copy it again"));
-    }
-    let mut metadata = metadata(&mut decoder);
+    limits.check_size(width, height)?;
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?.unwrap_or(1);
+    let pixels = width as u64 * height as u64;
+    let samples = u64::from(decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(said)?.unwrap_or(1));
+    let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(said)?.unwrap_or_default();
+    let stored = samples * u64::from(depths.first().copied().unwrap_or(1)).div_ceil(8);
+    // Samples beyond colour and alpha are of no use here, and could be 65535 to a pixel.
+    if samples > 8 {
+        return Err(format!("it has {samples} samples to a pixel; radiance has 3, or 1"));
+    }
+    let is_logluv = matches!(compression, 34676 | 34677);
+    let unpacked = if is_logluv { 0 } else { pixels.saturating_mul(stored) };
+    // Rows of LogLuv are runs of 129 values in 2 bytes, of each of 2 or 4 bytes a pixel.
+    let least = if is_logluv { pixels / 65 } else { unpacked };
+    limits::check_length(bytes.len(), least, if is_logluv { 1 } else { limits::tiff_packing(compression) })?;
+    let needed = unpacked + pixels * (4 * samples + 12) + bytes.len() as u64;
+    limits.check_memory((width, height), needed)?;
+    let mut buffers = Buffers::default();
+    let unpacked = usize::try_from(unpacked).unwrap_or(usize::MAX);
+    buffers.decoding_buffer_size = buffers.decoding_buffer_size.max(unpacked);
+    // One strip may be all of it; tiles reach beyond the picture by less than themselves.
+    buffers.intermediate_buffer_size = buffers.intermediate_buffer_size.max(unpacked);
+    decoder = decoder.with_limits(buffers);
+    let mut metadata = metadata(&mut decoder);
     let mut pixels = match compression {
         34676 | 34677 => {
             metadata.primaries = Primaries::BT2020;
@@ -267,6 +276,10 @@ mod tests {
     use tiff::encoder::colortype::{Gray32Float, RGB8, RGB32Float, RGB64Float};
     use tiff::encoder::{Compression, DeflateLevel, TiffEncoder};
 
+    fn parsed(bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
+        parse(bytes, &Limits::default())
+    }
+
     fn picture() -> Plane<[f32; 3]> {
         Plane::from_rows(37, 130, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -294,12 +307,12 @@ mod tests {
         metadata.capture.focal_length_mm = Some(50.0);
         let writer = Writer::<f32>::new(Pending::create(&path).unwrap(), (37, 130), &metadata).unwrap();
         commit(vec![push_all(Box::new(writer), &picture()).unwrap().file], false).unwrap();
-        let (map, back) = read(&path).unwrap();
+        let (map, back) = crate::read::read(&path).unwrap();
         assert!(map.pixels == picture());
         assert_eq!(back, metadata);
         let bytes = std::fs::read(&path).unwrap();
         for cut in [bytes.len() / 2, 10, 300] {
-            assert!(parse(bytes[..cut].to_vec()).is_err(), "cut at {cut}");
+            assert!(parsed(bytes[..cut].to_vec()).is_err(), "cut at {cut}");
         }
     }
 
@@ -322,18 +335,18 @@ mod tests {
                 image.rows_per_strip(16).unwrap();
                 image.write_data(values).unwrap();
             });
-            let (map, metadata) = parse(rgb).unwrap();
+            let (map, metadata) = parsed(rgb).unwrap();
             // Turned by 180 degrees.
             assert!(map.pixels.as_slice().iter().rev().eq(picture.as_slice()));
             assert_eq!(metadata.primaries, Primaries::SRGB);
         }
         let doubles: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
         let wide = file(&|encoder| encoder.write_image::<RGB64Float>(37, 130, &doubles).unwrap());
-        assert!(parse(wide).unwrap().0.pixels == picture);
+        assert!(parsed(wide).unwrap().0.pixels == picture);
         let grey = file(&|encoder| encoder.write_image::<Gray32Float>(37, 130, &values[..37 * 130]).unwrap());
-        assert_eq!(parse(grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
+        assert_eq!(parsed(grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
         let codes = file(&|encoder| encoder.write_image::<RGB8>(2, 1, &[1, 2, 3, 4, 5, 6]).unwrap());
-        assert!(parse(codes).unwrap_err().contains("whole numbers"));
+        assert!(parsed(codes).unwrap_err().contains("whole numbers"));
     }
 
     /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, drawn by hand.

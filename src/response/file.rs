@@ -13,6 +13,7 @@
 use super::{CODES, ResponseCurve, csv, rsp};
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
+use crate::intake;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -155,7 +156,7 @@ impl SavedResponse {
     /// [`Error::UnknownExtension`], [`Error::Read`], and [`Error::ResponseFile`] where the content is no curve of that format.
     pub fn read(path: &Path) -> Result<Self> {
         let format = Format::of(path)?;
-        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let bytes = intake::whole(path, intake::MOST_OF_A_TEXT)?;
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason: reason + MAKE_ONE };
         let text = String::from_utf8(bytes).map_err(|_| wrong("it is no text".to_owned()))?;
         let bare = |curve| SavedResponse { make: None, model: None, curve };

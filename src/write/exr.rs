@@ -349,7 +349,7 @@ mod tests {
     use crate::error::Warning;
     use crate::merge::RadianceMap;
     use crate::plane::Plane;
-    use crate::read::exr::read;
+    use crate::read::read;
     use crate::write::commit;
     use ::exr::prelude::f16;
 

@@ -172,8 +172,9 @@ mod tests {
     use super::*;
     use crate::bracket::Capture;
     use crate::error::Warning;
+    use crate::limits::Limits;
     use crate::plane::Plane;
-    use crate::read::hdr::parse;
+    use crate::read::hdr;
     use crate::write::rgbe;
     use crate::write::{commit, push_all};
 
@@ -231,7 +232,7 @@ mod tests {
         };
         let white = Plane::filled(8, 1, [1.0; 3]);
         let (bytes, _) = written(&white, &metadata);
-        let (map, back) = parse(&bytes).unwrap();
+        let (map, back) = hdr::parse(&bytes, &Limits::default()).unwrap();
         assert_eq!(back.exposure_scale, 4.0);
         // 2 W/sr/m2 stored, and half a step.
         assert_eq!(map.pixels.at(0, 0), [2.0 * 128.5 / 128.0; 3]);
@@ -241,7 +242,7 @@ mod tests {
         assert_eq!(bytes[bytes.len() - 8..][..2], [136, 179], "358 = 179 / 256 * 2^9 in runs of 8");
         let relative = Metadata { cd_m2_per_unit: None, ..metadata };
         let (bytes, _) = encoded(&white, &relative, Encoding::Xyze);
-        let (map, back) = parse(&bytes).unwrap();
+        let (map, back) = hdr::parse(&bytes, &Limits::default()).unwrap();
         // Read back, both are in W/sr/m2.
         assert!((back.exposure_scale - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
     }
@@ -257,7 +258,7 @@ mod tests {
             let decoder = image::codecs::hdr::HdrDecoder::new(std::io::Cursor::new(&bytes)).unwrap();
             let mut theirs = vec![0; decoder.total_bytes() as usize];
             decoder.read_image(&mut theirs).unwrap();
-            let ours = parse(&bytes).unwrap().0.pixels;
+            let ours = hdr::parse(&bytes, &Limits::default()).unwrap().0.pixels;
             for ((p, q), t) in picture.as_slice().iter().zip(ours.as_slice()).zip(theirs.chunks_exact(12)) {
                 let (rgbe, _) = rgbe::encode(*p);
                 let step = libm::ldexpf(1.0, i32::from(rgbe[3]) - 136);

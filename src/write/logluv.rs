@@ -153,7 +153,7 @@ mod tests {
         let writer = Writer::new(pending, size, &metadata, depth, scale).unwrap();
         let whole = push_all(Box::new(writer), &map.pixels).unwrap();
         commit(vec![whole.file], false).unwrap();
-        let (back, read) = crate::read::tiff::read(&path).unwrap();
+        let (back, read) = crate::read::read(&path).unwrap();
         (back, read, whole.warnings, std::fs::read(&path).unwrap())
     }
 

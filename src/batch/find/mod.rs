@@ -16,6 +16,7 @@ mod walk;
 use crate::bracket::exposure;
 use crate::bracket::header::Header;
 use crate::error::Result;
+use crate::limits::Limits;
 use rayon::prelude::*;
 use std::fmt;
 use std::path::PathBuf;
@@ -33,6 +34,8 @@ pub struct FindOptions {
     pub by_folder: bool,
     /// Folders that are not entered: where results go.
     pub skip: Vec<PathBuf>,
+    /// The most pixels that a photograph may have; others are left over. Default: [`Limits::MAX_PIXELS`].
+    pub max_pixels: Option<u64>,
 }
 
 /// What there is in the folders.
@@ -164,10 +167,11 @@ pub fn find(roots: &[PathBuf], options: &FindOptions, watch: &(dyn Fn(usize) + S
     streams::check(options)?;
     let walk::Walk { candidates, mut left_over, other_files } = walk::walk(roots, &options.skip)?;
     let done = AtomicUsize::new(0);
+    let limits = Limits { max_pixels: options.max_pixels.unwrap_or(Limits::MAX_PIXELS), ..Limits::default() };
     let headers: Vec<_> = candidates
         .into_par_iter()
         .map(|candidate| {
-            let header = candidate.is_read().then(|| Header::read(&candidate.path));
+            let header = candidate.is_read().then(|| Header::read(&candidate.path, &limits));
             watch(1 + done.fetch_add(1, Ordering::Relaxed));
             (candidate, header)
         })

@@ -279,6 +279,6 @@ fn what_is_found_depends_on_no_order_and_links_are_no_circles() {
 fn the_size_is_as_seen() {
     let folder = tempfile::tempdir().unwrap();
     put(folder.path(), "upright.jpg", &Says { portrait: true, ..MIDDLE });
-    let header = Header::read(&folder.path().join("upright.jpg")).unwrap();
+    let header = Header::read(&folder.path().join("upright.jpg"), &Limits::default()).unwrap();
     assert_eq!((header.width, header.height), (200, 300));
 }

@@ -96,12 +96,12 @@ fn a_plan_is_read_as_it_was_written() {
     let path = dir.path().join("plan.jsonl");
     let steps = plan(&[planned("/in", "a", 1), planned("/in", "b \u{fc}", 1)], &settings()).unwrap();
     let text: String = steps.iter().map(|s| s.to_line().unwrap() + "\n").collect();
-    fs::write(&path, &text).unwrap();
+    std::fs::write(&path, &text).unwrap();
     assert_eq!(Step::read_all(&path).unwrap(), steps);
     assert_eq!(Step::read(&path, &["a_IMG_1-IMG_2".into()]).unwrap(), steps[..1]);
     assert!(Step::read(&path, &["c".into()]).unwrap_err().to_string().contains("no step"));
     let wrong = |text: String, said: &str| {
-        fs::write(&path, text).unwrap();
+        std::fs::write(&path, text).unwrap();
         let error = Step::read(&path, std::slice::from_ref(&steps[0].id)).unwrap_err().to_string();
         assert!(error.contains(said), "{error}");
     };

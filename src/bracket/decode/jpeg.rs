@@ -8,8 +8,9 @@
 //! closed with an end marker by a repair tool, sequential data is followed by ones, which are no Huffman code (T.81, annex C):
 //! a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
 
-use super::{Found, Reason, Stored, check_size, cmyk_to_rgb};
+use super::{Found, Reason, Stored, cmyk_to_rgb};
 use crate::bracket::Samples;
+use crate::limits::{self, Limits};
 use std::io::{BufRead, Read, Seek};
 use std::ops::Range;
 use zune_jpeg::JpegDecoder;
@@ -19,8 +20,11 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 const END: [u8; 2] = [0xFF, 0xD9];
 
+/// Most scans of a picture: encoders make about ten, and each goes through the whole picture, however little it says.
+const MOST_SCANS: usize = 200;
+
 /// Decodes a JPEG file.
-pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> {
+pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reason> {
     let mut layout = Layout::of(&bytes)?;
     if !layout.junk.is_empty() {
         // Padding between segments is harmless, but strict decoding refuses it.
@@ -28,6 +32,18 @@ pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reas
         layout = Layout::of(&bytes)?;
     }
     layout.check_complete()?;
+    if layout.scans > MOST_SCANS {
+        return Err(format!("it is of {} scans, and {MOST_SCANS} are read; save it as plain JPEG", layout.scans));
+    }
+    let (width, height) = layout.size;
+    limits.check_size(width, height)?;
+    let pixels = width as u64 * height as u64;
+    // A block of 64 pixels takes a bit, in any kind of scan; chroma may be finer than luma, but by four by four at most.
+    limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
+    // RGB or CMYK, and of a progressive file all coefficients.
+    let coefficients = if layout.progressive { 2 * layout.components as u64 } else { 0 };
+    let rgb = if layout.components == 4 { 4 + 3 } else { 3 };
+    limits.check_memory((width, height), pixels * (rgb + coefficients) + bytes.len() as u64)?;
     bytes.truncate(layout.end - END.len());
     if !layout.progressive {
         bytes.extend([0xFF, 0x00].repeat(8));
@@ -41,19 +57,19 @@ pub(super) fn decode(mut bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reas
         .set_strict_mode(true)
         .set_max_width(usize::from(u16::MAX))
         .set_max_height(usize::from(u16::MAX))
-        .jpeg_set_max_scans(1000)
+        .jpeg_set_max_scans(MOST_SCANS)
         .jpeg_set_out_colorspace(wanted);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&bytes), options);
     let damaged = |e: zune_jpeg::errors::DecodeErrors| format!("{}; copy the file again", one_line(&e.to_string()));
     decoder.decode_headers().map_err(damaged)?;
     let (width, height) = decoder.dimensions().ok_or("it has no size")?;
-    check_size(width, height, max_pixels)?;
+    limits.check_size(width, height)?;
     let size = decoder.output_buffer_size().ok_or("it has no size")?;
     let channels = if plain_cmyk { 4 } else { 3 };
     if size != channels * width * height {
         return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into());
     }
-    let mut pixels = vec![0; size];
+    let mut pixels = limits::room(size)?;
     decoder.decode_into(&mut pixels).map_err(damaged)?;
     let icc = decoder.icc_profile();
     let samples = if plain_cmyk { cmyk_to_rgb(&pixels, 4, 255) } else { pixels };

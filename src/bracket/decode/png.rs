@@ -3,22 +3,32 @@
 //! In: the file. Out: RGB at the file's depth; fewer than 8 bit and palettes become 8. Cost: that of the `png` crate.
 //! Source: W3C, Portable Network Graphics (third edition), with the eXIf and iCCP chunks.
 
-use super::{Found, Reason, Stored, check_size, to_rgb};
+use super::{Found, Reason, Stored, to_rgb};
 use crate::bracket::Samples;
+use crate::limits::{self, DEFLATE, Limits as Allowed};
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::{BufReader, Cursor, Read, Seek};
 
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
-pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Stored, Reason> {
+pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> {
     let damaged = |e: png::DecodingError| format!("{e}; copy the file again");
-    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: usize::MAX });
+    // Beside the picture: its profile, which is packed and may be of any size, its EXIF, and a few of its rows.
+    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
+    decoder.set_ignore_text_chunk(true);
     let header = decoder.read_header_info().map_err(damaged)?;
     let (width, height) = (header.width as usize, header.height as usize);
-    check_size(width, height, max_pixels)?;
+    allowed.check_size(width, height)?;
+    let pixels = width as u64 * height as u64;
+    let bits = header.bits_per_pixel() as u64;
+    limits::check_length(bytes.len(), pixels * bits / 8, DEFLATE)?;
+    let (bytes_each, channels) = (if header.bit_depth == BitDepth::Sixteen { 2 } else { 1 }, 1 + bits.div_ceil(8));
+    // Unpacked, taken apart into words, and as RGB.
+    let needed = pixels * bytes_each * (channels.max(3) + 3) + bytes.len() as u64;
+    allowed.check_memory((width, height), needed)?;
     let mut reader = decoder.read_info().map_err(damaged)?;
     let size = reader.output_buffer_size().ok_or("it is too large for this machine")?;
-    let mut values = vec![0; size];
+    let mut values = limits::room(size)?;
     let frame = reader.next_frame(&mut values).map_err(damaged)?;
     values.truncate(frame.buffer_size());
     reader.finish().map_err(damaged)?;
@@ -40,14 +50,20 @@ pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Stored, Reason> {
         return Err("its first frame is smaller than the picture; save it as a plain PNG".into());
     }
     let info = reader.info();
+    // A profile that could not be unpacked is passed over in silence; an empty one is told to be damaged.
+    let begin = bytes.windows(4).position(|kind| kind == b"IDAT").unwrap_or(0);
+    let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
     Ok(Stored {
         width,
         height,
         samples,
         exif: info.exif_metadata.as_ref().map(|e| e.to_vec()),
-        icc: info.icc_profile.as_ref().map(|i| i.to_vec()),
+        icc: info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new)),
     })
 }
+
+/// Most bytes of what comes with a picture; its largest rows, of 65535 pixels and more, are a fraction of it.
+const MOST_BESIDE: usize = 64 << 20;
 
 /// Most bytes of a chunk that is taken for EXIF.
 const MOST_EXIF: u32 = 1 << 20;

@@ -6,12 +6,16 @@ use std::io::Cursor;
 
 const LIMIT: u64 = 1 << 28;
 
+fn at_most(max_pixels: u64) -> Limits {
+    Limits { max_pixels, memory: None }
+}
+
 /// What is decoded of `bytes`. What the header says of them is checked beside it: the same size and depth, and no damage where there is none.
 pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
-    let decoded = decode(Path::new("picture"), bytes.to_vec(), LIMIT);
+    let decoded = decode(Path::new("picture"), bytes.to_vec(), &at_most(LIMIT));
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
-    let head = head(file.path(), &[Tag::Orientation], LIMIT);
+    let head = head(file.path(), &[Tag::Orientation], &at_most(LIMIT));
     if let Ok(decoded) = &decoded {
         let head = head.unwrap();
         assert_eq!((head.width, head.height), (decoded.width, decoded.height));
@@ -26,7 +30,7 @@ fn a_header_refuses_what_is_no_photograph() {
     let refused = |bytes: &[u8]| {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
-        head(file.path(), &[], 100)
+        head(file.path(), &[], &at_most(100))
             .map(|head| head.refused)
             .unwrap_or_else(Some)
             .map(|e| e.to_string())
@@ -309,8 +313,8 @@ fn sizes_beyond_the_limit_are_refused_before_decoding() {
     for bytes in
         [jpeg(&scene(64, 48), 64), png_of(&scene(64, 48), 64, 48, ::png::ColorType::Rgb, ::png::BitDepth::Eight)]
     {
-        assert!(decode(Path::new("a"), bytes.clone(), 64 * 48).is_ok());
-        assert!(is_damage(decode(Path::new("a"), bytes, 64 * 48 - 1)));
+        assert!(decode(Path::new("a"), bytes.clone(), &at_most(64 * 48)).is_ok());
+        assert!(is_damage(decode(Path::new("a"), bytes, &at_most(64 * 48 - 1))));
     }
 }
 
@@ -336,7 +340,7 @@ fn flipped_bytes_never_panic() {
                 let at = state as usize / 7 % bytes.len();
                 bytes[at] = (state >> 24) as u8;
             }
-            if let Ok(decoded) = decode(Path::new("a"), bytes, 1 << 20) {
+            if let Ok(decoded) = decode(Path::new("a"), bytes, &at_most(1 << 20)) {
                 assert_eq!(decoded.samples.len(), 3 * decoded.width * decoded.height);
             }
         }

@@ -3,8 +3,9 @@
 //! In: the file. Out: RGB at the file's depth; grey of fewer than 8 bit becomes 8. Cost: that of the `tiff` crate.
 //! Source: TIFF 6.0; TIFF/EP and DNG for the tags that tell a camera raw file.
 
-use super::{Found, Reason, Stored, check_size, cmyk_to_rgb, to_rgb};
+use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
+use crate::limits::{self, Limits as Allowed};
 use exif::experimental::Writer;
 use exif::{Context, Field, In};
 use std::io::{Cursor, Read, Seek};
@@ -20,20 +21,27 @@ const FLOATING_POINT: &str = "it holds floating-point values, which no camera wr
                               give the camera's own 8- or 16-bit pictures";
 
 /// Decodes the first picture of a TIFF file.
-pub(super) fn decode(bytes: Vec<u8>, max_pixels: u64) -> Result<Stored, Reason> {
+pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
     let damaged = |e: tiff::TiffError| format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF");
     let mut decoder = Decoder::new(Cursor::new(&bytes)).map_err(damaged)?;
     refuse_raw(&mut decoder)?;
     let (width, height) = decoder.dimensions().map_err(damaged)?;
     let (width, height) = (width as usize, height as usize);
-    check_size(width, height, max_pixels)?;
-    // The size is checked; what it needs may be had: at most four channels of 16 bit.
+    allowed.check_size(width, height)?;
+    let kind = decoder.colortype().map_err(damaged)?;
+    let pixels = width as u64 * height as u64;
+    let bits = u64::from(kind.bit_depth()) * u64::from(kind.num_samples());
+    let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
+    limits::check_length(bytes.len(), pixels * bits / 8, limits::tiff_packing(compression))?;
+    // As stored, and as RGB.
+    let needed = pixels * (bits.div_ceil(8) + 3 * u64::from(kind.bit_depth()).div_ceil(8)) + bytes.len() as u64;
+    allowed.check_memory((width, height), needed)?;
+    // The size is checked; what it needs may be had: at most five channels of 16 bit.
     let mut limits = Limits::default();
     limits.decoding_buffer_size = limits.decoding_buffer_size.max(10 * width * height);
     limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(10 * width * height);
     limits.ifd_value_size = limits.ifd_value_size.max(64 << 20);
     let mut decoder = decoder.with_limits(limits);
-    let kind = decoder.colortype().map_err(damaged)?;
     let icc = decoder.find_tag(ICC).ok().flatten().and_then(|v| v.into_u8_vec().ok());
 
     let mut buffer = DecodingResult::U8(Vec::new());

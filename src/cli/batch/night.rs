@@ -159,6 +159,7 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
+    options.load.max_pixels = args.work.largest.pixels();
     clear(steps);
     let stop = interrupt::stopping();
     let board = Board::new(steps, args);
