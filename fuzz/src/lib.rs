@@ -5,9 +5,9 @@
 mod seeds;
 pub mod ultra_hdr;
 
-use hdralign::bracket::LoadOptions;
 use hdralign::bracket::header::Header;
 use hdralign::error::{Error, Result};
+use hdralign::limits::Limits;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -80,9 +80,9 @@ pub fn check_error(error: &Error, name: &str) {
 
 /// The header of `path`, held to what it promises.
 pub fn header(path: &Path) -> Result<Header> {
-    let header = Header::read(path)?;
+    let header = Header::read(path, &Limits::default())?;
     assert!(header.width > 0 && header.height > 0);
-    assert!((header.width * header.height) as u64 <= LoadOptions::default().max_pixels);
+    assert!((header.width * header.height) as u64 <= Limits::MAX_PIXELS);
     assert!(header.ev().is_none_or(f64::is_finite), "{:?}", header.exposure);
     assert!(header.bias_stops.is_none_or(f64::is_finite) && header.bracket_stops.is_none_or(f64::is_finite));
     assert!(header.focal_length_mm.is_none_or(|f| f > 0.0), "{:?}", header.focal_length_mm);
