@@ -3,20 +3,26 @@
 //! In: a file. Out: the radiance of its first part with R, G and B, or else with Y, and what its header tells. Halves, floats and whole
 //! numbers, scan lines and tiles (the finest level), every compression of the `exr` crate (all but HTJ2K), one part or several. Of a
 //! data window that is not the display window's, the pixels there are; alpha is left out, as colours are premultiplied: what shows is
-//! laid over black. Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate, which unpacks
-//! blocks in parallel. Source: as for [`crate::write::exr`].
+//! laid over black. Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate's codecs; blocks
+//! are unpacked in parallel. Source: as for [`crate::write::exr`].
 
 use crate::bracket::colour::Primaries;
 use crate::limits::{self, DEFLATE, Limits};
 use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::write::Metadata;
+use ::exr::block::UncompressedBlock;
+use ::exr::block::chunk::Chunk;
+use ::exr::block::reader::ChunksReader;
 use ::exr::compression::Compression;
-use ::exr::image::{AnyChannel, FlatSamples};
+use ::exr::image::read::image::LayersReader;
+use ::exr::image::{AnyChannel, AnyChannels, FlatSamples, Layers};
 use ::exr::math::Vec2;
 use ::exr::meta::MetaData;
 use ::exr::meta::attribute::{AttributeValue, Text};
 use ::exr::prelude::{ReadChannels, ReadLayers, read as reader};
+use rayon::prelude::*;
+use std::collections::HashSet;
 use std::io::Cursor;
 
 /// The picture in the `bytes` of an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be anything.
@@ -32,18 +38,11 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
         other => format!("{other}; if it is cut short or damaged, copy it again"),
     };
     check(&MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?, bytes.len(), limits)?;
-    let image = reader()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .all_layers()
-        .all_attributes()
-        .from_buffered(Cursor::new(bytes))
-        .map_err(failed)?;
-    let chosen = image.layer_data.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
-    let grey = || image.layer_data.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
+    let (told, layers) = unpacked(bytes).map_err(failed)?;
+    let chosen = layers.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
+    let grey = || layers.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
     let Some((layer, channels)) = chosen.or_else(grey) else {
-        let names = image.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        let names = layers.iter().flat_map(|layer| &layer.channel_data.list);
         let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
         return Err(format!("it has neither R, G and B nor Y, only {}", names.join(", ")));
     };
@@ -80,7 +79,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
     };
     metadata.capture.date = words(own.capture_date.as_ref());
     metadata.comments.extend(words(own.comments.as_ref()));
-    if let Some(c) = &image.attributes.chromaticities {
+    if let Some(c) = told.headers.first().and_then(|header| header.shared_attributes.chromaticities) {
         let xy = |p: Vec2<f32>| [f64::from(p.0), f64::from(p.1)];
         metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
     }
@@ -112,6 +111,36 @@ fn check(told: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
     limits::check_length(length, blocks.saturating_mul(8 + 8), 1)?;
     let pixels = told.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
     limits.check_memory(size, needed.saturating_add(12 * pixels))
+}
+
+/// Blocks that are unpacked side by side: enough for any number of threads, and some MB.
+const AT_ONCE: usize = 64;
+
+/// What the headers of the file say, and its parts. The crate's own loop unpacks in threads of its own, where a panic on a damaged block ends
+/// the process: nobody waits for them who could be told.
+fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<FlatSamples>>)> {
+    let wanted = reader().no_deep_data().largest_resolution_level().all_channels().all_layers();
+    let file = ::exr::block::read(Cursor::new(bytes), false)?;
+    let mut layers = wanted.create_layers_reader(file.headers())?;
+    let mut chunks = file.filter_chunks(false, |told, tile, block| layers.filter_block(told, tile, block))?;
+    let told = chunks.meta_data().clone();
+    let mut seen = HashSet::new();
+    loop {
+        let some: Vec<Chunk> = chunks.by_ref().take(AT_ONCE).collect::<::exr::error::Result<_>>()?;
+        if some.is_empty() {
+            return Ok((told, layers.into_layers()));
+        }
+        let blocks: Vec<_> =
+            some.into_par_iter().map(|chunk| UncompressedBlock::decompress_chunk(chunk, &told, false)).collect();
+        for block in blocks {
+            let block = block?;
+            // Where one is there twice another is not, and would be black.
+            if !seen.insert((block.index.layer, block.index.pixel_position)) {
+                return Err(::exr::error::Error::Invalid("table of blocks".into()));
+            }
+            layers.read_block(&told.headers, block)?;
+        }
+    }
 }
 
 type Channel = AnyChannel<FlatSamples>;
@@ -205,5 +234,43 @@ mod tests {
             std::fs::write(&path, &bytes[..cut]).unwrap();
             assert!(matches!(crate::read::read(&path), Err(crate::error::Error::Decode { .. })), "cut at {cut}");
         }
+    }
+
+    /// Found by the fuzzer: rows of zeros in B44 make the crate's codec overflow, which in debug builds panics.
+    #[test]
+    fn a_codec_that_panics_does_not_end_the_process() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.exr");
+        let halves = || FlatSamples::F16((0..256).map(|i| f16::from_f32((i * i) as f32)).collect());
+        let channels = AnyChannels::sort(["R", "G", "B"].map(|name| channel(name, halves())).into_iter().collect());
+        let encoding =
+            Encoding { compression: Compression::B44, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+        let layer = Layer::new((16, 16), LayerAttributes::named("any"), encoding, channels);
+        Image::from_layer(layer).write().to_file(&path).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let end = bytes.len();
+        bytes[end - 200..].fill(0);
+        std::fs::write(&path, &bytes).unwrap();
+        let read = crate::read::read(&path);
+        assert!(read.is_err() == cfg!(debug_assertions), "in release builds it is as other readers have it");
+    }
+
+    /// Found by reading for the fuzzer: a row that the table of blocks does not lead to was black.
+    #[test]
+    fn a_block_that_is_there_twice_is_damage() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.exr");
+        let layer = SpecificChannels::rgb(|at: Vec2<usize>| (at.x() as f32, 0.5, at.y() as f32));
+        let encoding = Encoding::UNCOMPRESSED;
+        let layer = Layer::new((4, 3), LayerAttributes::named("any"), encoding, layer);
+        Image::from_layer(layer).write().to_file(&path).unwrap();
+        assert!(crate::read::read(&path).is_ok());
+        let mut bytes = std::fs::read(&path).unwrap();
+        let number = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        let table = (0..bytes.len() - 24).find(|&at| number(at) == at as u64 + 24).unwrap();
+        bytes.copy_within(table..table + 8, table + 16);
+        std::fs::write(&path, &bytes).unwrap();
+        let error = crate::read::read(&path).unwrap_err().to_string();
+        assert!(error.contains("table of blocks"), "{error}");
     }
 }

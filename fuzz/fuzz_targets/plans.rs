@@ -1,0 +1,146 @@
+//! Files of transforms, plans, reports that a batch reads back, and templates of names.
+//!
+//! In: the kind by the first byte, and the file. Held: what is read and written again is the same; homographies that are taken place a small
+//! bracket with finite radiance or an error; a step's brackets have its inputs; a name stays below its folder.
+#![no_main]
+
+use hdralign::align::given::{Given, SavedAlignment};
+use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::batch::name::{Template, Values, plain};
+use hdralign::batch::plan::Step;
+use hdralign::batch::record::Record;
+use hdralign::batch::step::{Brief, Failure};
+use hdralign::batch::summary::Summary;
+use hdralign::bracket::LoadOptions;
+use hdralign::pipeline::{self, Crop, Options};
+use hdralign::response::ResponseModel;
+use hdralign_fuzz::{check_error, folder, held, put, set_up};
+use libfuzzer_sys::fuzz_target;
+use std::path::{Component, Path, PathBuf};
+use std::sync::OnceLock;
+
+fuzz_target!(init: set_up(), |data: &[u8]| held(|| plans(data)));
+
+fn plans(data: &[u8]) {
+    let Some((&kind, content)) = data.split_first() else { return };
+    match kind % 4 {
+        0 => transforms(content),
+        1 => plan(content),
+        2 => report(content),
+        _ => template(content),
+    }
+}
+
+fn transforms(content: &[u8]) {
+    let path = put("t.json", content);
+    let saved = match SavedAlignment::read(&path) {
+        Ok(saved) => saved,
+        Err(e) => return check_error(&e, "t.json"),
+    };
+    let again = SavedAlignment::from_json(&saved.to_json(), &path).unwrap_or_else(|e| panic!("what was saved: {e}"));
+    assert_eq!(again, saved);
+    // Whatever it is said to be of, its places are tried on a bracket of three.
+    let frames = bracket();
+    let places = saved.frames.into_iter().zip([&frames[0], &frames[2]]);
+    let given = places.map(|(given, path)| Given { path: path.clone(), ..given }).collect();
+    let options = Options {
+        load: LoadOptions {
+            ev: Some(vec![-1.0, 0.0, 1.0]),
+            reference: hdralign::bracket::ReferenceChoice::Number(2),
+            ..LoadOptions::default()
+        },
+        align: AlignOptions { mode: AlignMode::None, given, ..AlignOptions::default() },
+        response: ResponseModel::Srgb,
+        crop: if content.len() % 2 == 0 { Crop::None } else { Crop::Common },
+        ..Options::default()
+    };
+    match pipeline::develop(frames, &options, &|_| ()) {
+        Ok(outcome) => {
+            let values = outcome.radiance.pixels.as_slice().as_flattened();
+            assert!(!values.is_empty() && values.iter().all(|v| v.is_finite() && *v > 0.0));
+        }
+        Err(e) => check_error(&e, "hdralign-fuzz-"),
+    }
+}
+
+/// Three photographs of 16 x 12 pixels.
+fn bracket() -> &'static [PathBuf] {
+    static FRAMES: OnceLock<Vec<PathBuf>> = OnceLock::new();
+    FRAMES.get_or_init(|| {
+        let frame = |i: u32| {
+            let code = |x: u32, y: u32, c: u32| ((x * 13 + y * 29 + c * 50) % 120 * (i + 1) / 2) as u8;
+            let picture = image::RgbImage::from_fn(16, 12, |x, y| image::Rgb([0, 1, 2].map(|c| code(x, y, c))));
+            let path = folder().join(format!("frame-{i}.png"));
+            picture.save(&path).expect("room for a small file");
+            path
+        };
+        (0..3).map(frame).collect()
+    })
+}
+
+fn plan(content: &[u8]) {
+    let path = put("plan.jsonl", content);
+    let mut steps = match Step::read_all(&path) {
+        Ok(steps) => steps,
+        Err(e) => return check_error(&e, "plan.jsonl"),
+    };
+    let lines: Vec<String> = steps.iter().map(|step| step.to_line().expect("UTF-8 as it was read")).collect();
+    let again = Step::read_all(&put("again.jsonl", (lines.join("\n") + "\n").as_bytes()));
+    assert_eq!(again.unwrap_or_else(|e| panic!("what was written: {e}")), steps);
+    for step in &mut steps {
+        assert_eq!(step.by_bracket().concat(), step.inputs);
+        if let Err(e) = Step::read(&path, std::slice::from_ref(&step.id)) {
+            check_error(&e, "plan.jsonl");
+        }
+        // Nothing outside of this process's folder is to be read.
+        let named = |path: &Path| folder().join(plain(&path.to_string_lossy()));
+        (step.report, step.failure) = (path.clone(), named(&step.failure));
+        step.outputs.iter_mut().for_each(|path| *path = named(path));
+        step.page = None;
+    }
+    let summary = Summary::collected(&steps);
+    assert!(serde_json::from_str::<serde_json::Value>(&summary.to_json()).is_ok());
+    assert_eq!(summary.steps.len(), steps.len());
+    let _ = (summary.to_csv(), summary.verdict());
+}
+
+fn report(content: &[u8]) {
+    let path = put("r.json", content);
+    if let Some(brief) = Brief::read(&path) {
+        assert!(brief.time_s.is_none_or(f64::is_finite) && brief.least_confidence.is_none_or(f64::is_finite));
+    }
+    if let Some(record) = Record::read(&path) {
+        let there = [path.clone(), folder().join("none.exr")];
+        assert!(!record.is_whole(&there), "one of them is not there");
+        let _ = (record.is_whole(&[]), record.is_of(&record.inputs), record.made(&path).expect("it is there"));
+    }
+    let step = serde_json::from_str::<Step>(STEP).map(|step| Step { failure: path, ..step });
+    let _ = Failure::read(&step.expect("a step"));
+}
+
+const STEP: &str = r#"{"schema":"hdralign-plan/1","software":"x","kind":"merge","id":"a","needs":[],"inputs":[],"brackets":[],
+    "set":null,"outputs":[],"page":null,"report":"r","failure":"f","response":null,"unit_exposure_s":null,"options":[],
+    "width_px":1,"height_px":1,"threads":1,"memory_mb":1,"time_s":1,"summary":"s"}"#;
+
+fn template(content: &[u8]) {
+    let text = String::from_utf8_lossy(content);
+    let (template, rest) = text.split_once('\n').unwrap_or((&text, ""));
+    let template = match Template::parse(template) {
+        Ok(template) => template,
+        Err(e) => return check_error(&e, "--name"),
+    };
+    let mut words = rest.split('\n');
+    let mut word = || words.next().unwrap_or_default().to_owned();
+    let values = Values {
+        folder: word().into(),
+        first: word().into(),
+        last: word().into(),
+        camera: Some(word()),
+        date_time: Some(word()),
+        number: 1,
+        count: rest.len(),
+        set: 1,
+    };
+    let path = template.path(&values);
+    assert!(path.components().all(|part| matches!(part, Component::Normal(_))), "{path:?}");
+}

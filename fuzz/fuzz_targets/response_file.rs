@@ -1,0 +1,77 @@
+//! Response files: `.json`, `.rsp` and `.csv`.
+//!
+//! In: the kind by the first byte, and the file. Held: what is read rises and is finite, to the floats that a merge takes from it; saved and
+//! read again it is the same: to the bit as JSON, as near as its text is as `.csv`, and as near as it says as `.rsp`.
+#![no_main]
+
+use hdralign::response::file::SavedResponse;
+use hdralign::response::{CODES, ResponseCurve};
+use hdralign_fuzz::{check_error, folder, held, put, set_up};
+use libfuzzer_sys::fuzz_target;
+
+const NAMES: [&str; 3] = ["c.json", "c.rsp", "c.csv"];
+
+fuzz_target!(init: set_up(), |data: &[u8]| held(|| response(data)));
+
+fn response(data: &[u8]) {
+    let Some((&kind, content)) = data.split_first() else { return };
+    let name = NAMES[usize::from(kind) % NAMES.len()];
+    let saved = match SavedResponse::read(&put(name, content)) {
+        Ok(saved) => saved,
+        Err(e) => return check_error(&e, name),
+    };
+    check(&saved.curve);
+    let _ = saved.camera();
+    for name in NAMES {
+        let path = folder().join(format!("again-{name}"));
+        let encoded = match saved.encode(&path) {
+            Ok(encoded) => encoded,
+            Err(e) => {
+                // Every curve is kept whole by JSON.
+                assert!(!name.ends_with("json"), "{e}");
+                check_error(&e, name);
+                continue;
+            }
+        };
+        assert!(encoded.residual_stops.is_finite() && encoded.residual_stops >= 0.0);
+        let _ = encoded.lossy(&path);
+        std::fs::write(&path, &encoded.text).expect("room for a small file");
+        let again = SavedResponse::read(&path).unwrap_or_else(|e| panic!("what was saved is refused: {e}"));
+        check(&again.curve);
+        if name.ends_with("json") {
+            assert_eq!(again, saved);
+        }
+        let apart = apart(&again.curve, &saved.curve);
+        // Nine decimals of 1 at the brightest code: at the codes that are judged it is next to nothing unless the curve is very steep.
+        assert!(apart <= encoded.residual_stops + 0.05, "{name}: {apart} and {} stops", encoded.residual_stops);
+    }
+}
+
+/// That it is what it promises.
+fn check(curve: &ResponseCurve) {
+    for c in 0..3 {
+        assert!(curve.ln_exposure(c).windows(2).all(|w| w[0] < w[1]) && curve.ln_exposure(c).iter().all(|v| v.is_finite()));
+        let exposures = curve.exposures(c);
+        assert!(exposures.iter().all(|v| v.is_finite() && *v > 0.0), "{exposures:?}");
+        assert!(exposures.windows(2).all(|w| w[0] <= w[1]));
+        let mut last = 0.0;
+        for i in 0..4 * CODES {
+            let exposure = curve.exposure(c, i as f32 / 4.0);
+            assert!(exposure.is_finite() && exposure >= last, "{exposure} after {last}");
+            last = exposure;
+        }
+        assert!((0.0..128.0).contains(&curve.black(c)));
+    }
+}
+
+/// Root mean square over the three channels and codes 10 to 245 of what two curves differ by after one shift of each channel, in stops.
+fn apart(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
+    let square: f64 = (0..3)
+        .map(|c| {
+            let d: Vec<f64> = (10..=245).map(|z| (a.ln_exposure(c)[z] - b.ln_exposure(c)[z]) / 2f64.ln()).collect();
+            let mean = d.iter().sum::<f64>() / d.len() as f64;
+            d.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / d.len() as f64
+        })
+        .sum();
+    (square / 3.0).sqrt()
+}
