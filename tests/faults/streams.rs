@@ -69,7 +69,7 @@ fn what_nobody_can_be_told_stops_nothing() {
         }
         // A pipe whose reader is gone.
         let script = |line: &str| match to {
-            "2>gone" => format!("{{ sleep 0.05; $H {line} 2>&1 >&3; echo $? >&3; }} 3>&1 | true"),
+            "2>gone" => format!("exec 3>&1; {{ sleep 0.05; $H {line} 2>&1 >&3; echo $? >&3; }} | true"),
             _ => format!("$H {line} {to}; echo $?"),
         };
         for (line, ends) in [

@@ -77,7 +77,8 @@ fn on_a_full_disk_nothing_more_is_begun_and_that_is_told_once() {
 fn what_needs_a_step_that_is_not_begun_is_not_begun() {
     let steps = steps(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
     let (stop, limits) = (AtomicBool::new(false), limits(1, None));
-    let board = Board::new(&steps, &limits, &stop, &|_| ());
+    let watch = |_: Event| ();
+    let board = Board::new(&steps, &limits, &stop, &watch);
     board.lock().states[0] = State::Ended(Ending::NotBegun);
     assert!(board.take(|| ()).is_none());
     assert_eq!(board.endings(), [Ending::NotBegun, Ending::NotBegun]);
