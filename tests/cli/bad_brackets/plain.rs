@@ -95,7 +95,7 @@ fn noise_that_changes_is_no_bracket() {
 }
 
 fn checkerboard(side: u32, most: u8) -> RgbImage {
-    RgbImage::from_fn(120, 80, |x, y| Rgb([if (x / side + y / side) % 2 == 0 { most / 8 } else { most }; 3]))
+    RgbImage::from_fn(120, 80, |x, y| Rgb([if (x / side + y / side).is_multiple_of(2) { most / 8 } else { most }; 3]))
 }
 
 /// Its place is known up to its period: where it lies is as good as any, and the exposures stay as they are said to be. Two codes to a frame

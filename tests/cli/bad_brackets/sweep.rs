@@ -28,7 +28,8 @@ fn brackets() -> Vec<(&'static str, Vec<RgbImage>)> {
     let mut random = Random(3);
     let mut noise = || RgbImage::from_fn(40, 33, |_, _| Rgb([0; 3].map(|_| (256.0 * random.next()) as u8)));
     let plain = |c: u8| RgbImage::from_pixel(40, 33, Rgb([c; 3]));
-    let checks = |most: u8| RgbImage::from_fn(40, 33, |x, y| Rgb([if (x + y) % 2 == 0 { 0 } else { most }; 3]));
+    let checks =
+        |most: u8| RgbImage::from_fn(40, 33, |x, y| Rgb([if (x + y).is_multiple_of(2) { 0 } else { most }; 3]));
     vec![
         ("black", vec![plain(0); 2]),
         ("white", vec![plain(255); 2]),
