@@ -7,6 +7,9 @@ use crate::support::{Folder, Run, jpeg, small, small_jpeg};
 use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::batch::{plan::Step, step};
+use hdralign::pipeline::{Options, Progress, Stage};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fs::{self, File};
@@ -384,4 +387,27 @@ fn memory_that_is_not_given_is_told() {
         }
     }
     assert!(done > 0 && refused > 0, "{done} done, {refused} refused");
+}
+
+/// A step reads its photographs twice, for their digests and for their pixels; here one is written anew between the two.
+#[test]
+fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_result() {
+    let folder = Folder::with_bracket();
+    let plan = folder.line("batch . -d out --plan --formats png --bracket 5").done().stdout;
+    folder.put("plan.jsonl", plan.as_bytes());
+    let steps = Step::read_all(&folder.at("plan.jsonl")).expect("a plan");
+    let frame = folder.at("w3.jpg");
+    let change = |progress| {
+        if progress == Progress::Begins(Stage::Load) {
+            fs::write(&frame, [small_jpeg(3), b"more"].concat()).expect("written");
+        }
+    };
+    let options =
+        Options { align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() }, ..Options::default() };
+    let error = step::run(&steps[0], &options, false, &change).expect_err("it was changed").to_string();
+    assert!(error.contains("w3.jpg: was changed while it was read"), "{error}");
+    assert!(!steps[0].outputs[0].exists() && !steps[0].report.exists());
+    // Now that it stays as it is, it is merged: JPEGs may have anything behind them.
+    step::run(&steps[0], &options, false, &|_| ()).expect("merged");
+    assert!(steps[0].outputs[0].exists());
 }
