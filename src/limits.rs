@@ -59,7 +59,7 @@ impl Limits {
         if let Some(allowed) = self.memory.filter(|&allowed| bytes > allowed) {
             let allowed = allowed / 1_000_000;
             return Err(format!(
-                "{}, more than the {allowed} MB of memory allowed; allow more with --max-memory, or scale all frames down",
+                "{}, more than the {allowed} MB of memory allowed; allow more (--max-memory, where the command has it), or scale it down",
                 needs()
             ));
         }

@@ -3,14 +3,19 @@
 //! Every bomb is built here. Each run has [`ADDRESSES`] of address space (`ulimit -v`), of which the program's code, threads and their stacks
 //! take most: whoever makes room for what a bomb says, gets none, and would be ended by a signal.
 
+use crate::support::card::Card;
 use crate::support::{Folder, Run, jpeg, small, small_jpeg};
 use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use hdralign::align::{AlignMode, AlignOptions};
+use hdralign::batch::{plan::Step, step};
+use hdralign::pipeline::{Options, Progress, Stage};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fs::{self, File};
 use std::io::Write;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -156,7 +161,7 @@ fn every_command_refuses_what_says_too_much() {
         refused(&folder, line, &["a.png", "60000x60000", "--max-pixels 3600M"]);
     }
     let run = within(&folder, ADDRESSES, "batch . --dry-run --bracket 5 --threads 2");
-    assert!(run.code == 0 && run.stdout.contains("60000x60000"), "{run:?}");
+    assert!(run.code == 1 && run.stdout.contains("./a.png") && run.stdout.contains("60000x60000"), "{run:?}");
 }
 
 /// What is packed beside the picture: a profile, a text.
@@ -218,7 +223,7 @@ fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
         ("a.hdr", hdr("-Y 18446744073709551615 +X 2", &row), &["too short"]),
         ("a.tif", grey_tiff((1 << 31, 1 << 31), 32, 3, false, &[0; 99]), &["more than the 500 million"]),
         ("a.tif", grey_tiff((20_000, 20_000), 32, 3, false, &[0; 99]), &["too short"]),
-        ("a.tif", grey_tiff((10_000, 10_000), 32, 3, true, &zeros(400_000_000)), &["10000x10000", "2000 MB", "memory"]),
+        ("a.tif", grey_tiff((10_000, 10_000), 32, 3, true, &zeros(400_000_000)), &["10000x10000", "2002 MB", "memory"]),
         (
             "a.tif",
             tiff(
@@ -252,20 +257,32 @@ fn what_is_allowed_is_as_the_user_says() {
     let run = folder.line("compare a.exr a.exr --max-pixels 59999");
     assert!(run.code == 2 && run.stderr.contains("--max-pixels"), "{run:?}");
     folder.line("compare a.exr a.exr --max-pixels 60000").done();
-    let run = folder.line("batch . --dry-run --bracket 5 --max-pixels 59999");
-    assert!(run.code == 1 && run.stdout.contains("the 59999 allowed"), "{run:?}");
     for wrong in ["0", "many", "-3", "5K-"] {
         let run = folder.line(&format!("{merge} c.exr --max-pixels={wrong}"));
         assert!(run.code == 2 && run.stderr.contains("--max-pixels") && run.stderr.contains("500M"), "{run:?}");
     }
-    // A plan holds the size that its photographs had, and so is the leave to read them.
-    let plan = folder.line("batch . -d out --plan --formats png --bracket 5 --max-pixels 60000").done().stdout;
+}
+
+/// A bracket as a camera writes it, and the pixels of a frame: the small frames of other tests count as results in a batch.
+fn card() -> (Folder, Vec<PathBuf>, u64) {
+    let folder = Folder::empty();
+    let paths = Card::new(96).bracket(&[-2.0, 0.0, 2.0]).write(folder.path()).remove(0);
+    let (width, height) = image::image_dimensions(&paths[0]).expect("a photograph");
+    (folder, paths, u64::from(width) * u64::from(height))
+}
+
+/// A plan holds the size that its photographs had, and so is the leave to read them.
+#[test]
+fn a_batch_reads_what_is_allowed_and_a_step_what_was_planned() {
+    let (folder, _, pixels) = card();
+    let (less, planning) = (pixels - 1, "batch . -d out --formats png --align none");
+    let run = folder.line(&format!("batch . --dry-run --max-pixels {less}"));
+    assert!(run.code == 1 && run.stdout.contains(&format!("the {less} allowed")), "{run:?}");
+    let plan = folder.line(&format!("{planning} --plan --max-pixels {pixels}")).done().stdout;
     folder.put("plan.jsonl", plan.as_bytes());
-    let id =
-        serde_json::from_str::<serde_json::Value>(plan.lines().next().expect("a step")).expect("JSON")["id"].clone();
-    let id = id.as_str().expect("a name");
-    let run = folder.line(&format!("batch --run plan.jsonl --id {id} --max-pixels 59999"));
-    assert!(run.code == 1 && run.stderr.contains("the 59999 allowed"), "{run:?}");
+    let id = Step::read_all(&folder.at("plan.jsonl")).expect("a plan").remove(0).id;
+    let run = folder.line(&format!("batch --run plan.jsonl --id {id} --max-pixels {less}"));
+    assert!(run.code == 1 && run.stderr.contains(&format!("the {less} allowed")), "{run:?}");
     folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
 }
 
@@ -340,7 +357,9 @@ fn devices_and_folders_are_no_photographs() {
 fn a_pipe_is_a_photograph_where_it_is_named_and_none_where_it_is_found() {
     let folder = Folder::with_bracket();
     assert!(Command::new("mkfifo").arg(folder.at("p.jpg")).status().expect("mkfifo").success());
-    let run = folder.line("batch . --dry-run --bracket 5").done();
+    // The small frames of the tests count as results, so that there is no bracket; what matters is that the search ends.
+    let run = folder.line("batch . --dry-run");
+    assert_eq!(run.code, 1, "{}", run.stderr);
     assert!(run.stdout.contains("p.jpg") && run.stdout.contains("a pipe or a device"), "{}", run.stdout);
     let (path, bytes) = (folder.at("p.jpg"), small_jpeg(2).to_vec());
     let writer = std::thread::spawn(move || fs::write(path, bytes));
@@ -384,4 +403,27 @@ fn memory_that_is_not_given_is_told() {
         }
     }
     assert!(done > 0 && refused > 0, "{done} done, {refused} refused");
+}
+
+/// A step reads its photographs twice, for their digests and for their pixels; here one is written anew between the two.
+#[test]
+fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_result() {
+    let (folder, photographs, _) = card();
+    let plan = folder.line("batch . -d out --plan --formats png").done().stdout;
+    folder.put("plan.jsonl", plan.as_bytes());
+    let steps = Step::read_all(&folder.at("plan.jsonl")).expect("a plan");
+    let (frame, before) = (&photographs[1], fs::read(&photographs[1]).expect("a photograph"));
+    let change = |progress| {
+        if progress == Progress::Begins(Stage::Load) {
+            fs::write(frame, [&before[..], b"more"].concat()).expect("written");
+        }
+    };
+    let options =
+        Options { align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() }, ..Options::default() };
+    let error = step::run(&steps[0], &options, false, &change).expect_err("it was changed").to_string();
+    assert!(error.contains(": was changed while it was read"), "{error}");
+    assert!(!steps[0].outputs[0].exists() && !steps[0].report.exists());
+    // Now that it stays as it is, it is merged: JPEGs may have anything behind them.
+    step::run(&steps[0], &options, false, &|_| ()).expect("merged");
+    assert!(steps[0].outputs[0].exists());
 }
