@@ -4,7 +4,8 @@
 #   fuzz/run.sh [SECONDS] [TARGET...]      60 s and all of them by default, side by side
 #
 # FUZZ_JOBS (as many as there are targets) says how many run at a time, FUZZ_CORPUS (fuzz/corpus) where the corpora grow: a run goes on
-# from what the last one found. Logs are in fuzz/logs, findings in fuzz/artifacts. The code is 1 where there is a finding.
+# from what the last one found. FUZZ_TIMEOUT (30 s) is the longest that an input may take, by the clock: give more where the machine is busy.
+# Logs are in fuzz/logs, findings in fuzz/artifacts. The code is 1 where there is a finding.
 set -eu
 cd "$(dirname "$0")"
 seconds=${1:-60}
@@ -38,7 +39,7 @@ run() {
     [ ! -f "dictionaries/$target.dict" ] || dictionary="-dict=dictionaries/$target.dict"
     # Leaks are none of a garbage collector's absence: thread pools live as long as the process.
     TMPDIR=$scratch ASAN_OPTIONS=detect_leaks=0 nice -n 19 "target/$triple/release/$target" "$corpus/$target" \
-        -artifact_prefix="artifacts/$target/" $dictionary -max_len="$(longest "$target")" -timeout=20 -rss_limit_mb=2048 \
+        -artifact_prefix="artifacts/$target/" $dictionary -max_len="$(longest "$target")" -timeout="${FUZZ_TIMEOUT:-30}" -rss_limit_mb=2048 \
         -malloc_limit_mb=1024 -detect_leaks=0 -print_final_stats=1 -max_total_time="$seconds" >"logs/$target.log" 2>&1 \
         || echo "$target: a finding; see fuzz/logs/$target.log and fuzz/artifacts/$target" >&2
     rm -rf "$scratch"
