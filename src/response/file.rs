@@ -10,7 +10,7 @@
 //!
 //! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
 
-use super::{CODES, ResponseCurve, csv, rsp};
+use super::{CODES, ResponseCurve, csv, rsp, stops};
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use crate::intake;
@@ -65,14 +65,25 @@ pub struct Encoded {
 impl Encoded {
     /// What there is to say of the file `path` where it holds less than the curve.
     pub fn lossy(&self, path: &Path) -> Option<Warning> {
-        let detail =
-            format!("its polynomials miss the curve by {:.3} stops; .json holds all of it", self.residual_stops);
+        let detail = format!("its numbers miss the curve by {:.3} stops; .json holds all of it", self.residual_stops);
         (self.residual_stops > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail })
     }
 }
 
 /// Residual of a file that is not worth a word, in stops: what curves of two brackets of one camera differ by.
 const LOSS: f64 = 0.01;
+
+/// What nine decimals miss of a camera's curve is below this, and not told, in stops.
+const DECIMALS: f64 = 1e-3;
+
+/// Root mean square of what `read` misses of `curve` over codes 10 to 245 after one shift for the three channels, in stops.
+fn residual_stops(read: &ResponseCurve, curve: &ResponseCurve) -> f64 {
+    let miss = |c: usize, z: usize| stops(read.ln_exposure(c)[z] - curve.ln_exposure(c)[z]);
+    let all = || (0..3).flat_map(|c| (10..=245).map(move |z| miss(c, z)));
+    let count = all().count() as f64;
+    let mean = all().sum::<f64>() / count;
+    (all().map(|d| (d - mean) * (d - mean)).sum::<f64>() / count).sqrt()
+}
 
 /// A curve and the camera whose it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -140,7 +151,14 @@ impl SavedResponse {
     pub fn encode(&self, path: &Path) -> Result<Encoded> {
         match Format::of(path)? {
             Format::Json => Ok(Encoded { text: self.to_json(), residual_stops: 0.0 }),
-            Format::Csv => Ok(Encoded { text: csv::write(&self.curve), residual_stops: 0.0 }),
+            Format::Csv => {
+                let text = csv::write(&self.curve);
+                // What is a billionth of white or less is nothing in nine decimals.
+                let reason = "nine decimals do not hold a curve as steep as this; save it as .json".to_owned();
+                let read = csv::read(&text).map_err(|_| Error::ResponseFile { path: path.to_owned(), reason })?;
+                let residual = residual_stops(&read, &self.curve);
+                Ok(Encoded { text, residual_stops: if residual < DECIMALS { 0.0 } else { residual } })
+            }
             Format::Rsp => {
                 let reason = "no polynomial up to the fifth degree rises with this curve; save it as .json".to_owned();
                 let fitted = rsp::write(&self.curve);
@@ -244,6 +262,21 @@ mod tests {
         std::fs::write(&path, [0xFF, 0xD8, 0xFF, 0xE0]).unwrap();
         let message = SavedResponse::read(&path).unwrap_err().to_string();
         assert!(message.contains("photo.json") && message.contains("no text") && message.contains("hdralign response"));
+    }
+
+    /// Found by reading for the fuzzer: a curve of forty decades was written as zeros, and was none when it was read again.
+    #[test]
+    fn what_no_decimals_hold_is_not_saved_in_them() {
+        let steep = |decades: f64| {
+            let ln_white = decades * std::f64::consts::LN_10;
+            let g = std::array::from_fn(|z| ln_white * (z as f64 / 255.0 - 0.5));
+            SavedResponse { make: None, model: None, curve: ResponseCurve::new([g; 3]).unwrap() }
+        };
+        let refused = steep(40.0).encode(Path::new("c.csv")).unwrap_err().to_string();
+        assert!(refused.contains("c.csv") && refused.contains(".json"), "{refused}");
+        let told = steep(11.0).encode(Path::new("c.csv")).unwrap();
+        assert!(told.residual_stops > LOSS && told.lossy(Path::new("c.csv")).is_some());
+        assert_eq!(steep(4.0).encode(Path::new("c.csv")).unwrap().residual_stops, 0.0);
     }
 
     #[test]

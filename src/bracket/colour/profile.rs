@@ -43,6 +43,8 @@ impl Profile {
             moxcms::DataColorSpace::Rgb => {
                 let description = parsed.description.as_ref().map(text).filter(|d| !d.is_empty());
                 let primaries = primaries(&parsed).map(|p| p.nearest_standard().unwrap_or(p));
+                // Three on a line, or a white without light, are colours of no picture.
+                let primaries = primaries.filter(|p| p.to_xyz().is_some());
                 Found::Rgb(Profile {
                     icc,
                     description: description.unwrap_or_else(|| "unnamed profile".into()),
@@ -249,8 +251,10 @@ mod tests {
         let grey = ColorProfile::new_gray_with_gamma(2.2).encode().unwrap();
         assert_eq!(Profile::parse(grey), Found::Other("grey"));
         assert_eq!(Profile::parse(b"no profile".to_vec()), Found::Damaged);
-        let Found::Rgb(black) = Profile::parse(icc([[0.0; 3]; 3], WHITE_50)) else { panic!("no RGB profile") };
-        assert_eq!(black.primaries, None);
+        for colorants in [[[0.0; 3]; 3], [SRGB_D50[0]; 3], [SRGB_D50[0], SRGB_D50[1], SRGB_D50[1]]] {
+            let Found::Rgb(none) = Profile::parse(icc(colorants, WHITE_50)) else { panic!("no RGB profile") };
+            assert_eq!(none.primaries, None, "{colorants:?}");
+        }
     }
 
     #[test]

@@ -105,7 +105,8 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
                 let (width, height, depth) = (number(0), number(4), content[8].max(8));
                 found = Some(Found { width, height, depth, exif: None, software: None, refused: None });
             }
-            (b"eXIf", Some(found)) => found.exif = Some(content),
+            // Of several the decoder takes the first.
+            (b"eXIf", Some(found)) => _ = found.exif.get_or_insert(content),
             (_, Some(found)) => {
                 if let Some(text) = content.strip_prefix(b"Software\0") {
                     found.software = Some(String::from_utf8_lossy(text).into_owned());

@@ -308,6 +308,40 @@ fn exif_turns_jpeg_png_and_tiff() {
     assert_eq!(Orientation::from_exif(6), Some(Orientation::Rotate90));
 }
 
+/// Found by reading for the fuzzer: the header took the last EXIF of a PNG, its decoder the first.
+#[test]
+fn the_header_of_a_png_turns_as_the_picture_does() {
+    let turned = |orientation| {
+        let mut bytes = Vec::new();
+        let mut info = ::png::Info::with_size(4, 2);
+        info.color_type = ::png::ColorType::Grayscale;
+        info.exif_metadata = Some(exif_bytes(&[(Tag::Orientation, exif::Value::Short(vec![orientation]))]).into());
+        let mut writer = ::png::Encoder::with_info(&mut bytes, info).unwrap().write_header().unwrap();
+        writer.write_image_data(&[7; 8]).unwrap();
+        drop(writer);
+        bytes
+    };
+    let (upright, quarter) = (turned(1), turned(6));
+    let at = |bytes: &[u8]| bytes.windows(4).position(|w| w == b"eXIf").unwrap() - 4;
+    let chunk = |bytes: &[u8]| {
+        let begin = at(bytes);
+        let length = u32::from_be_bytes(bytes[begin..begin + 4].try_into().unwrap()) as usize;
+        bytes[begin..begin + 12 + length].to_vec()
+    };
+    for (first, second) in [(&upright, &quarter), (&quarter, &upright)] {
+        let end = at(first) + chunk(first).len();
+        let both = [&first[..end], &chunk(second), &first[end..]].concat();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &both).unwrap();
+        let head = head(file.path(), &[], &Limits::default()).unwrap();
+        if let Ok(decoded) = read(&both) {
+            assert_eq!((head.width, head.height), (decoded.width, decoded.height));
+        }
+        let is_quarter = std::ptr::eq(first, &quarter);
+        assert_eq!((head.width, head.height), if is_quarter { (2, 4) } else { (4, 2) });
+    }
+}
+
 #[test]
 fn sizes_beyond_the_limit_are_refused_before_decoding() {
     for bytes in
