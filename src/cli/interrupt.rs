@@ -19,6 +19,10 @@ static ASKED: AtomicUsize = AtomicUsize::new(0);
 #[cfg(unix)]
 static OUTGREW: AtomicBool = AtomicBool::new(false);
 
+/// Whether an abort is an exit like that of any failure.
+#[cfg(unix)]
+static ABORT_IS_FAILURE: AtomicBool = AtomicBool::new(true);
+
 fn heard(signal: i32) {
     let times = ASKED.fetch_add(1, Ordering::SeqCst);
     if IS_BATCH.load(Ordering::SeqCst) && times == 0 {
@@ -34,7 +38,9 @@ fn heard(signal: i32) {
 /// From here on signals are heard. Where they cannot be they act as they always do.
 #[cfg(unix)]
 pub fn listen() {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXCPU, SIGXFSZ};
+    use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXCPU, SIGXFSZ};
+    // Rust aborts where the system refuses memory, and has said so by then: exit code 1, as of all that fails.
+    let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, &ABORT_IS_FAILURE);
     // Heard, it ends nothing: the system refuses the write, and that is told as an error of the file.
     let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);
     let ignored = ignored();

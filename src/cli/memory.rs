@@ -10,7 +10,8 @@ pub fn free() -> Option<u64> {
     let of_group = read("memory.max").map(|most| most.saturating_sub(read("memory.current").unwrap_or(0)));
     let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
     let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
-    let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)));
+    // Allocators and the stacks of threads reserve more addresses than they use.
+    let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)) / 2);
     [of_group, of_process].into_iter().flatten().chain([of_machine]).min()
 }
 

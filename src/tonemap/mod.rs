@@ -186,6 +186,20 @@ mod tests {
         ]
     }
 
+    /// Found by the property tests: beyond 2^127 of the key the local shoulder was no number, and so were the places in the table of tones.
+    #[test]
+    fn the_ends_of_what_floats_hold_give_a_picture() {
+        let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];
+        for operator in every() {
+            for side in [2usize, 6, 40] {
+                let pixels = (0..side * side).map(|i| ends[(i * 7 + i / side) % ends.len()]).collect();
+                let pixels = Plane::from_vec(side, side, pixels);
+                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, &operator).pixels;
+                assert_eq!((picture.width(), picture.height()), (side, side), "{}", operator.name());
+            }
+        }
+    }
+
     /// Radiance 1 is the middle code; 4.7 and what is above it is white (1 / 0.2159 = 4.63); the least code but 0 is 0.00014 / 0.2159.
     #[test]
     fn one_tone_is_what_the_photographs_showed() {

@@ -108,6 +108,9 @@ pub fn global(scene: &Scene, options: &Options) -> Tones {
 /// Cells of the local operator: its scales are those of the paper on pictures of about this size.
 const CELLS: usize = 1 << 19;
 
+/// Stops from the key beyond which nothing looks other than black or white, so that squares stay within floats.
+const FARTHEST: f32 = 60.0;
+
 /// Section 3.2: scales, each 1.6 times the one before, the first of 1 cell; their centre's size as a part of them; the sharpening phi;
 /// and how much centre and surround may differ.
 const SCALES: usize = 8;
@@ -124,7 +127,7 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
     let (width, height) = (scene.logs.width(), scene.logs.height());
     let scaled = Plane::from_rows(width, height, |y, row| {
         for (l, &log) in row.iter_mut().zip(scene.logs.row(y)) {
-            *l = libm::exp2f(log + shoulder.shift as f32);
+            *l = libm::exp2f((log + shoulder.shift as f32).clamp(-FARTHEST, FARTHEST));
         }
     });
     let around = surroundings(&scaled, options.key.unwrap_or(key));

@@ -46,7 +46,9 @@ impl Curve {
 #[inline(always)]
 fn place(v: f32) -> (u32, f32) {
     let most = (PER_OCTAVE * OCTAVES) as f32 - 0.01;
-    let scaled = at_most(at_least((v - FIRST) * PER_OCTAVE as f32, 0.0), most);
+    // What is no number goes to the first: vectors have no bounds that stop it.
+    let scaled = (v - FIRST) * PER_OCTAVE as f32;
+    let scaled = at_most(if scaled > 0.0 { scaled } else { 0.0 }, most);
     let whole = floor32(scaled);
     (integer32(whole), scaled - whole)
 }

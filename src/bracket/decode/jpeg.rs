@@ -189,7 +189,9 @@ impl Layout {
                         Ok(layout)
                     };
                 }
-                0x01 | 0xD0..=0xD8 => continue,
+                // TEM: it stands alone and says nothing, but decoders look for its length.
+                0x01 => layout.junk.push(first_ff..at),
+                0xD0..=0xD8 => continue,
                 code => {
                     let length = bytes.get(at..at + 2).ok_or_else(truncated)?;
                     let length = usize::from(u16::from_be_bytes([length[0], length[1]]));
