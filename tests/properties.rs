@@ -108,7 +108,7 @@ impl Photographs {
             Content::Noise => (self.chance([frame as u32, y << 8 | x, channel]) * 65535.0) as u16,
             Content::Scene => {
                 let (x, y) = (x + frame as u32 % 3, y + self.seed % 2 * frame as u32);
-                let blot = self.chance([7, x / 4, y / 4 << 2 | channel]);
+                let blot = self.chance([7, x / 4, ((y / 4) << 2) | channel]);
                 let light = f64::from(x + 2 * y + 1) / 60.0 * (0.2 + blot);
                 let ev = self.ev.as_ref().map_or(1.5 * frame as f64, |ev| ev[frame]);
                 ((light * ev.clamp(-6.0, 6.0).exp2() / 4.0).powf(1.0 / 2.2).min(1.0) * 65535.0) as u16

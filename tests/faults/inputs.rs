@@ -85,7 +85,7 @@ fn a_file_that_may_not_be_read_is_named() {
     let others = format!("[ \"$(id -u)\" = 0 ] && {nobody} test -x {}", program.display());
     let of_nobody = can("be somebody else", &others);
     fs::set_permissions(folder.path(), std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("permissions");
-    fs::set_permissions(folder.at("w3.jpg"), std::os::unix::fs::PermissionsExt::from_mode(0)).expect("permissions");
+    fs::set_permissions(folder.at("w3.jpg"), std::os::unix::fs::PermissionsExt::from_mode(0o000)).expect("permissions");
     // Root may read everything; anybody else is nobody enough.
     let run_as = if of_nobody { nobody } else { "" };
     if of_nobody || fs::read(folder.at("w3.jpg")).is_err() {
