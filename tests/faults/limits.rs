@@ -1,6 +1,6 @@
 //! Limits of the process: open files, threads, memory, stack.
 
-use super::{FRAMES, bracket, can, fails, shell, unnamed};
+use super::{FRAMES, bracket, can, fails, settled, shell, unnamed};
 use crate::support::Folder;
 use crate::support::card::Card;
 
@@ -50,7 +50,7 @@ fn threads_that_are_refused_are_an_error() {
     fails(&folder, &format!("{limit}; RAYON_NUM_THREADS=1024 $H compare a.exr a.exr"), 2, &said);
     fails(&folder, &format!("{limit}; RAYON_NUM_THREADS=1024 $H tonemap a.exr -o b.png"), 1, &said);
     // With as many as there is room for all goes well; a batch finds out by itself.
-    let run = shell(&folder, &format!("{limit}; $H batch in -d out -q --threads 1024 --jobs 1"));
+    let run = settled(&folder, &format!("{limit}; $H batch in -d out -q --threads 1024 --jobs 1"));
     assert_eq!(run.code, 0, "{run:?}");
     assert_eq!(shell(&folder, &format!("{limit}; $H merge {FRAMES} -q --threads 2 -o c.exr")).code, 0);
     assert!(folder.bytes("a.exr") == folder.bytes("c.exr"));
