@@ -3,8 +3,8 @@
 
     tests/same_bytes_matrix.py [--work FOLDER] [--builds NAME,NAME...] [--threads N] [--brief]
 
-Builds: debug, release, native (-C target-cpu=native), musl, i686 and aarch64, each if its target is installed (rustup target add ...); the
-release one as well as other processors, from SSE2 to AVX2, and aarch64, by qemu-user. What is not here is said to be left out, and
+Builds: debug, release, native (-C target-cpu=native), musl, i686 and aarch64, each if its target is installed (rustup target add ...) and a
+compiler for C (musl-tools; gcc-multilib or gcc-aarch64-linux-gnu, of which Debian has only one at a time); the release one as well as other processors, from SSE2 to AVX2, and aarch64, by qemu-user. What is not here is said to be left out, and
 counted. The standard library of Python 3 is all it needs, and for --work a folder with a gigabyte. Exit code 0: no difference."""
 
 import argparse
