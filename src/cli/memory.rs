@@ -1,18 +1,18 @@
 //! Memory: how much there is, and how much the user allows.
 
+use super::cgroup;
 use std::fs;
+use std::path::Path;
 
 /// Bytes of memory that are free for this process, as far as Linux tells; none elsewhere.
 pub fn free() -> Option<u64> {
     let of_machine = available(&fs::read_to_string("/proc/meminfo").ok()?)?;
-    // Where the process is confined, as in a container, less.
-    let read = |name: &str| fs::read_to_string(format!("/sys/fs/cgroup/{name}")).ok()?.trim().parse::<u64>().ok();
-    let of_group = read("memory.max").map(|most| most.saturating_sub(read("memory.current").unwrap_or(0)));
+    let of_groups = cgroup::free(Path::new("/"));
     let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
     let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
     // Allocators and the stacks of threads reserve more addresses than they use.
     let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)) / 2);
-    [of_group, of_process].into_iter().flatten().chain([of_machine]).min()
+    [of_groups, of_process].into_iter().flatten().chain([of_machine]).min()
 }
 
 /// The bytes of addresses that /proc/self/limits allows (`ulimit -v`); none where there is no limit.

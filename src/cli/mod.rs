@@ -4,6 +4,7 @@
 
 mod align;
 mod batch;
+mod cgroup;
 mod compare;
 mod completions;
 mod input;
