@@ -47,6 +47,7 @@
 pub mod align;
 pub mod batch;
 pub mod bracket;
+mod budget;
 pub mod compare;
 pub mod error;
 pub mod inspect;

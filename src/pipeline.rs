@@ -221,42 +221,44 @@ fn merged(
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
-        check_taken(taken, &bracket)?;
-        options.calibration.check(bracket.reference())?;
-        options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
-        let (bracket, alignment) = line.align(bracket, options)?;
-        check_placed(&bracket, &alignment)?;
-        let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
-        let region = options.crop.rect(&bracket, &alignment);
-        let calibration = options.calibration.settle(bracket.reference(), &curve)?;
-        let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
-        let (radiance, statistics) = line.units(radiance, &calibration, options)?;
-        let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
-        let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
-        let metadata = line::metadata(bracket.reference(), options);
-        let merging = MergeOptions { weight: options.weight, region };
-        let developed = Developed { curve: &curve, merging, ghosts: radiance.ghosts.as_ref() };
-        line.gather(&bracket, &alignment, Some(&developed), options)?;
-        let mut report = Report::new(&bracket, &alignment, region);
-        // The frames make room for what is encoded.
-        drop(bracket);
-        let Radiance { slabs, merged, ghosts, flare } = radiance;
-        report.options = Some(asked::report(options, true));
-        report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-        report.response = Some(recovered);
-        report.radiance = Some(merged.report(statistics, options.unit_exposure));
-        report.calibration = calibration;
-        report.colour = Some(slabs.primaries().into());
-        report.flare = flare;
-        report.ghosts = ghosts.as_ref().map(Ghosts::report);
-        let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
-        files.splice(0..0, results);
-        if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
-            files.push(write::mask::write(path, &ghosts.mask())?);
-        }
-        let files = line.report(&mut report, files, options)?;
-        let prepared = Prepared { report, files, overwrite: options.write.overwrite };
-        Ok((prepared, Results { radiance: slabs, display }))
+        in_pool(bracket.threads(), move || {
+            check_taken(taken, &bracket)?;
+            options.calibration.check(bracket.reference())?;
+            options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
+            let (bracket, alignment) = line.align(bracket, options)?;
+            check_placed(&bracket, &alignment)?;
+            let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
+            let region = options.crop.rect(&bracket, &alignment);
+            let calibration = options.calibration.settle(bracket.reference(), &curve)?;
+            let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
+            let (radiance, statistics) = line.units(radiance, &calibration, options)?;
+            let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
+            let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
+            let metadata = line::metadata(bracket.reference(), options);
+            let merging = MergeOptions { weight: options.weight, region };
+            let developed = Developed { curve: &curve, merging, ghosts: radiance.ghosts.as_ref() };
+            line.gather(&bracket, &alignment, Some(&developed), options)?;
+            let mut report = Report::new(&bracket, &alignment, region);
+            // The frames make room for what is encoded.
+            drop(bracket);
+            let Radiance { slabs, merged, ghosts, flare } = radiance;
+            report.options = Some(asked::report(options, true));
+            report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
+            report.response = Some(recovered);
+            report.radiance = Some(merged.report(statistics, options.unit_exposure));
+            report.calibration = calibration;
+            report.colour = Some(slabs.primaries().into());
+            report.flare = flare;
+            report.ghosts = ghosts.as_ref().map(Ghosts::report);
+            let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
+            files.splice(0..0, results);
+            if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
+                files.push(write::mask::write(path, &ghosts.mask())?);
+            }
+            let files = line.report(&mut report, files, options)?;
+            let prepared = Prepared { report, files, overwrite: options.write.overwrite };
+            Ok((prepared, Results { radiance: slabs, display }))
+        })
     })
 }
 
@@ -270,17 +272,19 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let (options, taken) = &with_transforms(options)?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
-        check_taken(taken, &bracket)?;
-        let (bracket, alignment) = line.align(bracket, options)?;
-        line.gather(&bracket, &alignment, None, options)?;
-        let region = options.crop.rect(&bracket, &alignment);
-        let mut report = Report::new(&bracket, &alignment, region);
-        report.options = Some(asked::report(options, false));
-        report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-        let files = line.others(&bracket, &alignment, region, None, options)?;
-        let files = line.report(&mut report, files, options)?;
-        write::commit(files, options.write.overwrite)?;
-        Ok(report)
+        in_pool(bracket.threads(), move || {
+            check_taken(taken, &bracket)?;
+            let (bracket, alignment) = line.align(bracket, options)?;
+            line.gather(&bracket, &alignment, None, options)?;
+            let region = options.crop.rect(&bracket, &alignment);
+            let mut report = Report::new(&bracket, &alignment, region);
+            report.options = Some(asked::report(options, false));
+            report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
+            let files = line.others(&bracket, &alignment, region, None, options)?;
+            let files = line.report(&mut report, files, options)?;
+            write::commit(files, options.write.overwrite)?;
+            Ok(report)
+        })
     })
 }
 
@@ -300,12 +304,14 @@ pub fn inspect(
         files::check(folder, images, options.write.overwrite)?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
-        let (bracket, alignment) = line.align(bracket, options)?;
-        let (tables, _) = line.timed(Stage::Inspect, || {
-            let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
-            files::write(&inspection, folder, options.write.overwrite)
-        });
-        tables
+        in_pool(bracket.threads(), move || {
+            let (bracket, alignment) = line.align(bracket, options)?;
+            let (tables, _) = line.timed(Stage::Inspect, || {
+                let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
+                files::write(&inspection, folder, options.write.overwrite)
+            });
+            tables
+        })
     })
 }
 

@@ -138,6 +138,14 @@ pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync)
     (0..band_count(height)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
 }
 
+/// `map` of each of so many items, at most `at_once` of them at a time, given back in order. Parallel work within an item may begin another: without
+/// a bound all of them may be under way, however few the threads.
+pub fn map_at_once<R: Send>(count: usize, at_once: usize, map: impl Fn(usize) -> R + Sync) -> Vec<R> {
+    let at_once = at_once.clamp(1, count.max(1));
+    let some = |first| (first..count.min(first + at_once)).into_par_iter().map(&map).collect::<Vec<R>>();
+    (0..count).step_by(at_once).flat_map(some).collect()
+}
+
 /// `map` of every band's rows, computed in parallel, then `fold`ed in index order: sums of floats come out the same on any machine.
 pub fn fold_bands<R: Send, A>(
     height: usize,
@@ -158,6 +166,27 @@ mod tests {
             let rows: Vec<usize> = map_bands(height, |r| r.collect::<Vec<_>>()).concat();
             assert_eq!(rows, (0..height).collect::<Vec<_>>());
         }
+    }
+
+    #[test]
+    fn items_are_mapped_in_order_and_no_more_at_once_than_allowed() {
+        use std::sync::atomic::{AtomicUsize, Ordering};
+        let (going, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let map = |i: usize| {
+            most.fetch_max(1 + going.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
+            // A thread that waits for this may take up another item.
+            let sum: usize = (0..1000).into_par_iter().map(|k| k % 7).sum();
+            going.fetch_sub(1, Ordering::SeqCst);
+            sum * i
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(4).build().unwrap();
+        for at_once in [0, 1, 3, 50, usize::MAX] {
+            most.store(0, Ordering::SeqCst);
+            let found = pool.install(|| map_at_once(10, at_once, map));
+            assert_eq!(found, (0..10).map(|i| 2997 * i).collect::<Vec<_>>());
+            assert!(most.load(Ordering::SeqCst) <= at_once.max(1));
+        }
+        assert!(map_at_once(0, 3, |i| i).is_empty());
     }
 
     #[test]

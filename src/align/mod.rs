@@ -51,7 +51,6 @@ use crate::plane::Plane;
 use given::Given;
 use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
-use rayon::prelude::*;
 use search::Search;
 use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
@@ -308,7 +307,7 @@ fn search(
     given: &[Option<Verdict>],
     find: fn(&Search) -> Vec<Verdict>,
 ) -> Result<Vec<Verdict>> {
-    let looked: Vec<Result<(Seen, GreyPyramid)>> = bracket.frames().par_iter().map(look).collect();
+    let looked = bracket.map_whole(look);
     let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
     let is_plain = seen.iter().all(|s| s.is_plain);
@@ -320,8 +319,16 @@ fn search(
             Plane::filled(bracket.width(), bracket.height(), 0)
         })
     };
-    let reference = bracket.reference_index();
-    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
+    let found = find(&Search {
+        pyramids: &pyramids,
+        grey: &grey,
+        blank: &blank,
+        is_plain,
+        at_once: bracket.at_once(),
+        reference: bracket.reference_index(),
+        given,
+        options,
+    });
     match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
         None => Ok(found),
         Some(error) => Err(error),

@@ -11,8 +11,7 @@ use super::period;
 use super::place::{self, Candidate};
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
-use crate::plane::Plane;
-use rayon::prelude::*;
+use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 
 /// A candidate with less confidence is no place at all, unless nearly all that speaks speaks for it.
@@ -43,6 +42,8 @@ pub(super) struct Search<'a> {
     pub(super) blank: &'a [bool],
     /// Whether all frames are of one tone each.
     pub(super) is_plain: bool,
+    /// How many frames may be compared at a time.
+    pub(super) at_once: usize,
     pub(super) reference: usize,
     /// The frames whose place is given.
     pub(super) given: &'a [Option<Verdict>],
@@ -94,7 +95,7 @@ impl Search<'_> {
 
     /// From features alone: a homography.
     pub(super) fn by_features_alone(&self) -> Vec<Verdict> {
-        let sets: Vec<FeatureSets> = (0..self.pyramids.len()).into_par_iter().map(|i| self.features(i)).collect();
+        let sets = map_at_once(self.pyramids.len(), self.at_once, |i| self.features(i));
         let mut verdicts = self.each(|i| {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
@@ -122,7 +123,7 @@ impl Search<'_> {
             return verdicts;
         }
         let repeats = period::repeats(self.base(), &self.options.mtb);
-        let first: Vec<First> = (0..self.pyramids.len()).into_par_iter().map(|i| self.first(i, repeats)).collect();
+        let first = map_at_once(self.pyramids.len(), self.at_once, |i| self.first(i, repeats));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         let shared = Shared { features, repeats };
@@ -172,7 +173,7 @@ impl Search<'_> {
             None if i == self.reference => reference(),
             None => verdict(i),
         };
-        (0..self.pyramids.len()).into_par_iter().map(place).collect()
+        map_at_once(self.pyramids.len(), self.at_once, place)
     }
 
     fn features(&self, i: usize) -> FeatureSets {

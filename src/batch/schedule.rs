@@ -162,8 +162,6 @@ fn disk(_: &Step) -> u64 {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Share {
     threads: usize,
-    /// Bytes for pixels.
-    pixels: u64,
     /// Bytes of those for all steps: for pixels, and for threads beside the first.
     taken: u64,
 }
@@ -174,18 +172,18 @@ impl Share {
     fn of(pixels: u64, free: u64, threads: usize) -> Share {
         let extra = THREAD * (threads as u64 - 1);
         if pixels.saturating_add(extra) <= free {
-            return Share { threads, pixels, taken: pixels + extra };
+            return Share { threads, taken: pixels + extra };
         }
         if pixels >= 4 * extra {
-            return Share { threads, pixels: free - extra, taken: free };
+            return Share { threads, taken: free };
         }
-        Share { threads: 1, pixels, taken: pixels }
+        Share { threads: 1, taken: pixels }
     }
 
     fn options(&self, options: &Options) -> Options {
         let mut own = Options { threads: Some(self.threads), ..options.clone() };
         if let Some(limit) = &mut own.load.memory {
-            limit.bytes = self.pixels.saturating_add(MemoryLimit::PROGRAM);
+            limit.bytes = self.taken.saturating_add(MemoryLimit::PROGRAM);
         }
         own
     }

@@ -30,6 +30,8 @@ pub(super) struct Decoded {
     pub height: usize,
     /// Interleaved RGB.
     pub samples: Samples,
+    /// Bytes that it took while it was decoded, with the file.
+    pub decoding: u64,
     /// What EXIF there is.
     pub exif: Option<Exif>,
     /// An RGB or unknown ICC profile, as found.
@@ -43,6 +45,8 @@ struct Stored {
     width: usize,
     height: usize,
     samples: Samples,
+    /// Bytes that it took while it was decoded, with the file.
+    decoding: u64,
     /// EXIF from its TIFF header on; a TIFF file is its own.
     exif: Option<Vec<u8>>,
     icc: Option<Vec<u8>>,
@@ -84,7 +88,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    Ok(Decoded { width, height, samples, exif, icc: stored.icc, notes })
+    Ok(Decoded { width, height, samples, decoding: stored.decoding, exif, icc: stored.icc, notes })
 }
 
 /// The fields of an EXIF block that can be read; `None` where it is no such block.

@@ -12,13 +12,14 @@ use super::copies::{self, Copied, Look};
 use super::decode::{self, Decoded};
 use super::exposure::{self, Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::window::Store;
-use super::{Bracket, Capture, Codes, Frame, ReferenceChoice, Samples, reference};
+use super::{Bracket, Capture, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
+use crate::budget::Budget;
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::{self, Limits};
+use crate::plane::map_at_once;
 use crate::scratch::{MemoryLimit, Scratch};
 use exif::{Exif, In, Tag};
-use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -99,12 +100,12 @@ pub fn load_with_progress(
         progress(1 + done.fetch_add(1, Ordering::Relaxed));
         picture
     };
-    let (mut pictures, scratch) = match &options.memory {
-        None => (in_order(paths.par_iter().map(|path| read(path, None)).collect())?, None),
+    let (mut pictures, on_disk) = match &options.memory {
+        None => (in_order(map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None)))?, None),
         Some(limit) => read_within(limit, paths, read)?,
     };
     check_sizes(&pictures)?;
-    widen_mixed_depths(&mut pictures, scratch.as_ref())?;
+    widen_mixed_depths(&mut pictures, on_disk.as_ref().map(|on_disk| &on_disk.scratch))?;
 
     let mut warnings = Vec::new();
     let copies = copies::find(&pictures.iter().map(Picture::look).collect::<Vec<_>>())?;
@@ -130,7 +131,7 @@ pub fn load_with_progress(
             frame
         })
         .collect();
-    let bracket = Bracket { scratch, ..Bracket::new(frames, &options.reference)? };
+    let bracket = Bracket { on_disk, ..Bracket::new(frames, &options.reference)? };
     for frame in bracket.frames() {
         warnings.extend(notes.remove(frame.path()).unwrap_or_default());
     }
@@ -138,30 +139,25 @@ pub fn load_with_progress(
     Ok((bracket, warnings))
 }
 
-/// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with the scratch file that they are on.
+/// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with where they are.
 fn read_within(
     limit: &MemoryLimit,
     paths: &[PathBuf],
     read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
-) -> Result<(Vec<Picture>, Option<Arc<Scratch>>)> {
+) -> Result<(Vec<Picture>, Option<OnDisk>)> {
     // The first tells how large they are.
     let mut first = read(&paths[0], None)?;
-    let (pixels, count) = ((first.width * first.height) as u64, paths.len() as u64);
-    let frame = first.store.bytes();
-    // Beside the frames, alignment holds a pyramid of each, and merging the radiance.
-    let all = count * frame + (count * pixels * 3 / 2).max(12 * pixels);
-    let is_held = all <= limit.for_pixels() && limits::is_given(all);
-    let scratch = if is_held { None } else { Some(Scratch::in_folder(&limit.folder)?) };
+    let budget = Budget::new(limit, paths.len(), (first.width, first.height), first.store.bytes());
+    let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_given);
+    let scratch = if stay { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
     }
-    // While it is decoded, a frame and its file are in memory.
-    let at_once = (limit.for_pixels() / (2 * frame)).max(1);
+    let at_once = budget.decoders(stay, first.decoding);
+    let others = &paths[1..];
     let mut pictures = vec![Ok(first)];
-    for some in paths[1..].chunks(if is_held { paths.len() } else { at_once.min(count) as usize }) {
-        pictures.par_extend(some.par_iter().map(|path| read(path, scratch.as_ref())));
-    }
-    Ok((in_order(pictures)?, scratch))
+    pictures.extend(map_at_once(others.len(), at_once, |i| read(&others[i], scratch.as_ref())));
+    Ok((in_order(pictures)?, scratch.map(|scratch| OnDisk { scratch, budget })))
 }
 
 /// All of them, or the error of the first that failed, whichever did so first.
@@ -224,6 +220,8 @@ struct Picture {
     width: usize,
     height: usize,
     store: Store,
+    /// Bytes that it took while it was decoded.
+    decoding: u64,
     brightness: Brightness,
     well_exposed: u64,
     tags: ExposureTags,
@@ -235,7 +233,7 @@ struct Picture {
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
     fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, &options.limits())?;
+        let Decoded { width, height, samples, decoding, exif, icc, mut notes } = decoded(path, &options.limits())?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
@@ -246,11 +244,14 @@ impl Picture {
         if let Some(scratch) = scratch {
             store.put_on(scratch)?;
         }
+        // Turned by its EXIF, it was there twice.
+        let decoding = decoding.max(2 * store.bytes());
         Ok(Picture {
             path: path.into(),
             width,
             height,
             store,
+            decoding,
             brightness,
             well_exposed,
             tags,

@@ -25,11 +25,13 @@ pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub use window::{Codes, Window};
 
+use crate::budget::Budget;
 use crate::error::{Error, Result};
-use crate::plane::Plane;
+use crate::plane::{BAND_ROWS, Plane, map_at_once};
 use crate::scratch::Scratch;
 use colour::{Primaries, Profile};
 use exposure::Exposure;
+use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -83,6 +85,9 @@ pub struct Capture {
     /// All of the EXIF that is true of the results too, as a TIFF block; where it was taken only if that was asked for.
     pub exif: Option<Vec<u8>>,
 }
+
+/// Rows that are read at once of a frame of which all rows are wanted one by one: bands enough for all threads.
+const READ_ROWS: usize = 16 * BAND_ROWS;
 
 /// One photograph, decoded.
 #[derive(Debug, Clone)]
@@ -186,9 +191,26 @@ impl Frame {
 
     /// The [`grey`](Self::grey) picture, or where there are `stops` the [`grey_brightened`](Self::grey_brightened) one.
     pub(crate) fn greys(&self, stops: Option<u32>) -> Result<Plane<u8>> {
-        let all = self.whole()?;
-        Ok(Plane::from_rows(self.width, self.height, |y, row| all.grey_row(y, stops, row)))
+        let mut grey = Plane::filled(self.width, self.height, 0);
+        // By parts, so that of a frame on disk the codes are never there as a whole.
+        for first in (0..self.height).step_by(READ_ROWS) {
+            let window = self.window(first..self.height.min(first + READ_ROWS))?;
+            let rows = &mut grey.as_mut_slice()[first * self.width..][..window.rows().len() * self.width];
+            rows.par_chunks_mut(BAND_ROWS * self.width).enumerate().for_each(|(band, rows)| {
+                for (k, row) in rows.chunks_exact_mut(self.width).enumerate() {
+                    window.grey_row(first + band * BAND_ROWS + k, stops, row);
+                }
+            });
+        }
+        Ok(grey)
     }
+}
+
+/// Where the frames of a bracket are that do not fit into memory, and what does fit.
+#[derive(Debug, Clone)]
+struct OnDisk {
+    scratch: Arc<Scratch>,
+    budget: Budget,
 }
 
 /// Frames of one size by rising relative exposure (then by path), and the one that the others are aligned to.
@@ -196,7 +218,7 @@ impl Frame {
 pub struct Bracket {
     frames: Vec<Frame>,
     reference: usize,
-    scratch: Option<Arc<Scratch>>,
+    on_disk: Option<OnDisk>,
 }
 
 impl Bracket {
@@ -229,7 +251,7 @@ impl Bracket {
                 _ => reference::best(&frames, &[]),
             },
         };
-        Ok(Bracket { frames, reference, scratch: None })
+        Ok(Bracket { frames, reference, on_disk: None })
     }
 
     /// The same frames, but that with index `reference` is the one that the others are aligned to.
@@ -270,7 +292,28 @@ impl Bracket {
 
     /// The scratch file that the frames are on, where they do not fit into the memory allowed.
     pub fn scratch(&self) -> Option<&Arc<Scratch>> {
-        self.scratch.as_ref()
+        self.on_disk.as_ref().map(|on_disk| &on_disk.scratch)
+    }
+
+    /// What fits into memory at a time, where the frames do not.
+    pub(crate) fn budget(&self) -> Option<&Budget> {
+        self.on_disk.as_ref().map(|on_disk| &on_disk.budget)
+    }
+
+    /// How many of the threads that there are fit into the memory allowed; none where all do.
+    pub(crate) fn threads(&self) -> Option<usize> {
+        self.budget().map(|budget| budget.threads(rayon::current_num_threads()))
+    }
+
+    /// How many frames may be worked on at a time beyond their codes: all where memory is enough, else one a thread.
+    pub(crate) fn at_once(&self) -> usize {
+        self.threads().unwrap_or(self.frames.len())
+    }
+
+    /// `map` of every frame, in order, which reads the frame as a whole: of frames on disk one is read at a time.
+    pub(crate) fn map_whole<R: Send>(&self, map: impl Fn(&Frame) -> R + Sync) -> Vec<R> {
+        let at_once = if self.on_disk.is_some() { 1 } else { self.frames.len() };
+        map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))
     }
 
     /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has

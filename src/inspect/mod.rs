@@ -25,12 +25,12 @@ use crate::align::{AlignOptions, Alignment, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
 use crate::plane::Plane;
+use crate::plane::map_at_once;
 use crate::report::{Report, WarningReport};
 use drawing::Drawing;
 use edges::Couple;
 use overlay::Overlay;
 use picture::Photograph;
-use rayon::prelude::*;
 use tables::{Found, Tables};
 
 /// Long side of a drawn photograph, in pixels, at the most.
@@ -159,23 +159,19 @@ fn gathered<'a>(
     pyramid: &(dyn Fn(&Frame) -> Result<GreyPyramid> + Sync),
     wants_features: &(dyn Fn(usize) -> bool + Sync),
 ) -> Result<Inspection<'a>> {
-    let pyramids: Vec<Result<GreyPyramid>> = bracket.frames().par_iter().map(pyramid).collect();
-    let pyramids = pyramids.into_iter().collect::<Result<Vec<_>>>()?;
+    let pyramids = bracket.map_whole(pyramid).into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let features = pyramids.par_iter().enumerate().map(|(i, pyramid)| match wants_features(i) {
-        true => FrameFeatures::new(pyramid, options),
-        false => FrameFeatures::none(pyramid),
+    let each = (pyramids.len(), bracket.at_once());
+    let features = map_at_once(each.0, each.1, |i| match wants_features(i) {
+        true => FrameFeatures::new(&pyramids[i], options),
+        false => FrameFeatures::none(&pyramids[i]),
     });
-    let features: Vec<FrameFeatures> = features.collect();
-    let against: Vec<Option<Against>> = (0..pyramids.len())
-        .into_par_iter()
-        .map(|i| {
-            (i != base).then(|| Against {
-                xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
-                matchings: matchings(&features[base], &features[i], options),
-            })
+    let against = map_at_once(each.0, each.1, |i| {
+        (i != base).then(|| Against {
+            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
+            matchings: matchings(&features[base], &features[i], options),
         })
-        .collect();
+    });
     let evidence: Vec<Evidence> = features
         .into_iter()
         .zip(against)

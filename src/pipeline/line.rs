@@ -63,11 +63,11 @@ const AT_ONCE: usize = 8 * BAND_ROWS;
 
 /// How much of the radiance is in memory at a time.
 fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
-    let (Some(scratch), Some(limit)) = (bracket.scratch(), &options.load.memory) else { return Room::Enough };
+    let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
     let (width, height) = merging.size();
     // Of every row what the frames have of it, moved ones a little more; the radiance, and what is made of it.
     let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
-    let rows = (limit.for_pixels() / 2 / row) as usize;
+    let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
     // Whole bands, and whole cells of the veil.
     let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
     Room::Rows((rows / unit * unit).max(unit), scratch.clone())

@@ -10,6 +10,7 @@ mod compare;
 mod ghosts;
 mod inspect;
 mod limits;
+mod memory;
 mod names;
 mod numbers;
 mod places;

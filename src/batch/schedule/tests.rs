@@ -107,7 +107,7 @@ fn memory_and_threads_are_shared_out() {
     let board = Board::new(&all, &two, &stop, &watch);
     let (first, second) = (board.take(|| ()).unwrap(), board.take(|| ()).unwrap());
     assert_eq!((first.0, second.0), (0, 1));
-    assert_eq!(first.1, Share { threads: 1, pixels: of_step, taken: of_step });
+    assert_eq!(first.1, Share { threads: 1, taken: of_step });
     assert_eq!(board.lock().free, 0);
     board.give_back(&first.1);
     assert_eq!(board.take(|| ()).unwrap().0, 2);
@@ -119,11 +119,11 @@ fn memory_and_threads_are_shared_out() {
     assert_eq!(workers(&all, &one), 1);
     let board = Board::new(&all, &one, &stop, &watch);
     let share = board.take(|| ()).unwrap().1;
-    assert_eq!(share, Share { threads: 2, pixels: of_step + 1 - THREAD, taken: of_step + 1 });
+    assert_eq!(share, Share { threads: 2, taken: of_step + 1 });
 
     // Memory for threads: enough, none, and of a small step.
-    let one_thread = |pixels| Share { threads: 1, pixels, taken: pixels };
-    assert_eq!(Share::of(10, 10 + THREAD, 2), Share { threads: 2, pixels: 10, taken: 10 + THREAD });
+    let one_thread = |pixels| Share { threads: 1, taken: pixels };
+    assert_eq!(Share::of(10, 10 + THREAD, 2), Share { threads: 2, taken: 10 + THREAD });
     assert_eq!(Share::of(10, 9 + THREAD, 2), one_thread(10));
     assert_eq!(Share::of(10, 10, 1), one_thread(10));
 

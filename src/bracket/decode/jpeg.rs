@@ -43,7 +43,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     // RGB or CMYK, and of a progressive file all coefficients.
     let coefficients = if layout.progressive { 2 * layout.components as u64 } else { 0 };
     let rgb = if layout.components == 4 { 4 + 3 } else { 3 };
-    limits.check_memory((width, height), pixels * (rgb + coefficients) + bytes.len() as u64)?;
+    let decoding = pixels * (rgb + coefficients) + bytes.len() as u64;
+    limits.check_memory((width, height), decoding)?;
     bytes.truncate(layout.end - END.len());
     if !layout.progressive {
         bytes.extend([0xFF, 0x00].repeat(8));
@@ -77,6 +78,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
         width,
         height,
         samples: Samples::Eight(samples),
+        decoding,
         exif: layout.exif.map(|range| bytes[range].to_vec()),
         icc,
     })

@@ -57,6 +57,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         width,
         height,
         samples,
+        decoding: needed,
         exif: info.exif_metadata.as_ref().map(|e| e.to_vec()),
         icc: info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new)),
     })

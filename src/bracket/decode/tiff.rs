@@ -69,6 +69,7 @@ pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason
         width,
         height,
         samples,
+        decoding: needed,
         // kamadak-exif reads no BigTIFF.
         exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
         icc,

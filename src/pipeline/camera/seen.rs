@@ -3,8 +3,8 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
-use super::super::check_placed;
 use super::super::line::Line;
+use super::super::{check_placed, in_pool};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::given::Given;
 use crate::bracket::Capture;
@@ -73,9 +73,12 @@ fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Li
     if is_one_of_many {
         own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
     }
-    let (mut bracket, alignment) = line.align(bracket, &own)?;
-    check_placed(&bracket, &alignment)?;
-    let mut places = Places::of(&bracket, &alignment)?;
+    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(), || {
+        let (bracket, alignment) = line.align(bracket, &own)?;
+        check_placed(&bracket, &alignment)?;
+        let places = Places::of(&bracket, &alignment)?;
+        Ok((bracket, alignment, places))
+    })?;
     if own.exposures == Exposures::FineTuned {
         let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
         line.warnings.extend(warnings);
