@@ -12,7 +12,7 @@
 //! | held by | frames in memory | frames on disk |
 //! |---|---|---|
 //! | loading | all frames, and what decoders need beside them | what decoders need, as many at a time as fit |
-//! | alignment | all frames and their grey pyramids | the pyramids, and one whole frame |
+//! | alignment | all frames and their grey pyramids | the pyramids, and one whole frame or the features of one |
 //! | deghosting | all frames, and its cells | one whole frame, and the cells |
 //! | merging to writing | all frames and all radiance | half of what is left, in rows of all frames and of radiance |
 //!
@@ -21,11 +21,15 @@
 
 use crate::scratch::MemoryLimit;
 
-/// Bytes that a thread adds whatever the size of the frames: a comparison of two frames, on the level on which they are aligned, and what the allocator
-/// keeps from stage to stage. Measured on nine frames of 12 MP on 1 to 16 threads.
-const THREAD: u64 = 8 << 20;
+/// Bytes that a thread adds whatever the size of the frames: tables, points and patches of a comparison, and what the allocator keeps from stage to
+/// stage. Measured on nine frames of 12 MP on 1 to 16 threads.
+const THREAD: u64 = 4 << 20;
+/// Bytes of a scale space for each pixel: six floats, and all octaves have a third as many again as the first.
+const SCALE_SPACE: u64 = 4 * 6 * 4 / 3;
 /// Bytes that a thread adds for each column: bands of 64 rows of radiance, of the picture and of what is encoded of them. Measured likewise.
 const COLUMN: u64 = 64 * 20;
+/// Bytes of a cell of deghosting: two frames', and what is made of them.
+const CELL: u64 = 70;
 
 /// What the frames of a bracket take, and what there is for them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +47,10 @@ pub(crate) struct Budget {
 impl Budget {
     /// Frames of more pixels have a grey pyramid without the full size.
     pub const WHOLE_PYRAMID: u64 = 4_000_000;
+    /// The most pixels of the level on which agreement is measured and features are sought.
+    pub const MEASURED_PIXELS: u64 = 600_000;
+    /// Cells that deghosting has at most, but that none is larger than 8 x 8 pixels.
+    pub const MOST_CELLS: u64 = 1 << 20;
 
     /// The budget of so many frames of `size` pixels, the code values of each `frame` bytes, within `limit`.
     pub fn new(limit: &MemoryLimit, frames: usize, size: (usize, usize), frame: u64) -> Self {
@@ -50,9 +58,21 @@ impl Budget {
         Budget { available: limit.for_pixels(), frames: frames as u64, width, pixels, frame }
     }
 
-    /// What a thread adds.
+    /// Pixels of the level on which agreement is measured and features are sought.
+    fn measured(&self) -> u64 {
+        std::iter::successors(Some(self.pixels), |pixels| Some(pixels / 4))
+            .find(|&pixels| pixels <= Budget::MEASURED_PIXELS)
+            .unwrap_or(0)
+    }
+
+    /// What a thread adds: more than a comparison takes the scale space of a bitmap.
     fn thread(&self) -> u64 {
-        THREAD + COLUMN * self.width
+        THREAD + SCALE_SPACE * self.measured() + COLUMN * self.width
+    }
+
+    /// The scale space of a frame's grey picture, which is doubled first.
+    fn features(&self) -> u64 {
+        4 * SCALE_SPACE * self.measured()
     }
 
     /// The grey pyramids of all frames: levels of which each has a quarter of the pixels of the one before.
@@ -61,9 +81,10 @@ impl Budget {
         self.frames * self.pixels * thirds / 3
     }
 
-    /// Bytes that all frames take in memory with what is made of them, where that fits with so many `threads`. Pyramids are gone before there is radiance.
+    /// Bytes that all frames take in memory with what is made of them, where that fits with so many `threads`. Of the pyramids, the cells of
+    /// deghosting and the radiance each is gone before the next is there.
     pub fn in_memory(&self, threads: usize) -> Option<u64> {
-        let held = self.frames * self.frame + self.pyramids().max(12 * self.pixels);
+        let held = self.frames * self.frame + self.pyramids().max(12 * self.pixels).max(self.cells());
         (held.saturating_add(self.thread() * threads as u64) <= self.available).then_some(held)
     }
 
@@ -73,9 +94,20 @@ impl Budget {
         usize::try_from(self.available.saturating_sub(kept) / bytes.max(1)).unwrap_or(usize::MAX).max(1)
     }
 
+    /// The cells of deghosting.
+    fn cells(&self) -> u64 {
+        CELL * (self.pixels / 4).min(Budget::MOST_CELLS.max(self.pixels / 64))
+    }
+
+    /// What is held where the frames are on disk. The cells of deghosting, where it `seeks_ghosts`, come when the pyramids are gone.
+    fn on_disk(&self, seeks_ghosts: bool) -> u64 {
+        let aligning = self.pyramids() + self.frame.max(self.features());
+        if seeks_ghosts { aligning.max(self.cells() + self.frame) } else { aligning }
+    }
+
     /// Of `threads` those that fit where the frames are on disk.
-    pub fn threads(&self, threads: usize) -> usize {
-        let rest = self.available.saturating_sub(self.pyramids() + self.frame);
+    pub fn threads(&self, threads: usize, seeks_ghosts: bool) -> usize {
+        let rest = self.available.saturating_sub(self.on_disk(seeks_ghosts));
         threads.min(usize::try_from(rest / self.thread()).unwrap_or(usize::MAX)).max(1)
     }
 
@@ -98,12 +130,12 @@ mod tests {
 
     #[test]
     fn threads_are_fewer_where_memory_is_less_and_never_none() {
-        let on = |megabytes| budget(9, megabytes).threads(16);
+        let on = |megabytes| budget(9, megabytes).threads(16, false);
         assert_eq!((on(64), on(150)), (1, 1));
         assert_eq!(on(100_000), 16);
         let all: Vec<usize> = (100..800).step_by(20).map(on).collect();
         assert!(all.is_sorted() && all.contains(&2) && all.contains(&16), "{all:?}");
-        assert_eq!(budget(9, 100_000).threads(3), 3);
+        assert_eq!(budget(9, 100_000).threads(3, true), 3);
     }
 
     #[test]
@@ -116,7 +148,7 @@ mod tests {
                     if let Some(held) = budget.in_memory(threads) {
                         assert!(held + budget.thread() * threads as u64 <= bytes);
                     }
-                    let (fitting, floor) = (budget.threads(threads), budget.pyramids() + budget.frame);
+                    let (fitting, floor) = (budget.threads(threads, true), budget.on_disk(true));
                     assert!(fitting == 1 || floor + budget.thread() * fitting as u64 <= bytes);
                     assert!(fitting == 1 || 2 * budget.slab(fitting) + budget.thread() * fitting as u64 <= bytes);
                     for stay in [false, true] {

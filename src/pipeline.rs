@@ -221,7 +221,7 @@ fn merged(
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(), move || {
+        in_pool(bracket.threads(options.deghost.is_some()), move || {
             check_taken(taken, &bracket)?;
             options.calibration.check(bracket.reference())?;
             options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
@@ -272,7 +272,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let (options, taken) = &with_transforms(options)?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(), move || {
+        in_pool(bracket.threads(false), move || {
             check_taken(taken, &bracket)?;
             let (bracket, alignment) = line.align(bracket, options)?;
             line.gather(&bracket, &alignment, None, options)?;
@@ -304,7 +304,7 @@ pub fn inspect(
         files::check(folder, images, options.write.overwrite)?;
         let mut line = Line::new(watch);
         let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(), move || {
+        in_pool(bracket.threads(false), move || {
             let (bracket, alignment) = line.align(bracket, options)?;
             let (tables, _) = line.timed(Stage::Inspect, || {
                 let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;

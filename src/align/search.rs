@@ -43,7 +43,9 @@ pub(super) struct Search<'a> {
     /// Whether all frames are of one tone each.
     pub(super) is_plain: bool,
     /// How many frames may be compared at a time.
-    pub(super) at_once: usize,
+    pub(super) compared_at_once: usize,
+    /// How many frames may have their features sought at a time.
+    pub(super) detected_at_once: usize,
     pub(super) reference: usize,
     /// The frames whose place is given.
     pub(super) given: &'a [Option<Verdict>],
@@ -95,7 +97,7 @@ impl Search<'_> {
 
     /// From features alone: a homography.
     pub(super) fn by_features_alone(&self) -> Vec<Verdict> {
-        let sets = map_at_once(self.pyramids.len(), self.at_once, |i| self.features(i));
+        let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
         let mut verdicts = self.each(|i| {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
@@ -123,16 +125,15 @@ impl Search<'_> {
             return verdicts;
         }
         let repeats = period::repeats(self.base(), &self.options.mtb);
-        let first = map_at_once(self.pyramids.len(), self.at_once, |i| self.first(i, repeats));
+        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         let shared = Shared { features, repeats };
         // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its neighbour placed.
-        let side = |order: Vec<usize>| self.outwards(&order, &first, &shared);
-        let (darker, brighter) = rayon::join(
-            || side((0..self.reference).rev().collect()),
-            || side((self.reference + 1..first.len()).collect()),
-        );
+        let orders: [Vec<usize>; 2] =
+            [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
+        let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
+        let (brighter, darker) = (sides.pop().unwrap_or_default(), sides.pop().unwrap_or_default());
         let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
         let keypoints = shared.features.as_ref().map(|f| f.counts);
         verdicts.push(Verdict { keypoints, ..Verdict::by_definition(Status::Reference) });
@@ -173,7 +174,7 @@ impl Search<'_> {
             None if i == self.reference => reference(),
             None => verdict(i),
         };
-        map_at_once(self.pyramids.len(), self.at_once, place)
+        map_at_once(self.pyramids.len(), self.compared_at_once, place)
     }
 
     fn features(&self, i: usize) -> FeatureSets {

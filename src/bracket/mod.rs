@@ -301,19 +301,23 @@ impl Bracket {
     }
 
     /// How many of the threads that there are fit into the memory allowed; none where all do.
-    pub(crate) fn threads(&self) -> Option<usize> {
-        self.budget().map(|budget| budget.threads(rayon::current_num_threads()))
+    pub(crate) fn threads(&self, seeks_ghosts: bool) -> Option<usize> {
+        self.budget().map(|budget| budget.threads(rayon::current_num_threads(), seeks_ghosts))
     }
 
-    /// How many frames may be worked on at a time beyond their codes: all where memory is enough, else one a thread.
+    /// How many frames may be compared at a time: all where memory is enough, else one a thread.
     pub(crate) fn at_once(&self) -> usize {
-        self.threads().unwrap_or(self.frames.len())
+        if self.on_disk.is_some() { rayon::current_num_threads() } else { self.frames.len() }
     }
 
-    /// `map` of every frame, in order, which reads the frame as a whole: of frames on disk one is read at a time.
+    /// How many frames may be read as a whole, or have their features sought, at a time: all where memory is enough, else one.
+    pub(crate) fn wholes_at_once(&self) -> usize {
+        if self.on_disk.is_some() { 1 } else { self.frames.len() }
+    }
+
+    /// `map` of every frame, in order, which reads the frame as a whole.
     pub(crate) fn map_whole<R: Send>(&self, map: impl Fn(&Frame) -> R + Sync) -> Vec<R> {
-        let at_once = if self.on_disk.is_some() { 1 } else { self.frames.len() };
-        map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))
+        map_at_once(self.frames.len(), self.wholes_at_once(), |i| map(&self.frames[i]))
     }
 
     /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has

@@ -161,12 +161,11 @@ fn gathered<'a>(
 ) -> Result<Inspection<'a>> {
     let pyramids = bracket.map_whole(pyramid).into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let each = (pyramids.len(), bracket.at_once());
-    let features = map_at_once(each.0, each.1, |i| match wants_features(i) {
+    let features = map_at_once(pyramids.len(), bracket.wholes_at_once(), |i| match wants_features(i) {
         true => FrameFeatures::new(&pyramids[i], options),
         false => FrameFeatures::none(&pyramids[i]),
     });
-    let against = map_at_once(each.0, each.1, |i| {
+    let against = map_at_once(pyramids.len(), bracket.at_once(), |i| {
         (i != base).then(|| Against {
             xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
             matchings: matchings(&features[base], &features[i], options),

@@ -39,7 +39,8 @@ fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
     let line = "merge w2.jpg w3.jpg w4.jpg -q --force -o a.exr -o a.png";
     folder.line(&format!("{line} --threads 2")).done();
     let expected = [folder.bytes("a.exr"), folder.bytes("a.png")];
-    for (options, allowed) in [("--threads 1", 110), ("--threads 4", 130), ("--threads 16", 130), ("--threads 64", 160)] {
+    for (options, allowed) in [("--threads 1", 110), ("--threads 4", 130), ("--threads 16", 130), ("--threads 64", 160)]
+    {
         let most = peak(&folder, &format!("{line} {options} --max-memory {allowed}MB --scratch ."));
         assert!(most <= allowed * 1_000_000, "{options}: {} MB of {allowed}", most / 1_000_000);
         assert!(most > 20_000_000, "{options}: {most} bytes were seen");

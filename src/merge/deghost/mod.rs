@@ -23,6 +23,7 @@ mod evidence;
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame};
+use crate::budget::Budget;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::pyramid::between_cells;
@@ -32,7 +33,7 @@ use serde::Serialize;
 use std::ops::Range;
 
 /// Most cells of a picture, but that none is larger than `LARGEST`.
-const MOST_CELLS: usize = 1 << 20;
+const MOST_CELLS: usize = Budget::MOST_CELLS as usize;
 /// The longest side of a cell, in pixels.
 const LARGEST: usize = 8;
 /// A frame left out by more than this does not become the standard.

@@ -73,7 +73,7 @@ fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Li
     if is_one_of_many {
         own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
     }
-    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(), || {
+    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(false), || {
         let (bracket, alignment) = line.align(bracket, &own)?;
         check_placed(&bracket, &alignment)?;
         let places = Places::of(&bracket, &alignment)?;
