@@ -286,13 +286,16 @@ fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
 
 /// What to do where a file could not be written.
 fn write_remedy(source: &io::Error) -> &'static str {
-    use io::ErrorKind::{FileTooLarge, InvalidFilename, IsADirectory, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    use io::ErrorKind::{AlreadyExists, FileTooLarge, InvalidFilename, IsADirectory, NotADirectory};
+    use io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     match source.kind() {
         StorageFull => "; make room there, or write to another disk",
         QuotaExceeded => "; the quota is used up: make room there, or write to another disk",
         ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
+        // Of folders alone: a file that exists is another error.
+        AlreadyExists | NotADirectory => "; it is in the place of a folder: name another, or move the file away",
         IsADirectory if source.raw_os_error().is_some() => "; a folder has that name: move it away, or choose another",
         _ => remedy(source, "; check the folder, its permissions and the space left"),
     }

@@ -217,7 +217,7 @@ fn merged(
 ) -> Result<(Prepared<Report>, Results)> {
     in_pool(options.threads, || {
         check_names(images, options)?;
-        let (options, taken) = &with_transforms(options)?;
+        let (options, taken) = &with_transforms(images, options)?;
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
@@ -269,7 +269,7 @@ fn merged(
 pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
     in_pool(options.threads, || {
         check_names(images, options)?;
-        let (options, taken) = &with_transforms(options)?;
+        let (options, taken) = &with_transforms(images, options)?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, options)?;
         in_pool(bracket.threads(false), move || {
@@ -400,12 +400,13 @@ type Taken = Option<(PathBuf, SavedAlignment)>;
 
 /// `options` with the reference and the places of the file of transforms, where there is one and the user does not say otherwise; then
 /// there is none to be written.
-fn with_transforms(options: &Options) -> Result<(Options, Taken)> {
+fn with_transforms(images: &[PathBuf], options: &Options) -> Result<(Options, Taken)> {
     let mut options = options.clone();
     let Some(path) = options.transforms.take_if(|path| path.exists()) else {
         return Ok((options, None));
     };
     let saved = SavedAlignment::read(&path)?;
+    saved.check_names(images, &path)?;
     let is_open = match &options.load.reference {
         ReferenceChoice::Auto => true,
         ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),

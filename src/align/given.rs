@@ -14,7 +14,7 @@
 
 use super::warp::{Warp, corners, map};
 use super::{Alignment, KeypointCounts, Model, Status, Verdict};
-use crate::bracket::Bracket;
+use crate::bracket::{Bracket, meant};
 use crate::error::{Error, Result};
 use crate::intake;
 use nalgebra::Matrix3;
@@ -209,6 +209,22 @@ impl SavedAlignment {
             Ok(Given { path: file.into(), place: Place::Found(verdict) })
         });
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
+    }
+
+    /// Whether it, the content of the file `path`, can be of the photographs `images`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where its reference is none of them.
+    pub fn check_names(&self, images: &[PathBuf], path: &Path) -> Result<()> {
+        let images: Vec<&Path> = images.iter().map(PathBuf::as_path).collect();
+        if meant(&images, &self.reference).is_some() {
+            return Ok(());
+        }
+        let reason = format!(
+            "it is of other photographs: its reference, {}, is not among these; name another file to have one made for these",
+            self.reference.display()
+        );
+        Err(Error::TransformsFile { path: path.to_owned(), reason })
     }
 
     /// Whether it can be of `bracket`.

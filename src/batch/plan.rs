@@ -4,12 +4,15 @@
 //!
 //! A step needs nothing but its own files: all that acts on its results stands in its line. Paths are absolute.
 
+mod names;
+
 use super::estimate::Size;
 use super::find::FoundBracket;
 use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::pipeline::natural;
+use names::{StepFiles, Unique};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -173,12 +176,14 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
     let roots: BTreeSet<&Path> = brackets.iter().map(|b| b.root.as_path()).collect();
     let first_root = brackets.first().map_or(Path::new("."), |b| &b.root);
     let home = absolute(settings.output.as_deref().unwrap_or(first_root))?;
+    let summary = home.join("batch.json");
     let units = units(brackets, settings.normalisation);
-    let mut names = Unique::default();
+    let mut files = Unique::default();
+    files.reserve([summary.clone(), summary.with_extension("csv")]);
     let mut ids = Unique::default();
     let mut steps = Vec::with_capacity(brackets.len());
     let shared = match settings.responses {
-        Responses::Shared => responses(brackets, settings, &home, &mut ids, absolute)?,
+        Responses::Shared => responses(brackets, settings, &summary, &mut files, &mut ids, absolute)?,
         Responses::Own | Responses::Given(_) => BTreeMap::new(),
     };
     for (i, bracket) in brackets.iter().enumerate() {
@@ -189,7 +194,9 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             // Beside the photographs, and below the folder that was searched; several of those are several places already.
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
-        let base = names.path(base);
+        let formats = || settings.formats.iter().map(String::as_str);
+        let base = files.path(base, |base| StepFiles::new(base, formats(), settings.page).all());
+        let StepFiles { outputs, page, report, failure } = StepFiles::new(&base, formats(), settings.page);
         let id = ids.text(plain(&name.to_string_lossy()));
         let own = shared.get(&bracket.camera);
         let response = match &settings.responses {
@@ -215,10 +222,10 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             inputs: bracket.photographs.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
             brackets: vec![photographs],
             set: Some(bracket.set),
-            outputs: settings.formats.iter().map(|format| with(&base, format)).collect(),
-            page: settings.page.then(|| with(&base, "html")),
-            report: with(&base, "json"),
-            failure: with(&base, "failed.json"),
+            outputs,
+            page,
+            report,
+            failure,
             response,
             unit_exposure_s: units.get(&unit_of(bracket, settings.normalisation)).copied().flatten(),
             options: settings.options.clone(),
@@ -227,7 +234,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             threads: 1,
             memory_mb: size.memory().div_ceil(1_000_000),
             time_s: rounded(size.time_s()),
-            summary: home.join("batch.json"),
+            summary: summary.clone(),
             id,
         });
     }
@@ -240,7 +247,8 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
 fn responses(
     brackets: &[Planned],
     settings: &Settings,
-    home: &Path,
+    summary: &Path,
+    files: &mut Unique,
     ids: &mut Unique,
     absolute: impl Fn(&Path) -> Result<PathBuf>,
 ) -> Result<BTreeMap<Option<String>, Step>> {
@@ -252,7 +260,9 @@ fn responses(
     for (camera, brackets) in cameras {
         let name = plain(camera.as_deref().unwrap_or("unknown_camera"));
         let id = ids.text(format!("response-{name}"));
-        let base = home.join(&id);
+        let wanted = summary.with_file_name(&id);
+        let base = files.path(wanted, |base| StepFiles::new(base, ["response.json"], false).all());
+        let StepFiles { outputs, page, report, failure } = StepFiles::new(&base, ["response.json"], false);
         let inputs = brackets.iter().flat_map(|b| &b.photographs).map(|path| absolute(path));
         let largest = brackets.iter().map(|b| b.size).max_by_key(|(w, h)| w * h).unwrap_or_default();
         let counts: Vec<usize> = brackets.iter().map(|b| b.photographs.len()).collect();
@@ -273,10 +283,10 @@ fn responses(
             inputs: inputs.collect::<Result<_>>()?,
             brackets: counts,
             set: None,
-            outputs: vec![with(&base, "response.json")],
-            page: None,
-            report: with(&base, "json"),
-            failure: with(&base, "failed.json"),
+            outputs,
+            page,
+            report,
+            failure,
             response: None,
             unit_exposure_s: None,
             options: settings.options.clone(),
@@ -285,7 +295,7 @@ fn responses(
             threads: 1,
             memory_mb: size.memory().div_ceil(1_000_000),
             time_s: rounded(size.time_s()),
-            summary: home.join("batch.json"),
+            summary: summary.to_owned(),
             id,
         };
         steps.insert(camera, step);
@@ -300,14 +310,6 @@ fn bytes(depth: u8) -> usize {
 
 fn rounded(seconds: f64) -> f64 {
     (seconds * 100.0).round() / 100.0
-}
-
-/// `base` and an extension behind whatever dots it has.
-fn with(base: &Path, extension: &str) -> PathBuf {
-    let mut name = base.as_os_str().to_owned();
-    name.push(".");
-    name.push(extension);
-    name.into()
 }
 
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
@@ -348,31 +350,6 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
         all.get(all.len().saturating_sub(1) / 2).copied().unwrap_or(1.0)
     };
     exposures.into_iter().map(|(unit, all)| (unit, unit.map(|_| middle(all)))).collect()
-}
-
-/// Names that were given; who comes second has `-2` behind it.
-#[derive(Default)]
-struct Unique(BTreeSet<PathBuf>);
-
-impl Unique {
-    fn path(&mut self, wanted: PathBuf) -> PathBuf {
-        // Some file systems take names that differ in case for one.
-        let folded = |path: &Path| PathBuf::from(path.to_string_lossy().to_lowercase());
-        let nth = |n: usize| {
-            let mut name = wanted.as_os_str().to_owned();
-            name.push(format!("-{n}"));
-            PathBuf::from(name)
-        };
-        if self.0.insert(folded(&wanted)) {
-            return wanted;
-        }
-        let free = (2..).map(nth).find(|path| self.0.insert(folded(path)));
-        free.unwrap_or(wanted)
-    }
-
-    fn text(&mut self, wanted: String) -> String {
-        self.path(wanted.into()).to_string_lossy().into_owned()
-    }
 }
 
 impl Step {

@@ -297,13 +297,15 @@ impl Failure {
 /// The version of the format of failures.
 const FAILURE: &str = "hdralign-failure/1";
 
-/// Tells beside the results of `step` why it failed. Where even that cannot be written, nothing more can be done for it.
+/// Tells beside the results of `step` why it failed. Where even that cannot be written, or a file of somebody else's is in its place, nothing more
+/// can be done for it.
 pub fn remember_failure(step: &Step, error: &str) {
     let failure = Failure { schema: FAILURE.into(), id: step.id.clone(), error: error.into() };
     let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
     let folder = step.failure.parent().unwrap_or(Path::new("."));
     let _ = fs::create_dir_all(folder);
-    let _ = write::whole(&step.failure, text.as_bytes()).and_then(|whole| write::place(vec![whole], true));
+    let is_ours = Failure::read(step).is_some();
+    let _ = write::whole(&step.failure, text.as_bytes()).and_then(|whole| write::place(vec![whole], is_ours));
 }
 
 /// The step is whole now.

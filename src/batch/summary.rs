@@ -7,8 +7,10 @@ use super::record::Record;
 use super::schedule::Ending;
 use super::step::{Brief, Failure};
 use crate::error::{Error, Result};
+use crate::intake;
 use crate::write;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// The version of the format: keys are only ever added to it.
@@ -212,20 +214,50 @@ impl Summary {
         writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
     }
 
-    /// Writes the summary to `path`, and beside it as `.csv`; what is there is replaced.
+    /// Writes the summary to `path`, and beside it as `.csv`. Existing files are replaced as [`check`] says.
     ///
     /// # Errors
-    /// [`Error::Write`].
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2]> {
-        let table = path.with_extension("csv");
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|source| Error::Write { path: path.to_owned(), source })?;
-        }
-        let files =
-            vec![write::whole(path, self.to_json().as_bytes())?, write::whole(&table, self.to_csv().as_bytes())?];
-        write::place(files, true)?;
-        Ok([path.to_owned(), table])
+    /// [`Error::Write`], also for files that are kept.
+    pub fn write(&self, path: &Path, overwrite: bool) -> Result<[PathBuf; 2]> {
+        let [json, table] = files(path);
+        let whole =
+            vec![write::whole(&json, self.to_json().as_bytes())?, write::whole(&table, self.to_csv().as_bytes())?];
+        write::place(whole, overwrite || is_summary(path)).map_err(kept)?;
+        Ok([json, table])
     }
+}
+
+/// Whether a summary can be written to `path`, before any work is done. A file that is there is replaced if it is the summary of another
+/// run, or with `overwrite`; so is the table beside it, of which only the summary tells whose it is.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn check(path: &Path, overwrite: bool) -> Result<()> {
+    write::check_targets(&files(path), &[], overwrite || is_summary(path)).map_err(kept)
+}
+
+/// The summary `path` and its table.
+fn files(path: &Path) -> [PathBuf; 2] {
+    [path.to_owned(), path.with_extension("csv")]
+}
+
+/// Whether the file `path` is a summary: it carries [`SCHEMA`].
+fn is_summary(path: &Path) -> bool {
+    #[derive(Deserialize)]
+    struct Header {
+        schema: String,
+    }
+    // It is about as long as its plan.
+    let header = intake::whole(path, intake::MOST_OF_A_PLAN).ok().and_then(|text| serde_json::from_slice(&text).ok());
+    header.is_some_and(|Header { schema }| schema == SCHEMA)
+}
+
+/// The error of a target that exists, with what to do about it: a summary has no other name.
+fn kept(error: Error) -> Error {
+    let Error::OutputExists { path } = error else { return error };
+    let reason = "it exists already, and `hdralign batch` did not write it; move it away, name another folder with -d, or \
+                  replace it with --force";
+    Error::Write { path, source: io::Error::new(io::ErrorKind::InvalidInput, reason) }
 }
 
 const COLUMNS: [&str; 13] = [

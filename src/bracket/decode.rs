@@ -14,11 +14,10 @@ mod tiff;
 
 use super::Samples;
 use crate::error::{Error, Result};
-use crate::intake;
 use crate::limits::Limits;
 use exif::{Exif, In, Tag};
 use sniff::Format;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -114,7 +113,7 @@ pub(super) struct Head {
     pub depth: u8,
     /// What EXIF there is.
     pub exif: Option<Exif>,
-    /// The program that a PNG names outside of its EXIF.
+    /// The program that the file names outside of its EXIF.
     pub software: Option<String>,
     /// Why [`decode`] would refuse it for its kind.
     pub refused: Option<Error>,
@@ -133,13 +132,14 @@ struct Found {
 /// Bytes read at a time: the EXIF of most cameras is a few times as long, the way from chunk to chunk much shorter.
 const AT_ONCE: usize = 8192;
 
-/// Reads what the file `path` says of itself, without its pixels; of the EXIF of a TIFF, the `wanted` tags. Damage of the pixels is not seen.
+/// Reads what `file`, the content of the file `path`, says of itself, without its pixels; of the EXIF of a TIFF, the `wanted` tags. Damage of
+/// the pixels is not seen.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size cannot be told, is none or is more than `limits` has.
-pub(super) fn head(path: &Path, wanted: &[Tag], limits: &Limits) -> Result<Head> {
+pub(super) fn head(path: &Path, file: impl Read + Seek, wanted: &[Tag], limits: &Limits) -> Result<Head> {
     let unreadable = |source| Error::Read { path: path.into(), source };
-    let mut reader = BufReader::with_capacity(AT_ONCE, intake::open_regular(path)?);
+    let mut reader = BufReader::with_capacity(AT_ONCE, file);
     let begin = reader.fill_buf().map_err(unreadable)?;
     let format = sniff::format(begin).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     let error = |reason| Error::Decode { path: path.into(), format: format.name(), reason };

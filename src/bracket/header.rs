@@ -9,9 +9,11 @@ use super::capture::{ascii, is_date};
 use super::decode;
 use super::exposure::{ExposureTags, first_number};
 use crate::error::Result;
+use crate::intake;
 use crate::limits::Limits;
 use exif::{DateTime, Exif, In, Tag, Value};
 use std::fmt;
+use std::io::{Read, Seek};
 use std::path::Path;
 
 /// When a photograph was taken, by the clock of its camera, in no time zone.
@@ -160,7 +162,12 @@ impl Header {
     /// [`Error::Decode`](crate::error::Error::Decode) for what the decoder would refuse as well, by its kind or by its size. Our own results
     /// are no photographs, but have a header.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
-        let head = decode::head(path, &WANTED, limits)?;
+        Header::of(path, intake::open_regular(path)?, limits)
+    }
+
+    /// As [`read`](Self::read), of `file`, the content of the file `path`.
+    pub(super) fn of(path: &Path, file: impl Read + Seek, limits: &Limits) -> Result<Self> {
+        let head = decode::head(path, file, &WANTED, limits)?;
         let exif = head.exif.as_ref();
         let text = |tag| exif.and_then(|e| ascii(e, tag));
         let notes = exif.and_then(Canon::read).unwrap_or_default();
@@ -197,9 +204,10 @@ impl Header {
         }
     }
 
-    /// Whether hdralign wrote it: a result, and no photograph.
+    /// Whether hdralign wrote it: a result, and no photograph. Results name the program and its version.
     pub fn is_ours(&self) -> bool {
-        self.software.as_deref().is_some_and(|by| by.split(' ').next() == Some(env!("CARGO_PKG_NAME")))
+        let version = self.software.as_deref().and_then(|by| by.strip_prefix(concat!(env!("CARGO_PKG_NAME"), " ")));
+        version.is_some_and(|version| version.starts_with(|c: char| c.is_ascii_digit()))
     }
 
     /// The relative exposure in EV, as written; `None` where the file does not say how long it was exposed.

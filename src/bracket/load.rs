@@ -11,6 +11,7 @@ use super::colour::{Found, Profile};
 use super::copies::{self, Copied, Look};
 use super::decode::{self, Decoded};
 use super::exposure::{self, Exposure, ExposureSource, ExposureTags, MOST_EV};
+use super::header::Header;
 use super::window::Store;
 use super::{Bracket, Capture, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
 use crate::budget::Budget;
@@ -21,6 +22,7 @@ use crate::plane::map_at_once;
 use crate::scratch::{MemoryLimit, Scratch};
 use exif::{Exif, In, Tag};
 use std::collections::HashMap;
+use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -81,6 +83,15 @@ pub fn load_with_progress(
     options: &LoadOptions,
     progress: &(dyn Fn(usize) + Sync),
 ) -> Result<(Bracket, Vec<Warning>)> {
+    if let Some(path) = paths.iter().find(|path| path.is_dir()) {
+        let folder = path.display();
+        let reason = format!(
+            "it is a folder; name the photographs of a bracket in it, as in `{folder}/*.jpg`, or merge all brackets in it by \
+             `hdralign batch {folder}`"
+        );
+        let source = io::Error::new(io::ErrorKind::IsADirectory, reason);
+        return Err(Error::Read { path: path.clone(), source });
+    }
     if paths.len() < 2 {
         return Err(Error::TooFewFrames { given: paths.len() });
     }
@@ -233,7 +244,10 @@ struct Picture {
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
     fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let Decoded { width, height, samples, decoding, exif, icc, mut notes } = decoded(path, &options.limits())?;
+        let limits = options.limits();
+        let bytes = content(path, &limits)?;
+        refuse_result(path, &bytes, &limits)?;
+        let Decoded { width, height, samples, decoding, exif, icc, mut notes } = decode::decode(path, bytes, &limits)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
@@ -269,10 +283,24 @@ impl Picture {
     }
 }
 
-/// The file `path`, decoded. It is read once, so that there is nothing to be seen twice, and differently.
-pub(super) fn decoded(path: &Path, limits: &Limits) -> Result<Decoded> {
-    let bytes = intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))?;
-    decode::decode(path, bytes, limits)
+/// The bytes of the picture `path`. It is read once, so that there is nothing to be seen twice, and differently.
+pub(super) fn content(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
+    intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))
+}
+
+/// Refuses what hdralign made of photographs before: a second `merge *.jpg` would merge the first one's results. What is damaged is left to the
+/// decoding.
+fn refuse_result(path: &Path, bytes: &[u8], limits: &Limits) -> Result<()> {
+    match Header::of(path, Cursor::new(bytes), limits) {
+        Ok(header) if header.is_ours() => {
+            let path = path.display();
+            let reason = format!(
+                "{path} is a result of hdralign, not a photograph; leave it out, or give the photographs it was made of"
+            );
+            Err(Error::Option { option: "IMAGES", reason })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The profile that a file carries, or that its EXIF means.

@@ -23,6 +23,7 @@ pub use load::{LoadOptions, load, load_with_progress};
 pub(crate) use load::{differing_profiles, identity};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
+pub(crate) use reference::meant;
 pub use window::{Codes, Window};
 
 use crate::budget::Budget;

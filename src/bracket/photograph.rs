@@ -4,8 +4,8 @@
 
 use super::colour::Profile;
 use super::exposure::ExposureTags;
-use super::load::{decoded, profile};
-use super::{Capture, Samples, capture};
+use super::load::{content, profile};
+use super::{Capture, Samples, capture, decode};
 use crate::error::{Result, Warning};
 use crate::limits::Limits;
 use std::path::Path;
@@ -38,7 +38,7 @@ impl Photograph {
     /// [`Error::Read`](crate::error::Error::Read), [`Error::UnknownFormat`](crate::error::Error::UnknownFormat),
     /// [`Error::Decode`](crate::error::Error::Decode), [`Error::Changed`](crate::error::Error::Changed).
     pub fn read(path: &Path, limits: &Limits) -> Result<(Photograph, Vec<Warning>)> {
-        let decoded = decoded(path, limits)?;
+        let decoded = decode::decode(path, content(path, limits)?, limits)?;
         let mut notes = decoded.notes;
         let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = decoded.exif.as_ref().map(|exif| capture::read(exif, false)).unwrap_or_default();

@@ -48,14 +48,18 @@ fn find(frames: &[Frame], path: &Path) -> Result<PathBuf> {
 /// Which of `frames` is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file
 /// has that name.
 pub(super) fn named(frames: &[Frame], path: &Path) -> Option<usize> {
+    meant(&frames.iter().map(|frame| &*frame.path).collect::<Vec<_>>(), path)
+}
+
+/// As [`named`], of the files `paths`.
+pub(crate) fn meant(paths: &[&Path], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
-    let same_file =
-        || real(path).and_then(|wanted| frames.iter().position(|f| real(&f.path).as_deref() == Some(&wanted)));
+    let same_file = || real(path).and_then(|wanted| paths.iter().position(|p| real(p).as_deref() == Some(&wanted)));
     let same_name = || {
-        let mut named = (0..frames.len()).filter(|&i| frames[i].path.file_name() == Some(path.as_os_str()));
+        let mut named = (0..paths.len()).filter(|&i| paths[i].file_name() == Some(path.as_os_str()));
         named.next().filter(|_| named.next().is_none())
     };
-    frames.iter().position(|f| f.path == path).or_else(same_file).or_else(same_name)
+    paths.iter().position(|p| *p == path).or_else(same_file).or_else(same_name)
 }
 
 /// The frame that sees the most: see [`ReferenceChoice::Auto`]. Frames are by rising exposure.

@@ -344,6 +344,7 @@ fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
         let reason = format!("{}: has no step; there is nothing to sum up", path.display());
         return Err(Error::Option { option: "--summarize", reason });
     };
+    night::open_home(&first.summary, args)?;
     let summary = Summary::collected(&steps);
     night::finish(&summary, &first.summary, None, args)
 }

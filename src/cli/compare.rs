@@ -75,7 +75,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 
-    /// Say nothing but errors
+    /// No progress, summary or warnings: errors alone on standard error; results are still listed on standard output
     #[arg(short, long)]
     quiet: bool,
 }

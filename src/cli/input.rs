@@ -11,7 +11,7 @@ use hdralign::limits::Limits;
 use hdralign::pipeline::{Crop, Options};
 use hdralign::scratch::MemoryLimit;
 use hdralign::write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// How photographs are aligned, whichever they are.
 #[derive(Debug, Args)]
@@ -60,7 +60,7 @@ pub struct Work {
     #[arg(short, long)]
     pub force: bool,
 
-    /// Say nothing but errors
+    /// No progress, summary or warnings: errors alone on standard error; results are still listed on standard output
     #[arg(short, long)]
     pub quiet: bool,
 }
@@ -273,6 +273,11 @@ impl Aligned {
 }
 
 impl Common {
+    /// The file for the report.
+    pub fn report(&self) -> Option<&Path> {
+        self.report.as_deref()
+    }
+
     /// The library's options that these arguments stand for; all others as by default.
     pub fn options(&self) -> Options {
         Options {

@@ -42,7 +42,7 @@ pub struct Args {
     save_response: Option<PathBuf>,
 
     /// Write where and how much was left out, as a grey PNG of the result's size: 0 nothing, 255 all photographs but the reference
-    #[arg(long, value_name = "FILE", requires = "deghost")]
+    #[arg(long, value_name = "FILE")]
     ghost_mask: Option<PathBuf>,
 
     /// Write the aligned frames too, as TIFF: PREFIX and the photograph's name

@@ -23,11 +23,13 @@ mod summary;
 mod terminal;
 mod tone;
 mod tonemap;
+mod usage;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use hdralign::error::Error;
 use hdralign::report::Report;
 use input::Common;
+use std::ffi::OsStr;
 use std::io::Write;
 use std::process::ExitCode;
 use terminal::Terminal;
@@ -103,7 +105,11 @@ pub fn run() -> ExitCode {
     let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
     let (command, matches) = match parsed {
         Ok(parsed) => parsed,
-        Err(asked) => return answer(&asked),
+        Err(asked) => {
+            let command = std::env::args_os().nth(1);
+            let command = command.as_deref().and_then(OsStr::to_str);
+            return answer(&usage::told(asked, &mut Cli::command(), command));
+        }
     };
     let name = command.name();
     interrupt::listen();
@@ -157,10 +163,8 @@ fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
     if common.json {
         results = report.to_json();
     } else {
-        for path in &report.outputs {
-            results += path;
-            results.push('\n');
-        }
+        let own = common.report().map(|path| path.to_string_lossy().into_owned());
+        results.extend(report.outputs.iter().cloned().chain(own).map(|path| path + "\n"));
     }
     tell(&results)?;
     Ok(exit_code(common.aligned.work.strict && report.is_degraded()))

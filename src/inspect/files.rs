@@ -37,7 +37,8 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
     }
     match fs::metadata(folder) {
         Ok(there) if !there.is_dir() => {
-            Err(write_error(folder, io::Error::other("it is no folder; name another with -d")))
+            let reason = "it is a file, not a folder; name another with -d";
+            Err(write_error(folder, io::Error::new(io::ErrorKind::InvalidInput, reason)))
         }
         Ok(_) => {
             let every = |stem: &String| {
@@ -131,7 +132,7 @@ mod tests {
         fails("none/new", &images, "mkdir");
         fails("new", &[at("a.jpg"), at("sub/a.png")], "rename one");
         fs::write(at("file"), "x").unwrap();
-        fails("file", &images, "no folder");
+        fails("file", &images, "not a folder; name another with -d");
         fs::create_dir(at("old")).unwrap();
         check(&at("old"), &images, false).unwrap();
         fs::write(at("old/b.xor.svg"), "x").unwrap();

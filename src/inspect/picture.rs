@@ -5,6 +5,7 @@
 use super::drawing::{Area, Drawing};
 use crate::align::bitmap::Bitmap;
 use crate::plane::Plane;
+use crate::write::Metadata;
 use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
 
 /// A plane averaged over areas to fit into `most` pixels across and down; one that fits already is as it was.
@@ -154,6 +155,8 @@ fn png(size: (usize, usize), colour: ColorType, depth: BitDepth, data: &[u8]) ->
         encoder.set_color(colour);
         encoder.set_depth(depth);
         encoder.set_compression(Compression::Fast);
+        // So that it is not taken for a photograph.
+        encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
         let mut writer = encoder.write_header()?;
         writer.write_image_data(data)?;
         writer.finish()?;

@@ -42,7 +42,7 @@ fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    // So that `batch` does not take it for a photograph.
+    // So that it is not taken for a photograph.
     encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
     let mut writer = encoder.write_header()?;
     writer.write_image_data(mask.as_slice())?;

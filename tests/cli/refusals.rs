@@ -202,6 +202,76 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
     }
 }
 
+/// `merge *.jpg` for the second time names the results of the first.
+#[test]
+fn results_are_no_photographs() {
+    let folder = Folder::with_bracket();
+    let frames = "w2.jpg w3.jpg w4.jpg";
+    folder.line(&format!("merge {frames} -o r.jpg -o r.png -o r.tif --deghost --ghost-mask mask.png")).done();
+    folder.line(&format!("align {frames} --save-aligned al_")).done();
+    folder.line(&format!("response {frames} -o c.json --plot c.png")).done();
+    folder.line("inspect w2.jpg w3.jpg -d look").done();
+    let said = "is a result of hdralign, not a photograph; leave it out";
+    for name in
+        ["r.jpg", "r.png", "r.tif", "mask.png", "al_w3.tif", "c.png", "look/w2.threshold.png", "look/w2.xor.png"]
+    {
+        refused(&folder, &format!("merge w1.jpg w2.jpg {name} -o a.exr"), 2, &[&format!("{name} {said}")]);
+    }
+    for command in ["align", "inspect -d x", "response -o x.json"] {
+        refused(&folder, &format!("{command} w1.jpg w2.jpg r.jpg"), 2, &["r.jpg is a result"]);
+    }
+    // A folder stands for the photographs in it, and results may be compared.
+    let all = folder.line("response . -o all.json --json").done();
+    let json: serde_json::Value = serde_json::from_str(&all.stdout).expect("JSON");
+    assert_eq!(json["brackets"][0]["frames"].as_array().map(Vec::len), Some(5));
+    folder.line("compare r.png r.png").done();
+}
+
+#[test]
+fn folders_are_left_to_batch() {
+    let folder = Folder::with_bracket();
+    for line in ["merge .", "merge . w2.jpg -o a.exr", "align ."] {
+        refused(&folder, line, 1, &["it is a folder", "./*.jpg", "`hdralign batch .`"]);
+    }
+    for (line, said) in [
+        ("batch . --by-folder -d w1.jpg", "in the place of a folder"),
+        ("batch . --by-folder -d w1.jpg/out", "in the place of a folder"),
+        ("man w1.jpg", "in the place of a folder"),
+        ("inspect w2.jpg w3.jpg -d w1.jpg", "name another with -d"),
+    ] {
+        refused(&folder, line, 1, &["w1.jpg", said]);
+        assert!(!folder.line(line).stderr.contains("the space left"), "{line}");
+    }
+}
+
+#[test]
+fn tips_and_usage_are_of_what_was_typed() {
+    let folder = Folder::with_bracket();
+    let line = "merge w2.jpg w3.jpg --resize 50";
+    refused(&folder, line, 2, &["'--resize'", "Usage: hdralign merge [OPTIONS] <IMAGES>..."]);
+    assert!(!folder.line(line).stderr.contains("tip"));
+    refused(&folder, "melt", 2, &["'melt'\n\nUsage: hdralign <COMMAND>\n"]);
+    for (line, tip) in [
+        ("merge --refrence 1", "tip: a similar argument exists: '--reference'"),
+        ("merg w2.jpg", "tip: a similar subcommand exists: 'merge'"),
+        ("merge w2.jpg --align mbt", "tip: a similar value exists: 'mtb'"),
+    ] {
+        refused(&folder, line, 2, &[tip]);
+    }
+    let line = "merge w2.jpg w3.jpg --ghost-mask m.png -o a.exr";
+    refused(&folder, line, 2, &["--ghost-mask: there is no mask without --deghost; give both"]);
+}
+
+#[test]
+fn transforms_of_other_photographs_are_named() {
+    let folder = Folder::with_bracket();
+    folder.line("align w2.jpg w3.jpg --reference w3.jpg --transforms t.json").done();
+    for options in ["", "--reference w4.jpg"] {
+        let line = format!("merge w4.jpg w5.jpg --transforms t.json -o a.exr {options}");
+        refused(&folder, &line, 1, &["t.json", "of other photographs", "its reference, w3.jpg, is not among these"]);
+    }
+}
+
 #[test]
 fn a_response_file_that_is_none_is_named() {
     let folder = Folder::with_bracket();

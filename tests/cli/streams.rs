@@ -6,13 +6,14 @@ use serde_json::Value;
 #[test]
 fn stdout_is_the_paths_written_one_a_line() {
     let folder = Folder::with_bracket();
-    let run =
-        folder.line("merge w2.jpg w3.jpg w4.jpg -o b.hdr -o a.exr -o c.png -o d.tif --save-response r.json").done();
-    assert_eq!(run.stdout, "b.hdr\na.exr\nc.png\nd.tif\nr.json\n");
+    let line = "merge w2.jpg w3.jpg w4.jpg -o b.hdr -o a.exr -o c.png -o d.tif --save-response r.json --report p.html";
+    let run = folder.line(line).done();
+    assert_eq!(run.stdout, "b.hdr\na.exr\nc.png\nd.tif\nr.json\np.html\n");
     for path in run.stdout.lines() {
         assert!(folder.at(path).is_file(), "{path} is not there");
     }
     assert_eq!(folder.line("align w2.jpg w3.jpg").done().stdout, "", "nothing was written");
+    assert_eq!(folder.line("align w2.jpg w3.jpg --report a.json").done().stdout, "a.json\n");
 }
 
 #[test]
@@ -102,4 +103,9 @@ fn help_and_version_are_results() {
         assert!(run.stderr.is_empty() && run.stdout.contains("hdralign"), "{line}: {run:?}");
     }
     assert!(folder.line("--help").stdout.contains("Exit codes:"));
+    for command in ["merge", "batch", "tonemap", "compare"] {
+        let help = folder.line(&format!("{command} --help")).stdout;
+        let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains("results are still listed on standard output"), "{command}");
+    }
 }

@@ -152,9 +152,16 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
 fn a_summary_that_cannot_be_written_costs_nothing_else() {
     let folder = Folder::empty();
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
+    // What is in its place is refused at once.
     fs::create_dir_all(folder.at("out/batch.json")).expect("a folder in its place");
-    let run = folder.line("batch in -d out --formats png");
+    fails(&folder, "$H batch in -d out --formats png", 1, &["out/batch.json", "it is a folder"]);
+    assert_eq!(fs::read_dir(folder.at("out")).expect("the folder").count(), 1);
+    fs::remove_dir(folder.at("out/batch.json")).expect("the folder");
+    // It alone is longer than a file may be: a line for each raw file that is left over.
+    (0..1000).for_each(|i| folder.put(&format!("in/{i}.cr2"), b""));
+    let run = shell(&folder, "ulimit -f 100; $H batch in -d out --formats png");
     assert_eq!(run.code, 3, "{run:?}");
-    assert!(run.stderr.contains("batch.json") && run.stderr.contains("brackets   2 done"), "{run:?}");
+    assert!(run.stderr.contains("batch.json: cannot be written: File too large"), "{run:?}");
+    assert!(run.stderr.contains("brackets   2 done"), "{run:?}");
     assert_eq!((run.stdout.lines().count(), unnamed(folder.path())), (2, 0));
 }

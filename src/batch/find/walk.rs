@@ -40,6 +40,18 @@ pub(super) struct Place {
     pub(super) own: PathBuf,
 }
 
+impl Place {
+    /// The folder, as it is reached.
+    fn path(&self) -> PathBuf {
+        self.root.join(&self.folder)
+    }
+
+    /// The folder `name` in this one.
+    fn below(&self, name: &Path, own: PathBuf) -> Place {
+        Place { root: self.root.clone(), folder: self.folder.join(name), own }
+    }
+}
+
 /// What a file is by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -81,7 +93,7 @@ pub(super) struct Walk {
     pub(super) other_files: usize,
 }
 
-/// Walks through `roots` and all below, but not into `skip`.
+/// Walks through `roots` and all below, but not into `skip`, unless that is one of the roots itself.
 pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let mut roots: Vec<&PathBuf> = roots.iter().collect();
     roots.sort_by(|a, b| natural(a, b));
@@ -94,15 +106,18 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
         }
         // A root that cannot be listed is an error; a folder in it is left over.
         fs::read_dir(root).map_err(unreadable)?;
-        open.push((root.clone(), PathBuf::new()));
+        let own = fs::canonicalize(root).map_err(unreadable)?;
+        open.push(Place { root: root.clone(), folder: PathBuf::new(), own });
     }
-    let mut seen: HashSet<PathBuf> = skip.iter().filter_map(|path| fs::canonicalize(path).ok()).collect();
+    let is_root = |path: &PathBuf| open.iter().any(|place| place.own == *path);
+    let skipped = skip.iter().filter_map(|path| fs::canonicalize(path).ok());
+    let mut seen: HashSet<PathBuf> = skipped.filter(|path| !is_root(path)).collect();
     let mut walk = Walk::default();
     let (mut linked_files, mut linked_folders) = (Vec::new(), Vec::new());
     loop {
-        let Some((root, folder)) = open.pop() else {
+        let Some(place) = open.pop() else {
             // Now that all is entered by its own name: what is reached only by a link.
-            linked_folders.sort_by(|a: &(PathBuf, PathBuf), b| natural(&a.0.join(&a.1), &b.0.join(&b.1)));
+            linked_folders.sort_by(|a: &Place, b: &Place| natural(&a.path(), &b.path()));
             linked_folders.reverse();
             if linked_folders.is_empty() {
                 break;
@@ -110,28 +125,31 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
             open.append(&mut linked_folders);
             continue;
         };
-        let path = root.join(&folder);
-        let unreadable = |e: io::Error| LeftOver {
-            path: path.clone(),
+        if !seen.insert(place.own.clone()) {
+            continue;
+        }
+        let path = place.path();
+        let unreadable = |path: PathBuf, e: io::Error| LeftOver {
+            path,
             reason: Reason::Unreadable(format!("the folder cannot be read: {e}; check its permissions")),
         };
-        let listed = fs::canonicalize(&path).and_then(|own| Ok((entries(&path)?, own)));
-        let (entries, own) = match listed {
-            Ok(listed) => listed,
+        let entries = match entries(&path) {
+            Ok(entries) => entries,
             Err(e) => {
-                walk.left_over.push(unreadable(e));
+                walk.left_over.push(unreadable(path, e));
                 continue;
             }
         };
-        if !seen.insert(own.clone()) {
-            continue;
-        }
-        let place = Arc::new(Place { root: root.clone(), folder: folder.clone(), own });
+        let place = Arc::new(place);
         let mut folders = Vec::new();
         for Entry { name, is_link, is_folder } in entries {
             match (is_folder, is_link) {
-                (true, false) => folders.push((root.clone(), folder.join(name))),
-                (true, true) => linked_folders.push((root.clone(), folder.join(name))),
+                // Its own name follows from that of the folder above: the system would look at all folders above it again.
+                (true, false) => folders.push(place.below(&name, place.own.join(&name))),
+                (true, true) => match fs::canonicalize(path.join(&name)) {
+                    Ok(own) => linked_folders.push(place.below(&name, own)),
+                    Err(e) => walk.left_over.push(unreadable(path.join(&name), e)),
+                },
                 (false, _) => match Kind::of(&name) {
                     None => walk.other_files += 1,
                     Some(kind) => {

@@ -61,6 +61,19 @@ fn no_two_results_have_one_name() {
     assert_eq!(ids, ["all", "all-2", "all-3"]);
 }
 
+/// `x` may not have the report or the failure note of `x.failed`, nor a bracket the files of a response or of the summary.
+#[test]
+fn no_two_steps_have_a_file_in_common() {
+    let named = |folder: &str| planned("/in", folder, 1);
+    let brackets: Vec<Planned> =
+        ["x.failed", "x", "batch", "BATCH", "response-Canon_EOS_5D", "x"].into_iter().map(named).collect();
+    let template = Template::parse("{folder}").unwrap();
+    let steps = plan(&brackets, &Settings { template, responses: Responses::Shared, ..settings() }).unwrap();
+    let reports: Vec<_> = steps.iter().map(|step| step.report.to_str().unwrap()).collect();
+    let expected = ["response-Canon_EOS_5D", "x.failed", "x-2", "batch-2", "BATCH-3", "response-Canon_EOS_5D-2", "x-3"];
+    assert_eq!(reports, expected.map(|name| format!("/in/{name}.json")));
+}
+
 #[test]
 fn a_camera_has_one_response() {
     let mut brackets = vec![planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)];

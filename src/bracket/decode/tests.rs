@@ -13,9 +13,7 @@ fn at_most(max_pixels: u64) -> Limits {
 /// What is decoded of `bytes`. What the header says of them is checked beside it: the same size and depth, and no damage where there is none.
 pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
     let decoded = decode(Path::new("picture"), bytes.to_vec(), &at_most(LIMIT));
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), bytes).unwrap();
-    let head = head(file.path(), &[Tag::Orientation], &at_most(LIMIT));
+    let head = head(Path::new("picture"), Cursor::new(bytes), &[Tag::Orientation], &at_most(LIMIT));
     if let Ok(decoded) = &decoded {
         let head = head.unwrap();
         assert_eq!((head.width, head.height), (decoded.width, decoded.height));
@@ -28,9 +26,7 @@ pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
 #[test]
 fn a_header_refuses_what_is_no_photograph() {
     let refused = |bytes: &[u8]| {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), bytes).unwrap();
-        head(file.path(), &[], &at_most(100))
+        head(Path::new("picture"), Cursor::new(bytes), &[], &at_most(100))
             .map(|head| head.refused)
             .unwrap_or_else(Some)
             .map(|e| e.to_string())
@@ -331,9 +327,7 @@ fn the_header_of_a_png_turns_as_the_picture_does() {
     for (first, second) in [(&upright, &quarter), (&quarter, &upright)] {
         let end = at(first) + chunk(first).len();
         let both = [&first[..end], &chunk(second), &first[end..]].concat();
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), &both).unwrap();
-        let head = head(file.path(), &[], &Limits::default()).unwrap();
+        let head = head(Path::new("picture"), Cursor::new(&both), &[], &Limits::default()).unwrap();
         if let Ok(decoded) = read(&both) {
             assert_eq!((head.width, head.height), (decoded.width, decoded.height));
         }

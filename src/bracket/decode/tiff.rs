@@ -158,8 +158,10 @@ pub(super) fn head<R: Read + Seek>(reader: R, wanted: &[exif::Tag]) -> Result<Fo
         refused.get_or_insert_with(|| FLOATING_POINT.into());
     }
     let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
+    // Of a BigTIFF as well, which has no EXIF here.
+    let software = decoder.get_tag_ascii_string(Tag::Software).ok();
     let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, wanted) };
-    Ok(Found { width: width as usize, height: height as usize, depth, exif, software: None, refused })
+    Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
 }
 
 /// Whether it is a BigTIFF, of which kamadak-exif, and so `decode`, reads no EXIF.

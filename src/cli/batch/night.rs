@@ -13,7 +13,7 @@ use hdralign::batch::find::{self, Found};
 use hdralign::batch::plan::Step;
 use hdralign::batch::schedule::{self, Ending, Event, Limits};
 use hdralign::batch::step::Brief;
-use hdralign::batch::summary::{Row, Status, Summary, Verdict};
+use hdralign::batch::summary::{self, Row, Status, Summary, Verdict};
 use hdralign::error::Error;
 use hdralign::pipeline::Options;
 use hdralign::write;
@@ -168,10 +168,7 @@ pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
 
 /// Does all `steps`.
 pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
-    let home = steps[0].summary.parent().unwrap_or(Path::new(".")).to_owned();
-    std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
-    // Whether anything can be written there is known before hours of work.
-    drop(write::whole(&steps[0].summary, b"")?);
+    let home = open_home(&steps[0].summary, args)?;
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
@@ -184,6 +181,15 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     let summary = Summary::new(steps, &endings, unused(found), board.began.elapsed().as_secs_f64());
     let left_over = Some(LeftOver { count: left_over(found), unreadable: unreadable(found) });
     finish(&summary, &steps[0].summary, left_over.as_ref(), args)
+}
+
+/// Makes the folder of the summary `path`, and gives it. Whether the summary can be written is known before hours of work.
+pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
+    let home = path.parent().unwrap_or(Path::new(".")).to_owned();
+    std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
+    summary::check(path, args.work.force)?;
+    drop(write::whole(path, b"")?);
+    Ok(home)
 }
 
 /// Photographs in no bracket.
@@ -208,7 +214,7 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
 /// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either, nor a
 /// summary that cannot be written.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
-    let files = summary.write(path);
+    let files = summary.write(path, args.work.force);
     if !args.work.quiet {
         lines(summary, files.as_ref().ok(), left_over).iter().for_each(say);
     }

@@ -3,7 +3,9 @@
 //! In: photographs and folders, as they are typed. Out: the photographs of each bracket. Cost: reading the folders.
 
 use super::super::names::natural;
+use crate::bracket::header::Header;
 use crate::error::{Error, Result};
+use crate::limits::Limits;
 use std::path::{Path, PathBuf};
 
 /// Extensions of the photographs that are taken from a folder, in any case.
@@ -36,7 +38,7 @@ pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
     Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
 }
 
-/// The photographs in `folder`, by their extensions and in the order of their names.
+/// The photographs in `folder`, by their extensions and in the order of their names; results of hdralign are none.
 fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     let unreadable = |source| Error::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(unreadable)?;
@@ -44,6 +46,7 @@ fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     let extension = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let is_hidden = |p: &Path| p.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
     paths.retain(|p| PHOTOGRAPHS.contains(&extension(p).as_str()) && !is_hidden(p) && p.is_file());
+    paths.retain(|p| !Header::read(p, &Limits::default()).is_ok_and(|header| header.is_ours()));
     paths.sort_by(|a, b| natural(a, b));
     if paths.len() < 2 {
         let found = paths.len();

@@ -102,6 +102,69 @@ fn a_file_that_was_there_before_is_kept() {
     assert_eq!(folder.bytes("out/a/IMG_0004-IMG_0006.json"), b"{}");
 }
 
+/// A user may have files of the names that summaries have.
+#[test]
+fn summary_of_somebody_else_is_kept_and_nothing_is_done() {
+    let folder = Folder::empty();
+    card(&folder, 1);
+    let plan = folder.line("batch --plan in -d out").done().stdout;
+    folder.put("plan.jsonl", plan.as_bytes());
+    fs::create_dir(folder.at("out")).unwrap();
+    for (name, text) in
+        [("out/batch.json", "{\"schema\": \"mine\"}"), ("out/batch.json", "no JSON"), ("out/batch.csv", "a,b\n")]
+    {
+        folder.put(name, text.as_bytes());
+        for line in ["batch in -d out -q", "batch --summarize plan.jsonl"] {
+            let run = folder.line(line);
+            assert!(run.code == 1 && run.stdout.is_empty(), "{run:?}");
+            let said = refused(run);
+            assert!(
+                said.contains(&format!("{name}: cannot be written")) && said.contains("did not write it"),
+                "{said}"
+            );
+            assert!(!said.contains("the space left"), "{said}");
+            assert_eq!(folder.bytes(name), text.as_bytes());
+            assert_eq!(fs::read_dir(folder.at("out")).unwrap().count(), 1, "{line}: work was done");
+        }
+        fs::remove_file(folder.at(name)).unwrap();
+    }
+    folder.put("out/batch.csv", b"mine");
+    folder.line("batch in -d out -q --force").done();
+    assert_eq!(counts(&folder), [1, 0, 0, 0]);
+    // From now on both are ours.
+    folder.line("batch in -d out -q").done();
+    assert_eq!(counts(&folder), [0, 1, 0, 0]);
+}
+
+#[test]
+fn failure_note_of_somebody_else_is_kept() {
+    let folder = Folder::empty();
+    let paths = card(&folder, 1);
+    let bytes = fs::read(&paths[0][1]).unwrap();
+    fs::write(&paths[0][1], &bytes[..bytes.len() / 2]).unwrap();
+    fs::create_dir_all(folder.at("out/a")).unwrap();
+    let note = "out/a/IMG_0001-IMG_0003.failed.json";
+    folder.put(note, b"mine");
+    refused(folder.line("batch in -d out -q"));
+    assert_eq!(folder.bytes(note), b"mine");
+    fs::remove_file(folder.at(note)).unwrap();
+    for _ in 0..2 {
+        refused(folder.line("batch in -d out -q"));
+        assert!(String::from_utf8(folder.bytes(note)).unwrap().contains("hdralign-failure/1"));
+    }
+}
+
+#[test]
+fn bracket_with_the_name_of_the_summary_gets_another() {
+    let folder = Folder::empty();
+    card(&folder, 1);
+    for expected in [[1, 0, 0, 0], [0, 1, 0, 0]] {
+        let run = folder.line("batch in -d out -q --name batch --formats png").done();
+        assert!(run.stdout.ends_with("out/batch-2.png\n"), "{run:?}");
+        assert_eq!(counts(&folder), expected);
+    }
+}
+
 /// Killed between two names, a step has a report and not all of its results: the next run knows them for its own.
 #[test]
 fn what_was_interrupted_is_ended() {
@@ -133,16 +196,21 @@ fn what_was_interrupted_is_ended() {
 fn results_beside_the_photographs_are_not_taken_for_some() {
     let folder = Folder::empty();
     card(&folder, 2);
-    let batch = || {
-        folder.line("batch in -q --formats exr,png,jpg,tif").done();
+    let batch = |options: &str| {
+        folder.line(&format!("batch in -q --formats exr,png,jpg,tif {options}")).done();
         let summary: serde_json::Value = serde_json::from_slice(&folder.bytes("in/batch.json")).unwrap();
         let counts = &summary["counts"];
         let reasons = summary["left_over"].as_array().unwrap().clone();
         (counts["done"].as_u64(), counts["unchanged"].as_u64(), reasons)
     };
-    assert_eq!(batch(), (Some(2), Some(0), vec![]));
-    let (done, unchanged, reasons) = batch();
-    assert_eq!((done, unchanged), (Some(0), Some(2)));
-    assert!(reasons.iter().all(|l| l["reason"].as_str().unwrap().contains("a result")), "{reasons:?}");
+    assert_eq!(batch(""), (Some(2), Some(0), vec![]));
+    // A folder for results is not searched, unless it is the one to be searched.
+    for options in ["", "-d in", "-d a/../in/."] {
+        fs::create_dir_all(folder.at("a")).unwrap();
+        let (done, unchanged, reasons) = batch(options);
+        assert_eq!((done, unchanged), (Some(0), Some(2)), "{options}");
+        assert_eq!(reasons.len(), 6, "{options}: {reasons:?}");
+        assert!(reasons.iter().all(|l| l["reason"].as_str().unwrap().contains("a result")), "{reasons:?}");
+    }
     assert!(Path::new(&folder.at("in/a/IMG_0001-IMG_0003.jpg")).is_file());
 }

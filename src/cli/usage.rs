@@ -1,0 +1,61 @@
+//! Wrong usage as it is told: with tips that may be meant, and the usage of the command.
+//!
+//! In: the parser's error. Out: the same, without what misleads. The parser takes `--resize` for `--response`, and shows the usage of what it took it
+//! for. Cost: none.
+
+use clap::Command;
+use clap::error::{ContextKind, ContextValue, Error};
+
+/// `error` of the arguments of `command` in `program`, with the usage of that and with tips that are likely.
+pub fn told(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
+    for (typed, tip) in [
+        (ContextKind::InvalidArg, ContextKind::SuggestedArg),
+        (ContextKind::InvalidSubcommand, ContextKind::SuggestedSubcommand),
+        (ContextKind::InvalidValue, ContextKind::SuggestedValue),
+    ] {
+        let Some(ContextValue::String(typed)) = error.get(typed) else { continue };
+        let typed = typed.clone();
+        let likely = match error.remove(tip) {
+            Some(ContextValue::String(name)) if is_likely(&typed, &name) => ContextValue::String(name),
+            Some(ContextValue::Strings(names)) => {
+                ContextValue::Strings(names.into_iter().filter(|name| is_likely(&typed, name)).collect())
+            }
+            _ => continue,
+        };
+        if likely != ContextValue::Strings(Vec::new()) {
+            error.insert(tip, likely);
+        }
+    }
+    // No tip, which would be an empty line.
+    if error.get(ContextKind::Suggested) == Some(&ContextValue::StyledStrs(Vec::new())) {
+        error.remove(ContextKind::Suggested);
+    }
+    if error.get(ContextKind::Usage).is_some() {
+        program.build();
+        let mut command = command.and_then(|name| program.find_subcommand(name)).unwrap_or(program).clone();
+        error.insert(ContextKind::Usage, ContextValue::StyledStr(command.render_usage()));
+    }
+    error
+}
+
+/// Whether who typed `typed` may have meant `name`: by at most one typing error in three letters, as rustc judges names
+/// (`rustc_span::edit_distance`).
+fn is_likely(typed: &str, name: &str) -> bool {
+    let (typed, name) = (typed.trim_start_matches('-'), name.trim_start_matches('-'));
+    strsim::osa_distance(typed, name) <= typed.chars().count().max(3) / 3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tips_are_what_may_be_meant() {
+        for (typed, name) in [("--aling", "--align"), ("--refrence", "--reference"), ("drgo", "drago")] {
+            assert!(is_likely(typed, name), "{typed} {name}");
+        }
+        for (typed, name) in [("--resize", "--response"), ("--output-dir", "--output"), ("heavy", "hat")] {
+            assert!(!is_likely(typed, name), "{typed} {name}");
+        }
+    }
+}
