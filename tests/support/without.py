@@ -11,10 +11,10 @@ import platform
 import struct
 import sys
 
-# Numbers of openat, linkat, link (none on aarch64) and renameat2, and the machine (linux/audit.h).
+# Numbers of openat, open, linkat, link (aarch64 has neither open nor link) and renameat2, and the machine (linux/audit.h).
 CALLS = {
-    "x86_64": (257, 265, 86, 316, 0xC000003E),
-    "aarch64": (56, 37, None, 276, 0xC00000B7),
+    "x86_64": (257, 2, 265, 86, 316, 0xC000003E),
+    "aarch64": (56, None, 37, None, 276, 0xC00000B7),
 }
 TMPFILE = 0o20000000
 LOAD, EQUAL, SET, RETURN = 0x20, 0x15, 0x45, 0x06
@@ -43,10 +43,11 @@ def refuse(call, error, index=None, bits=0):
 
 def main():
     lacks, command = sys.argv[1].split(","), sys.argv[2:]
-    openat, linkat, link, renameat2, machine = CALLS[platform.machine()]
+    openat, plain_open, linkat, link, renameat2, machine = CALLS[platform.machine()]
     code = [instruction(LOAD, ARCHITECTURE), instruction(EQUAL, machine, 1, 0), instruction(RETURN, ALLOW)]
     if "anonymous" in lacks:
         code += refuse(openat, errno.EOPNOTSUPP, 2, TMPFILE)
+        code += refuse(plain_open, errno.EOPNOTSUPP, 1, TMPFILE) if plain_open is not None else []
     if "link" in lacks:
         code += refuse(linkat, errno.EPERM)
         code += refuse(link, errno.EPERM) if link is not None else []
