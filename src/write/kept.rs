@@ -4,20 +4,11 @@
 //! Cost: a few calls of the system for each file. Bytes are copied only where a file system has anonymous files and does not name them.
 
 use super::anonymous;
-use super::unnamed::{Held, Registry, State, TemporaryName};
+use super::unnamed::{Kept, Registry, State, TemporaryName};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Seek};
 use std::path::{Path, PathBuf};
 use tempfile::TempPath;
-
-/// A file that is complete; dropped before it has its name, it is gone.
-#[derive(Debug)]
-pub(super) enum Kept {
-    /// An anonymous file, and the temporary name that it has where it cannot get its own at once.
-    Held(Held, Option<TemporaryName>),
-    /// A file with a temporary name.
-    Named(TemporaryName),
-}
 
 impl Kept {
     pub fn registry(&self) -> &'static Registry {

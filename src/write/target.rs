@@ -4,8 +4,7 @@
 //! Cost: one fsync a file, begun when the file has its last byte.
 
 use super::check::folder_of;
-use super::kept::Kept;
-use super::unnamed::{OF_PROCESS, Registry, State, Unnamed};
+use super::unnamed::{Kept, OF_PROCESS, Registry, State, Unnamed};
 use crate::error::{Error, Result};
 use crate::intake::{Identity, identity};
 use std::collections::HashMap;

@@ -7,7 +7,6 @@
 
 use super::anonymous;
 use super::claim::Claim;
-use super::kept::Kept;
 use crate::error::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
@@ -241,6 +240,15 @@ impl Drop for Held {
     fn drop(&mut self) {
         self.registry.state().held -= 1;
     }
+}
+
+/// A file that is complete; dropped before it has its name, it is gone.
+#[derive(Debug)]
+pub(super) enum Kept {
+    /// An anonymous file, and the temporary name that it has where it cannot get its own at once.
+    Held(Held, Option<TemporaryName>),
+    /// A file with a temporary name.
+    Named(TemporaryName),
 }
 
 #[cfg(test)]
