@@ -111,6 +111,28 @@ fn not_given(length: u64) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, reason)
 }
 
+/// What tells one file from another, by whatever name: device and inode. Hard links are one file, too.
+#[cfg(unix)]
+pub(crate) type Identity = (u64, u64);
+
+/// The identity of the file or folder `path`, through links; none where there is no such file.
+#[cfg(unix)]
+pub(crate) fn identity(path: &Path) -> Option<Identity> {
+    use std::os::unix::fs::MetadataExt;
+    let metadata = std::fs::metadata(path).ok()?;
+    Some((metadata.dev(), metadata.ino()))
+}
+
+/// What tells one file from another, by whatever name: the path that the system gives it.
+#[cfg(not(unix))]
+pub(crate) type Identity = PathBuf;
+
+/// The identity of the file or folder `path`, through links; none where there is no such file.
+#[cfg(not(unix))]
+pub(crate) fn identity(path: &Path) -> Option<Identity> {
+    std::fs::canonicalize(path).ok()
+}
+
 fn is_same(a: &Metadata, b: &Metadata) -> bool {
     a.len() == b.len() && a.modified().ok() == b.modified().ok()
 }

@@ -28,7 +28,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, Pending, Whole, aligned};
+use crate::write::{self, Pending, Target, Whole, aligned};
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
@@ -101,6 +101,13 @@ pub struct Options {
     pub report: Option<PathBuf>,
     /// Threads that compute; none for as many as there are cores. The results are the same.
     pub threads: Option<usize>,
+}
+
+impl Options {
+    /// Whether the file of transforms is there, and so is read and not written.
+    fn takes_transforms(&self) -> bool {
+        self.transforms.as_ref().is_some_and(|path| path.exists())
+    }
 }
 
 /// What a run makes, beside its files.
@@ -363,16 +370,24 @@ pub fn start_threads() -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Option`] where two aligned frames would have one name.
-pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<PathBuf>> {
-    let mut files = options.outputs.clone();
-    files.extend(options.save_response.clone());
-    files.extend(options.report.clone());
-    files.extend(options.ghost_mask.clone());
-    files.extend(options.transforms.clone().filter(|path| !path.exists()));
+pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
+    let mut files = Target::of("-o", &options.outputs);
+    files.extend(Target::of("--save-response", options.save_response.as_slice()));
+    files.extend(Target::of("--report", options.report.as_slice()));
+    files.extend(Target::of("--ghost-mask", options.ghost_mask.as_slice()));
+    if !options.takes_transforms() {
+        files.extend(Target::of("--transforms", options.transforms.as_slice()));
+    }
     if let Some(prefix) = &options.save_aligned {
-        files.extend(aligned::names(prefix, images)?);
+        files.extend(Target::of("--save-aligned", &aligned::names(prefix, images)?));
     }
     Ok(files)
+}
+
+/// Every file that a run on `images` reads.
+fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
+    let transforms = options.transforms.iter().filter(|_| options.takes_transforms());
+    images.iter().chain(&options.response_file).chain(transforms).cloned().collect()
 }
 
 /// Whether everything asked for can be written, before any work is done.
@@ -392,7 +407,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     }
     options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
     write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;
-    write::check_targets(&targets(images, options)?, images, options.write.overwrite)
+    write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 
 /// Transforms that were there already, and their file.

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use support::card::Card;
-use support::{Folder, jpeg, program, shrink, window};
+use support::{Folder, jpeg, program, shrink, window, without};
 
 const MERGE: &str =
     "merge w2.jpg w3.jpg w4.jpg -q -o r/a.exr -o r/a.png -o r/a.jpg -o r/a.tif -o r/a.hdr --save-response r/a.csv";
@@ -58,7 +58,16 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 fn is_unnamed(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    name.starts_with(".hdralign-") && name.ends_with(".part")
+    name.starts_with(".hdralign-") && (name.ends_with(".part") || name.ends_with(".lock"))
+}
+
+/// Whether the process has begun a file in `folder`: one with a temporary name, or on Linux one without any.
+fn is_writing(process: u32, folder: &Path) -> bool {
+    let names = fs::read_dir(folder).into_iter().flatten().flatten();
+    let open = fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten().flatten();
+    let is_anonymous = |file: PathBuf| file.starts_with(folder) && file.to_string_lossy().ends_with(" (deleted)");
+    names.into_iter().any(|entry| is_unnamed(&entry.path()))
+        || open.filter_map(|entry| fs::read_link(entry.path()).ok()).any(is_anonymous)
 }
 
 /// Runs `line` to its end, and gives how long that took.
@@ -88,17 +97,19 @@ impl When {
     }
 }
 
-/// Begins `line` and kills it; whether it was still going on.
-fn kill(folder: &Folder, line: &str, when: When) -> bool {
-    let mut command = Command::new(program());
-    command.args(line.split_whitespace()).current_dir(folder.path());
+/// Begins `line` by the command `before`, and kills it; whether it was still going on.
+fn kill(folder: &Folder, line: &str, before: &[String], when: When) -> bool {
+    let program = program().to_string_lossy().into_owned();
+    let words: Vec<&str> = before.iter().chain([&program]).map(String::as_str).chain(line.split_whitespace()).collect();
+    let mut command = Command::new(words[0]);
+    command.args(&words[1..]).current_dir(folder.path());
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts");
     match when {
         When::After(pause) => std::thread::sleep(pause),
         When::Writing(folder, pause) => {
-            let is_begun = || fs::read_dir(&folder).into_iter().flatten().flatten().any(|e| is_unnamed(&e.path()));
-            while child.try_wait().expect("its state").is_none() && !is_begun() {}
+            let folder = fs::canonicalize(&folder).unwrap_or(folder);
+            while child.try_wait().expect("its state").is_none() && !is_writing(child.id(), &folder) {}
             std::thread::sleep(pause);
         }
     }
@@ -165,22 +176,26 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
     let batching = run(&folder, BATCH);
     let night = files(&out);
 
+    let without = without("anonymous").map_or(Vec::new(), Vec::from);
     let mut random = Random(number("HDRALIGN_SEED").unwrap_or(1));
     let mut tally = Tally::default();
     for i in 0..number("HDRALIGN_KILLS").unwrap_or(12) {
         tally.kills += 1;
+        // Every other time where the system has no anonymous files.
+        let before = if i % 2 == 1 { &without[..] } else { &[] };
         let mut when = |whole: Duration, folder: &Path| When::of(&mut random, whole, folder);
         match i % 3 {
             0 => {
                 fs::remove_dir_all(&results).and_then(|()| fs::create_dir(&results)).expect("an empty folder");
-                tally.in_time += usize::from(kill(&folder, MERGE, when(merging, &results)));
+                tally.in_time += usize::from(kill(&folder, MERGE, before, when(merging, &results)));
                 tally.check(&results, &[&newer]);
                 run(&folder, &format!("{MERGE} --force"));
                 assert!(is_complete(&results, &newer), "{tally:?}");
             }
             1 => {
                 older.iter().for_each(|(path, bytes)| fs::write(path, bytes).expect("an older file"));
-                tally.in_time += usize::from(kill(&folder, &format!("{MERGE} --force"), when(merging, &results)));
+                tally.in_time +=
+                    usize::from(kill(&folder, &format!("{MERGE} --force"), before, when(merging, &results)));
                 tally.check(&results, &[&older, &newer]);
                 assert!(newer.keys().all(|path| path.is_file()), "an older file was lost: {tally:?}");
                 run(&folder, &format!("{MERGE} --force"));
@@ -190,11 +205,11 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
                 if i % 2 == 0 {
                     fs::remove_dir_all(&out).expect("the results of the night");
                 }
-                tally.in_time += usize::from(kill(&folder, BATCH, when(batching, &out)));
+                tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                 tally.check(&out, &[&night]);
                 // Every other time it is killed in what it takes up again.
                 if i % 2 == 1 {
-                    tally.in_time += usize::from(kill(&folder, BATCH, when(batching, &out)));
+                    tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                     tally.kills += 1;
                     tally.check(&out, &[&night]);
                 }

@@ -13,7 +13,7 @@ use crate::intake::{self, Stamp};
 use crate::pipeline::camera::{self, CameraReport};
 use crate::pipeline::{self, Options, Progress};
 use crate::report::Report;
-use crate::write::{self, Whole};
+use crate::write::{self, Target, Whole};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -119,6 +119,8 @@ pub fn begin<'a>(
     }
     let folder = step.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
+    // The run itself would blame -o, which is no option of a batch.
+    write::check_targets(&Target::of("--name", &results), &step.inputs, true)?;
     let older = existing.iter().filter(|path| **path != step.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
     let prepared = match step.kind {

@@ -196,33 +196,14 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
 
 /// Finds a file that was given twice, by the same or another name. What does not exist is left to the reading.
 fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
-    let mut seen: HashMap<Identity, &PathBuf> = HashMap::new();
+    let mut seen: HashMap<intake::Identity, &PathBuf> = HashMap::new();
     for path in paths {
-        let Some(identity) = identity(path) else { continue };
+        let Some(identity) = intake::identity(path) else { continue };
         if let Some(other) = seen.insert(identity, path) {
             return Err(Error::SameFile { path: path.clone(), other: other.clone() });
         }
     }
     Ok(())
-}
-
-/// What is one file by whatever name: device and inode; hard links are one, too.
-#[cfg(unix)]
-pub(crate) type Identity = (u64, u64);
-
-#[cfg(unix)]
-pub(crate) fn identity(path: &Path) -> Option<Identity> {
-    use std::os::unix::fs::MetadataExt;
-    let metadata = std::fs::metadata(path).ok()?;
-    Some((metadata.dev(), metadata.ino()))
-}
-
-#[cfg(not(unix))]
-pub(crate) type Identity = PathBuf;
-
-#[cfg(not(unix))]
-pub(crate) fn identity(path: &Path) -> Option<Identity> {
-    std::fs::canonicalize(path).ok()
 }
 
 /// One file, read.

@@ -19,8 +19,8 @@ mod photograph;
 mod reference;
 mod window;
 
+pub(crate) use load::differing_profiles;
 pub use load::{LoadOptions, load, load_with_progress};
-pub(crate) use load::{differing_profiles, identity};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub(crate) use reference::meant;

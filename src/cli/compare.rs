@@ -127,7 +127,8 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let mut code = ExitCode::from(if compared.as_ref().is_some_and(Comparison::is_same) { 0 } else { 1 });
     if args.bless {
         let (expected, actual) = (args.expected.display(), args.actual.display());
-        let blessed = compare::bless(&args.expected, &args.actual, &args.largest.limits())?;
+        let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.largest.limits())?;
+        warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
         say(&match blessed {
             Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),
             Blessed::Replaced => format!("blessed: {expected} is now a copy of {actual}"),

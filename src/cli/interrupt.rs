@@ -43,11 +43,11 @@ pub fn listen() {
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, &ABORT_IS_FAILURE);
     // Heard, it ends nothing: the system refuses the write, and that is told as an error of the file.
     let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);
-    let ignored = ignored();
-    let of_end = [SIGINT, SIGTERM, SIGHUP, SIGXCPU].into_iter().filter(move |n| ignored >> (n - 1) & 1 == 0);
+    let of_end = [(SIGINT, "INT"), (SIGTERM, "TERM"), (SIGHUP, "HUP"), (SIGXCPU, "XCPU")];
+    let heard_of: Vec<i32> = of_end.iter().filter(|(n, name)| !is_ignored(*n, name)).map(|(n, _)| *n).collect();
     let (registered, is_registered) = std::sync::mpsc::channel();
     let hear = move || {
-        let signals = signal_hook::iterator::Signals::new(of_end);
+        let signals = signal_hook::iterator::Signals::new(heard_of);
         // Whoever waits goes on when this is dropped, too.
         drop(registered);
         if let Ok(mut signals) = signals {
@@ -59,12 +59,23 @@ pub fn listen() {
     }
 }
 
-/// A bit for each signal, from 1, that the process was started to ignore, as far as Linux tells.
+/// Whether the process was started to ignore `signal`, which has the name `name`. Linux lists those that are; elsewhere a process that this one
+/// starts, and that ignores what this one ignores, is sent it.
 #[cfg(unix)]
-fn ignored() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let bits = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    bits.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()).unwrap_or(0)
+fn is_ignored(signal: i32, name: &str) -> bool {
+    let listed = std::fs::read_to_string("/proc/self/status").ok().and_then(|status| {
+        let bits = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
+        u64::from_str_radix(bits.trim(), 16).ok()
+    });
+    match listed {
+        Some(bits) => bits >> (signal - 1) & 1 == 1,
+        None => {
+            let mut shell = std::process::Command::new("sh");
+            let quiet = std::process::Stdio::null;
+            shell.args(["-c", &format!("ulimit -c 0; kill -{name} $$")]).stdin(quiet()).stdout(quiet()).stderr(quiet());
+            shell.status().is_ok_and(|end| end.success())
+        }
+    }
 }
 
 /// From here on Ctrl-C is heard. Where it cannot be it acts as it always does.

@@ -5,7 +5,7 @@ use super::leftovers;
 use clap::CommandFactory;
 use clap_mangen::Man;
 use hdralign::error::Error;
-use hdralign::write;
+use hdralign::write::{self, Target};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -50,7 +50,7 @@ fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<
     let commands = std::iter::once(program).chain(program.get_subcommands());
     let commands: Vec<_> = commands.map(|c| (folder.join(Man::new(c.clone()).get_filename()), c)).collect();
     let paths: Vec<PathBuf> = commands.iter().map(|(path, _)| path.clone()).collect();
-    write::check_targets(&paths, &[], overwrite)?;
+    write::check_targets(&Target::of("FOLDER", &paths), &[], overwrite)?;
     let write = |(path, command): &(PathBuf, &clap::Command)| write::whole(path, &page(command).map_err(failed)?);
     write::place(commands.iter().map(write).collect::<Result<_, _>>()?, overwrite)?;
     Ok(paths)

@@ -2,13 +2,14 @@
 //!
 //! In: two names. Out: a copy, byte for byte, in place of the file expected, or of none. Cost: that of a copy and an fsync.
 //!
-//! The copy is written beside its target and renamed: whoever reads the name has the old file or the new one, and never a part of it.
+//! The copy is written beside its target and renamed: whoever reads the name has the old file or the new one, and never a part of it. Nobody
+//! may read it who might not read the file replaced, or else the file copied.
 
-use super::input::Input;
-use crate::error::{Error, Result};
+use super::input::{Input, Pixels};
+use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::Limits;
-use crate::write;
+use crate::write::{self, Target};
 use std::fs;
 use std::path::Path;
 
@@ -23,11 +24,12 @@ pub enum Blessed {
     Unchanged,
 }
 
-/// Copies the file `actual` over the file `expected`, which need not exist. `actual` must be one that can be compared.
+/// Copies the file `actual` over the file `expected`, which need not exist; and what should be known about it. `actual` must be one that can be
+/// compared.
 ///
 /// # Errors
 /// Those of reading `actual`; [`Error::Option`] where the extensions name different formats; [`Error::Write`].
-pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<Blessed> {
+pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<(Blessed, Vec<Warning>)> {
     let input = Input::open(actual, limits)?;
     if format(expected) != format(actual) {
         let reason = format!(
@@ -39,15 +41,31 @@ pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<Blessed>
     }
     let bytes = intake::whole(actual, limits.most_bytes())?;
     input.check_unchanged()?;
+    let warnings = not_numbers(&input, actual).into_iter().collect();
     let is_there = expected.exists();
     if is_there && fs::read(expected).is_ok_and(|there| there == bytes) {
-        return Ok(Blessed::Unchanged);
+        return Ok((Blessed::Unchanged, warnings));
     }
     // A link stays one: what it points to is replaced.
     let target = fs::canonicalize(expected).unwrap_or_else(|_| expected.to_owned());
-    write::check_targets(std::slice::from_ref(&target), &[], true)?;
-    write::place(vec![write::whole(&target, &bytes)?], true)?;
-    Ok(if is_there { Blessed::Replaced } else { Blessed::Created })
+    write::check_targets(&Target::of("--bless", std::slice::from_ref(&target)), &[], true)?;
+    let copy = write::whole(&target, &bytes)?;
+    copy.restrict(actual)?;
+    write::place(vec![copy], true)?;
+    Ok((if is_there { Blessed::Replaced } else { Blessed::Created }, warnings))
+}
+
+/// The warning that pixels of `input`, the file `path`, are not finite numbers, where some are not.
+fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
+    let Pixels::Radiance(map, _) = &input.pixels else { return None };
+    let pixels = map.pixels.as_slice();
+    let count = pixels.iter().filter(|pixel| pixel.iter().any(|v| !v.is_finite())).count();
+    let which = if count == pixels.len() { "all".to_owned() } else { format!("{count} of {}", pixels.len()) };
+    let detail = format!(
+        "{which} pixels hold values that are not finite numbers (NaN, infinity), which are expected from now on; if they are an error, make the \
+         file again and bless that"
+    );
+    (count > 0).then(|| Warning::Metadata { path: path.to_owned(), detail })
 }
 
 /// The extension, and one name for those that have two.

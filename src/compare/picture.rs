@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::inspect::drawing::{Anchor, Area, Colour, Drawing, Path as Line, Pen, rasterise};
 use crate::inspect::lettering;
 use crate::plane::Plane;
-use crate::write::{self, Format, Metadata, Pending, display};
+use crate::write::{self, Format, Metadata, Pending, Target, display};
 use std::path::{Path, PathBuf};
 
 /// Pixels of a side of a panel, at the most, and that a small one is magnified to.
@@ -55,7 +55,7 @@ pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<
     if !matches!(Format::of(path), Ok(Format::Png)) {
         return Err(Error::UnknownExtension { path: path.to_owned(), known: ".png" });
     }
-    write::check_targets(&[path.to_owned()], inputs, overwrite)
+    write::check_targets(&Target::of("--diff", &[path.to_owned()]), inputs, overwrite)
 }
 
 /// Writes the picture. Without magnitudes the sizes differ, and what one of the files does not have is told apart.

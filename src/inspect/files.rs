@@ -8,7 +8,7 @@ use super::picture::png_rgb;
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};
 use crate::error::{Error, Result};
-use crate::write::{self, NewFolder, Whole};
+use crate::write::{self, NewFolder, Target, Whole};
 use rayon::prelude::*;
 use std::fs;
 use std::io;
@@ -47,11 +47,11 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
             };
             let mut files: Vec<PathBuf> = stems.iter().flat_map(every).collect();
             files.extend([TEXT, JSON].map(|name| folder.join(name)));
-            write::check_targets(&files, images, overwrite)
+            write::check_targets(&Target::of("-d", &files), images, overwrite)
         }
         Err(e) if e.kind() == io::ErrorKind::NotFound => {
             // The folder is made when there is something to put into it; whether that will be possible is seen from its parent.
-            write::check_targets(&[folder.to_owned()], images, true)
+            write::check_targets(&Target::of("-d", &[folder.to_owned()]), images, true)
         }
         Err(e) => Err(write_error(folder, e)),
     }

@@ -17,7 +17,7 @@ use crate::report::{FrameReport, WarningReport};
 use crate::response::file::{Format, SavedResponse};
 use crate::response::samples::{self, Places};
 use crate::response::{self, ResponseReport};
-use crate::write::{self, Written};
+use crate::write::{self, Target, Written};
 use seen::Seen;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -92,10 +92,18 @@ impl CameraReport {
 
 impl Options {
     /// Every file that a run on `images` writes; where none is named, one of a name that the photographs will tell.
-    pub fn targets(&self, images: &[PathBuf]) -> Vec<PathBuf> {
-        let named: Vec<PathBuf> = self.curves.iter().chain(&self.plots).cloned().collect();
+    pub fn targets(&self, images: &[PathBuf]) -> Vec<Target> {
+        let mut named = self.named();
         let is_beside = |image: &PathBuf| if image.is_dir() { image.join("response.json") } else { image.clone() };
-        if self.curves.is_empty() { named.into_iter().chain(images.first().map(is_beside)).collect() } else { named }
+        if self.curves.is_empty() {
+            named.extend(Target::of("-o", images.first().map(is_beside).as_slice()));
+        }
+        named
+    }
+
+    /// Those that are named.
+    fn named(&self) -> Vec<Target> {
+        [Target::of("-o", &self.curves), Target::of("--plot", &self.plots)].concat()
     }
 }
 
@@ -137,7 +145,8 @@ pub fn prepare(
         let mut curves = options.curves.clone();
         if curves.is_empty() {
             let path = default_output(&photographs, &saved);
-            write::check_targets(std::slice::from_ref(&path), &photographs, options.line.write.overwrite)?;
+            let target = Target::of("-o", std::slice::from_ref(&path));
+            write::check_targets(&target, &photographs, options.line.write.overwrite)?;
             curves.push(path);
         }
         for path in &curves {
@@ -189,8 +198,7 @@ fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
 fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
     options.curves.iter().try_for_each(|path| Format::of(path).map(|_| ()))?;
     options.plots.iter().try_for_each(|path| response_plot::Format::of(path).map(|_| ()))?;
-    let files: Vec<PathBuf> = options.curves.iter().chain(&options.plots).cloned().collect();
-    write::check_targets(&files, photographs, options.line.write.overwrite)
+    write::check_targets(&options.named(), photographs, options.line.write.overwrite)
 }
 
 /// Beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` where it does not say.

@@ -12,7 +12,7 @@ use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;
 use crate::tonemap::{self, Operator};
-use crate::write;
+use crate::write::{self, Target};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -50,7 +50,7 @@ pub fn tonemap_file(
         }
         // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
         read::check(input)?;
-        write::check_targets(&options.outputs, &[input.to_owned()], options.write.overwrite)?;
+        write::check_targets(&Target::of("-o", &options.outputs), &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
         let timed = |stage, since: Instant| {
             watch(Progress::Begins(stage));

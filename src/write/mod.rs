@@ -1,4 +1,4 @@
-//! Writing: every output goes to a temporary file beside its name and is renamed into place when all of a run are whole.
+//! Writing: every output goes to a temporary file in its folder and gets its name when all of a run are complete.
 //!
 //! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] that headers are made of. Out: files. A name that
 //! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
@@ -6,7 +6,10 @@
 
 mod adler;
 pub mod aligned;
+mod anonymous;
 mod bands;
+mod check;
+mod claim;
 mod deflate;
 pub mod display;
 mod exif;
@@ -17,6 +20,7 @@ mod half;
 pub mod hdr;
 mod ifd;
 pub mod jpeg;
+mod kept;
 pub mod logluv;
 pub mod luv;
 pub mod mask;
@@ -34,9 +38,11 @@ use crate::plane::Plane;
 use std::path::Path;
 
 use bands::Bands;
+pub use check::{Target, check_targets};
+pub use claim::sweep;
 pub use files::{Files, Settled, is_among, write};
-pub use target::{Pending, Whole, check_targets, commit, place};
-pub use unnamed::{NewFolder, abandon, sweep};
+pub use target::{Pending, Whole, commit, place};
+pub use unnamed::{NewFolder, abandon};
 
 /// The formats written, told by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

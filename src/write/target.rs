@@ -1,84 +1,23 @@
 //! Targets: from the name of an output to a whole file of that name, or none at all.
 //!
-//! In: paths. Out: [`check_targets`] says before any work whether they can be written; a [`Pending`] is the temporary file beside the
-//! target; [`commit`] renames all of a run when all are whole. Cost: one fsync a file, begun when the file has its last byte.
+//! In: paths. Out: a [`Pending`] is the temporary file in the target's folder; [`commit`] names all of a run when all are whole.
+//! Cost: one fsync a file, begun when the file has its last byte.
 
-use super::unnamed::{Kept, OF_PROCESS, Registry, Unnamed};
+use super::check::folder_of;
+use super::unnamed::{Kept, OF_PROCESS, Registry, State, Unnamed};
 use crate::error::{Error, Result};
+use crate::intake::{Identity, identity};
+use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
-use tempfile::TempPath;
-
-/// Whether all `outputs` can be written, before any work is done: folders that exist, no name twice, none of the
-/// `inputs`, and nothing there already unless `overwrite`.
-///
-/// # Errors
-/// [`Error::Option`] for a name given twice or an input, [`Error::Write`] for a folder that is missing or
-/// a target that is one, [`Error::OutputExists`].
-pub fn check_targets(outputs: &[PathBuf], inputs: &[PathBuf], overwrite: bool) -> Result<()> {
-    let sources: Vec<PathBuf> = inputs.iter().filter_map(|p| fs::canonicalize(p).ok()).collect();
-    let mut places: Vec<PathBuf> = Vec::new();
-    for output in outputs {
-        let place = place_of(output)?;
-        let real = fs::canonicalize(output).unwrap_or_else(|_| place.clone());
-        if sources.contains(&real) {
-            return Err(usage(output, "is one of the files that are read; give the result another name"));
-        }
-        if places.contains(&place) {
-            return Err(usage(output, "is named twice; give every output a name of its own"));
-        }
-        match fs::symlink_metadata(&place) {
-            Ok(there) if there.is_dir() => return Err(refused(output, "it is a folder; name a file in it".into())),
-            Ok(_) if !overwrite => return Err(Error::OutputExists { path: output.clone() }),
-            _ => places.push(place),
-        }
-    }
-    Ok(())
-}
-
-/// The target with its folder resolved, so that two ways to say one name are seen to be one.
-fn place_of(output: &Path) -> Result<PathBuf> {
-    let folder = folder_of(output);
-    let remedy = match fs::metadata(folder) {
-        Ok(there) if there.is_dir() => None,
-        Ok(_) => Some(format!("{} is not a folder; name one that is", folder.display())),
-        Err(e) if e.kind() == io::ErrorKind::NotFound => Some(format!(
-            "the folder {} does not exist; make it first, as in `mkdir -p {}`",
-            folder.display(),
-            folder.display()
-        )),
-        Err(e) => Some(format!("the folder {} cannot be entered: {e}", folder.display())),
-    };
-    if let Some(remedy) = remedy {
-        return Err(refused(output, remedy));
-    }
-    let folder = fs::canonicalize(folder).map_err(|source| write_error(output, source))?;
-    Ok(folder.join(output.file_name().unwrap_or_default()))
-}
-
-/// The folder that `path` is in: `.` for a bare name.
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    }
-}
-
-fn usage(path: &Path, reason: &str) -> Error {
-    Error::Option { option: "-o", reason: format!("{} {reason}", path.display()) }
-}
-
-fn refused(path: &Path, reason: String) -> Error {
-    write_error(path, io::Error::new(io::ErrorKind::InvalidInput, reason))
-}
 
 fn write_error(path: &Path, source: io::Error) -> Error {
     Error::Write { path: path.to_owned(), source }
 }
 
-/// A file that is being written under a temporary name in the target's own folder; dropped, it is gone.
+/// A file that is being written in the target's own folder, without its name; dropped, it is gone.
 #[derive(Debug)]
 pub struct Pending {
     target: PathBuf,
@@ -108,7 +47,8 @@ impl Seek for Open {
 }
 
 impl Pending {
-    /// Opens the temporary file, hidden and named `.hdralign-*.part`, with the permissions that a new file would have.
+    /// Opens the temporary file, with the permissions that a new file has: without any name where the system has such files, else hidden and named
+    /// `.hdralign-*.part`.
     ///
     /// # Errors
     /// [`Error::Write`]; [`Error::Abandoned`] after [`abandon`](super::abandon).
@@ -167,7 +107,7 @@ impl Seek for Pending {
     }
 }
 
-/// A file that is whole and on the disk, under its temporary name; dropped, it is gone. Of many only some are open.
+/// A file that is complete and on the disk, without its name; dropped, it is gone. Of many only some are open.
 #[derive(Debug)]
 pub struct Whole {
     target: PathBuf,
@@ -185,7 +125,15 @@ impl Whole {
     /// # Errors
     /// What the system says.
     pub fn open(&self) -> io::Result<fs::File> {
-        fs::File::open(&self.file.path)
+        self.file.open()
+    }
+
+    /// Takes the permissions away that the file `source` does not have.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn restrict(&self, source: &Path) -> Result<()> {
+        self.file.restrict(source).map_err(|source| write_error(&self.target, source))
     }
 }
 
@@ -205,7 +153,8 @@ impl Pending {
             }
             Ok(file)
         });
-        let file = synced.map_err(|source| write_error(&target, source))?.keep();
+        let kept = synced.and_then(Unnamed::keep);
+        let file = kept.map_err(|source| write_error(&target, source))?;
         Ok(Whole { target, file })
     }
 }
@@ -219,42 +168,66 @@ pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
 }
 
 /// Gives all `files` their names, in their order: of a process that is killed meanwhile the first ones have theirs, so that the last may vouch for
-/// all. When a renaming fails, the files placed before it are removed again, but for those that replaced an older file, which cannot be
-/// had back.
+/// all. A file that replaces another has its permissions. When a renaming fails, the files placed before it are removed again, but for those
+/// that replaced an older file, which cannot be had back.
 ///
 /// # Errors
 /// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
-pub fn place(files: Vec<Whole>, overwrite: bool) -> Result<()> {
+pub fn place(mut files: Vec<Whole>, overwrite: bool) -> Result<()> {
     let Some(first) = files.first() else { return Ok(()) };
-    let (first, registry) = (first.target.clone(), first.file.entry.registry());
-    // The locks and entries go when all have their names, and the registry is free again.
-    let parts = |Whole { target, file: Kept { path, file, entry } }| ((target, path), (file, entry));
-    let (unnamed, _held): (Vec<_>, Vec<_>) = files.into_iter().map(parts).unzip();
-    registry.unless_abandoned(&first, || name(unnamed, overwrite))
+    let (target, registry) = (first.target.clone(), first.file.registry());
+    registry.unless_abandoned(&target, |state| name(state, &mut files, overwrite))
 }
 
-/// The renaming.
-fn name(files: Vec<(PathBuf, TempPath)>, overwrite: bool) -> Result<()> {
-    let mut placed: Vec<PathBuf> = Vec::new();
-    for (target, file) in files {
-        let is_new = fs::symlink_metadata(&target).is_err();
-        let outcome = if overwrite { file.persist(&target) } else { file.persist_noclobber(&target) };
-        match outcome {
-            Ok(_) if is_new => placed.push(target),
-            Ok(_) => {}
-            Err(e) => {
-                for path in &placed {
-                    // The first failure is the one to tell; a second while clearing up would only hide it.
-                    let _ = fs::remove_file(path);
+/// The naming.
+fn name(state: &mut State, files: &mut [Whole], overwrite: bool) -> Result<()> {
+    let is_there = |target: &Path| fs::symlink_metadata(target).is_ok();
+    // All that may fail before the first older file is replaced is done before.
+    for Whole { target, file } in files.iter_mut().filter(|file| overwrite && is_there(&file.target)) {
+        file.prepare(state, target).map_err(|source| write_error(target, source))?;
+    }
+    let mut placed = Placed::default();
+    files.iter_mut().try_for_each(|file| placed.place(state, file, overwrite)).inspect_err(|_| placed.withdraw())
+}
+
+/// Files that have their names.
+#[derive(Default)]
+struct Placed<'a> {
+    /// Those whose names were free.
+    new: Vec<&'a Path>,
+    all: HashMap<Identity, &'a Path>,
+}
+
+impl<'a> Placed<'a> {
+    /// Gives `file` its name.
+    fn place(&mut self, state: &mut State, Whole { target, file }: &'a mut Whole, overwrite: bool) -> Result<()> {
+        let failed = |source: io::Error| match source.kind() {
+            io::ErrorKind::AlreadyExists => Error::OutputExists { path: target.clone() },
+            _ => write_error(target, source),
+        };
+        match file.name(state, target) {
+            Ok(()) => self.new.push(target),
+            Err(error) if overwrite && error.kind() == io::ErrorKind::AlreadyExists => {
+                // As where a file system does not tell cases apart.
+                if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
+                    let reason = format!("{} is the same file there; give it another name", other.display());
+                    return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
                 }
-                return Err(match e.error.kind() {
-                    io::ErrorKind::AlreadyExists => Error::OutputExists { path: target },
-                    _ => write_error(&target, e.error),
-                });
+                file.replace(state, target).map_err(failed)?;
             }
+            Err(error) => return Err(failed(error)),
+        }
+        self.all.extend(identity(target).map(|file| (file, target.as_path())));
+        Ok(())
+    }
+
+    /// Removes the new ones.
+    fn withdraw(&self) {
+        for path in &self.new {
+            // The first failure is the one to report; a second while clearing up would only hide it.
+            let _ = fs::remove_file(path);
         }
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -279,7 +252,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a.exr"), dir.path().join("b.png"));
         let files = vec![pending(&a, "A"), pending(&b, "B")];
-        assert!(names(dir.path()).iter().all(|n| n.starts_with(".hdralign-")));
+        assert!(!a.exists() && !b.exists());
         drop(pending(&a, "never"));
         commit(files, false).unwrap();
         assert_eq!(names(dir.path()), ["a.exr", "b.png"]);
@@ -309,6 +282,36 @@ mod tests {
         assert!(matches!(commit(files, true).unwrap_err(), Error::Write { path, .. } if path == c));
         assert_eq!(names(dir.path()), ["a.exr", "c.exr"]);
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
+    }
+
+    /// As two names of one file where cases are not told apart.
+    #[cfg(unix)]
+    #[test]
+    fn two_targets_that_are_one_file_are_refused_when_they_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("folder");
+        fs::create_dir(&folder).unwrap();
+        std::os::unix::fs::symlink(&folder, dir.path().join("alias")).unwrap();
+        let (a, b) = (folder.join("a.exr"), dir.path().join("alias/a.exr"));
+        let error = commit(vec![pending(&a, "one"), pending(&b, "two")], true).unwrap_err().to_string();
+        assert!(error.contains("alias/a.exr") && error.contains("folder/a.exr is the same file there"), "{error}");
+        assert_eq!(names(&folder).len(), 0);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn replacement_keeps_the_permissions_of_the_file_replaced() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let a = dir.path().join("a.exr");
+        for mode in [0o600, 0o444, 0o666] {
+            fs::write(&a, "old").unwrap();
+            fs::set_permissions(&a, fs::Permissions::from_mode(mode)).unwrap();
+            commit(vec![pending(&a, "new")], true).unwrap();
+            assert_eq!(fs::metadata(&a).unwrap().permissions().mode() & 0o777, mode);
+            assert_eq!(fs::read_to_string(&a).unwrap(), "new");
+            fs::remove_file(&a).unwrap();
+        }
     }
 
     /// While pairs are written and named by several threads, the end comes: each pair is there as a whole or not at all.
@@ -390,30 +393,5 @@ mod tests {
         fs::write(&plain, "B").unwrap();
         let mode = |p: &Path| fs::metadata(p).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&plain));
-    }
-
-    #[test]
-    fn targets_are_checked_before_any_work() {
-        let dir = tempfile::tempdir().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        fs::write(at("in.png"), "x").unwrap();
-        fs::create_dir(at("sub.exr")).unwrap();
-        let check = |outputs: &[&str], overwrite| {
-            let outputs: Vec<PathBuf> = outputs.iter().map(|o| at(o)).collect();
-            check_targets(&outputs, &[at("in.png"), at("gone.jpg")], overwrite).map_err(|e| e.to_string())
-        };
-        assert_eq!(check(&["a.exr", "b.png", "sub.exr/a.exr"], false), Ok(()));
-        let fails = |outputs: &[&str], overwrite, said: &str| {
-            let message = check(outputs, overwrite).unwrap_err();
-            assert!(message.contains(said), "{message}");
-        };
-        fails(&["a.exr", "sub.exr/../a.exr"], true, "named twice");
-        fails(&["sub.exr/../in.png"], true, "one of the files that are read");
-        fails(&["none/a.exr"], true, "make it first");
-        fails(&["in.png/a.exr"], true, "not a folder");
-        fails(&["sub.exr"], true, "it is a folder");
-        fs::write(at("old.exr"), "x").unwrap();
-        fails(&["old.exr"], false, "--force");
-        assert_eq!(check(&["old.exr"], true), Ok(()));
     }
 }

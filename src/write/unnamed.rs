@@ -1,37 +1,31 @@
-//! Unnamed: files that are being written, or are whole but not yet named, and what becomes of them when a run ends too early.
+//! Unnamed: files that are being written, or are complete but not yet named, and what becomes of them when a run ends too early.
 //!
-//! In: the target of a file. Out: an [`Unnamed`], hidden beside it as `.hdralign-*.part`, and locked for as long as its process lives. A process
-//! that is told to end removes its own ([`abandon`]); of one that was killed another removes them ([`sweep`]): they are those that nobody
-//! holds a lock on. Cost: a lock is one call of the system.
+//! In: the target of a file. Out: an [`Unnamed`], later a [`Kept`], in the target's folder: an [anonymous](super::anonymous) file where the
+//! system has them, else one with a temporary name that a [claim](super::claim) protects. A process that is told to end removes its own
+//! ([`abandon`]). Cost: that of the files; of complete ones none is open but anonymous ones, and of those no more than
+//! [`most`](anonymous::most).
 
+use super::anonymous;
+use super::claim::Claim;
 use crate::error::{Error, Result};
-use std::collections::BTreeSet;
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use tempfile::{NamedTempFile, TempPath};
-
-const PREFIX: &str = ".hdralign-";
-const SUFFIX: &str = ".part";
-
-/// Files that are whole and kept open for their lock, at most: processes may have a few hundred open.
-const HELD: usize = 100;
-
-/// How often another file is begun in place of one that was swept before it was locked.
-const TRIES: usize = 16;
 
 /// The unnamed files of a process.
 #[derive(Debug)]
 pub(super) struct Registry(Mutex<State>);
 
 #[derive(Debug)]
-struct State {
+pub(super) struct State {
     is_abandoned: bool,
-    paths: BTreeSet<PathBuf>,
+    /// Temporary names by their folders; none is empty.
+    claims: BTreeMap<PathBuf, Claim>,
     /// Folders that were made for them.
     folders: BTreeSet<PathBuf>,
-    /// How many whole files are kept open.
+    /// How many complete files are kept open.
     held: usize,
 }
 
@@ -40,7 +34,7 @@ pub(super) static OF_PROCESS: Registry = Registry::new();
 
 impl Registry {
     pub const fn new() -> Self {
-        Registry(Mutex::new(State { is_abandoned: false, paths: BTreeSet::new(), folders: BTreeSet::new(), held: 0 }))
+        Registry(Mutex::new(State { is_abandoned: false, claims: BTreeMap::new(), folders: BTreeSet::new(), held: 0 }))
     }
 
     /// What it holds is sound after every statement: a thread that panicked leaves nothing half-done.
@@ -52,28 +46,54 @@ impl Registry {
     pub fn abandon(&self) {
         let mut state = self.state();
         state.is_abandoned = true;
-        for path in std::mem::take(&mut state.paths) {
-            // It may be gone already, and there is nobody to tell.
-            let _ = fs::remove_file(path);
-        }
+        state.claims.clear();
         for folder in std::mem::take(&mut state.folders) {
             // One that is not empty stays.
             let _ = fs::remove_dir(folder);
         }
     }
 
-    /// `naming`, which gives files their names, as a whole before or after the registry is abandoned; not at all after it.
+    /// `naming`, which gives files their names, as a whole before or after the registry is abandoned; not at all after it. It drops no file.
     ///
     /// # Errors
     /// [`Error::Abandoned`], with the name of `target`; those of `naming`.
-    pub fn unless_abandoned<R>(&self, target: &Path, naming: impl FnOnce() -> Result<R>) -> Result<R> {
-        let state = self.state();
+    pub fn unless_abandoned<R>(&self, target: &Path, naming: impl FnOnce(&mut State) -> Result<R>) -> Result<R> {
+        let mut state = self.state();
         if state.is_abandoned {
             return Err(Error::Abandoned { path: target.to_owned() });
         }
-        let named = naming();
-        drop(state);
-        named
+        naming(&mut state)
+    }
+}
+
+impl State {
+    /// A temporary name in `folder`, and what `make` makes of it.
+    fn temporary<R>(&mut self, folder: &Path, make: impl FnOnce(&Path) -> io::Result<R>) -> io::Result<(PathBuf, R)> {
+        if !self.claims.contains_key(folder) {
+            self.claims.insert(folder.to_owned(), Claim::new(folder)?);
+        }
+        let path = self.claims.get_mut(folder).map(Claim::name).unwrap_or_default();
+        match make(&path) {
+            Ok(made) => Ok((path, made)),
+            Err(error) => {
+                self.release(&path);
+                Err(error)
+            }
+        }
+    }
+
+    /// A temporary name in `folder` of the anonymous `file`; where it cannot have one, of a copy.
+    pub fn temporary_of(&mut self, folder: &Path, file: &File) -> io::Result<PathBuf> {
+        let make = |path: &Path| anonymous::link(file, path).or_else(|_| copy(file, path));
+        Ok(self.temporary(folder, make)?.0)
+    }
+
+    /// Removes a temporary name, and its file if it is there; with the last one in a folder the claim goes.
+    fn release(&mut self, path: &Path) {
+        let folder = path.parent().unwrap_or(path);
+        if self.claims.get_mut(folder).is_some_and(|claim| claim.remove(path)) {
+            self.claims.remove(folder);
+        }
     }
 }
 
@@ -82,26 +102,6 @@ impl Registry {
 /// that runs within a signal may not, for it waits for a lock.
 pub fn abandon() {
     OF_PROCESS.abandon();
-}
-
-/// Removes the unnamed files that processes left in `folder` when they were killed, and tells how many. Those that a living process writes
-/// are locked, and stay; where the file system knows no locks, all stay. Where locks do not reach other machines (Lustre's `localflock`),
-/// it must not run beside another machine that writes there: that one would fail to name its files.
-pub fn sweep(folder: &Path) -> usize {
-    let Ok(entries) = fs::read_dir(folder) else { return 0 };
-    let is_unnamed = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        name.starts_with(PREFIX) && name.ends_with(SUFFIX)
-    };
-    entries.flatten().map(|entry| entry.path()).filter(is_unnamed).filter(|path| sweep_one(path)).count()
-}
-
-/// Whether the file was nobody's, and is gone.
-fn sweep_one(path: &Path) -> bool {
-    // A lock on NFS needs a file that may be written; a link is none of ours.
-    let is_file = fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
-    let file = if is_file { OpenOptions::new().write(true).open(path).ok() } else { None };
-    file.is_some_and(|file| file.try_lock().is_ok() && fs::remove_file(path).is_ok())
 }
 
 /// A folder for files that have no names yet. Dropped, it goes again if it was made here and is empty; so it does when the process gives up.
@@ -146,100 +146,109 @@ impl Drop for NewFolder {
     }
 }
 
-/// A temporary file, open and locked; dropped, it is gone.
+/// A temporary name. Dropped, it is free again, and a file that still has it is gone.
+#[derive(Debug)]
+pub(super) struct TemporaryName {
+    pub registry: &'static Registry,
+    pub path: PathBuf,
+}
+
+impl Drop for TemporaryName {
+    fn drop(&mut self) {
+        self.registry.state().release(&self.path);
+    }
+}
+
+/// A file that is being written; dropped, it is gone.
 #[derive(Debug)]
 pub(super) struct Unnamed {
-    file: NamedTempFile,
-    entry: Entry,
-}
-
-/// A file's place in the registry. It is dropped after the file is gone, or has its name.
-#[derive(Debug)]
-pub(super) struct Entry {
     registry: &'static Registry,
-    path: PathBuf,
-    is_held: bool,
-}
-
-impl Entry {
-    pub fn registry(&self) -> &'static Registry {
-        self.registry
-    }
-}
-
-impl Drop for Entry {
-    fn drop(&mut self) {
-        let mut state = self.registry.state();
-        state.paths.remove(&self.path);
-        state.held -= usize::from(self.is_held);
-    }
-}
-
-/// A file that is whole; dropped, it is gone.
-#[derive(Debug)]
-pub(super) struct Kept {
-    pub path: TempPath,
-    /// For its lock, where there are not too many.
-    pub file: Option<File>,
-    pub entry: Entry,
+    folder: PathBuf,
+    file: File,
+    /// None of an anonymous file.
+    name: Option<TemporaryName>,
 }
 
 impl Unnamed {
-    /// Begins one in `folder`, for `target`, with the permissions that a new file would have.
+    /// Begins one in `folder`, for `target`, with the permissions that a new file has.
     ///
     /// # Errors
     /// [`Error::Write`], [`Error::Abandoned`].
     pub fn create(registry: &'static Registry, folder: &Path, target: &Path) -> Result<Self> {
-        let mut state = registry.state();
-        if state.is_abandoned {
-            return Err(Error::Abandoned { path: target.to_owned() });
-        }
-        let file = locked_in(folder).map_err(|source| Error::Write { path: target.to_owned(), source })?;
-        let path = file.path().to_owned();
-        state.paths.insert(path.clone());
-        Ok(Unnamed { file, entry: Entry { registry, path, is_held: false } })
+        registry.unless_abandoned(target, |state| {
+            let made = match anonymous::create(folder) {
+                Some(file) => Ok((file, None)),
+                None => state.temporary(folder, create_new).map(|(path, file)| (file, Some(path))),
+            };
+            let (file, path) = made.map_err(|source| Error::Write { path: target.to_owned(), source })?;
+            let name = path.map(|path| TemporaryName { registry, path });
+            Ok(Unnamed { registry, folder: folder.to_owned(), file, name })
+        })
     }
 
     pub fn file(&self) -> &File {
-        self.file.as_file()
+        &self.file
     }
 
     pub fn file_mut(&mut self) -> &mut File {
-        self.file.as_file_mut()
+        &mut self.file
     }
 
-    /// The same, when it is whole.
-    pub fn keep(self) -> Kept {
-        let Unnamed { file, mut entry } = self;
-        let (file, path) = file.into_parts();
-        let mut state = entry.registry.state();
-        entry.is_held = state.held < HELD;
-        state.held += usize::from(entry.is_held);
+    /// The same, when it is complete.
+    ///
+    /// # Errors
+    /// What the system says where it must have a temporary name.
+    pub fn keep(self) -> io::Result<Kept> {
+        let Unnamed { registry, folder, file, name } = self;
+        if let Some(name) = name {
+            return Ok(Kept::Named(name));
+        }
+        let mut state = registry.state();
+        // After the end there are no names any more.
+        if state.held < anonymous::most() || state.is_abandoned {
+            state.held += 1;
+            drop(state);
+            return Ok(Kept::Held(Held { registry, folder, file }, None));
+        }
+        let path = state.temporary_of(&folder, &file)?;
         drop(state);
-        Kept { path, file: entry.is_held.then_some(file), entry }
+        Ok(Kept::Named(TemporaryName { registry, path }))
     }
 }
 
-/// A temporary file in `folder` that has its lock, where there are locks.
-fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
-    let open = |path: &Path| {
-        let mut options = OpenOptions::new();
-        options.read(true).write(true).create_new(true);
-        // Temporary files are private by default; asked for rw-rw-rw-, the system takes off the umask as for any new file.
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o666);
-        options.open(path)
-    };
-    for _ in 0..TRIES {
-        let file = tempfile::Builder::new().prefix(PREFIX).suffix(SUFFIX).make_in(folder, open)?;
-        match file.as_file().try_lock() {
-            Ok(()) if file.path().exists() => return Ok(file),
-            // A sweep saw it before it was locked, and removes it, or has done so.
-            Ok(()) | Err(TryLockError::WouldBlock) => {}
-            Err(TryLockError::Error(_)) => return Ok(file),
-        }
+fn create_new(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).write(true).create_new(true).open(path)
+}
+
+/// Copies `file` to the new file `path`, up to the disk.
+fn copy(mut file: &File, path: &Path) -> io::Result<()> {
+    file.rewind()?;
+    let mut copy = create_new(path)?;
+    io::copy(&mut file, &mut copy)?;
+    copy.sync_all()
+}
+
+/// An anonymous file that is complete; dropped, it is gone.
+#[derive(Debug)]
+pub(super) struct Held {
+    pub registry: &'static Registry,
+    pub folder: PathBuf,
+    pub file: File,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.registry.state().held -= 1;
     }
-    Err(io::Error::other("temporary files disappear from the folder as soon as they are made"))
+}
+
+/// A file that is complete; dropped before it has its name, it is gone.
+#[derive(Debug)]
+pub(super) enum Kept {
+    /// An anonymous file, and the temporary name that it has where it cannot get its own at once.
+    Held(Held, Option<TemporaryName>),
+    /// A file with a temporary name.
+    Named(TemporaryName),
 }
 
 #[cfg(test)]
@@ -250,54 +259,20 @@ mod tests {
         Box::leak(Box::new(Registry::new()))
     }
 
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
+    fn count(folder: &Path) -> usize {
+        fs::read_dir(folder).unwrap().count()
+    }
+
+    /// Two temporary names, as where there are no anonymous files.
+    fn two(registry: &'static Registry, folder: &Path) -> [TemporaryName; 2] {
+        [0, 1].map(|_| {
+            let (path, _) = registry.state().temporary(folder, create_new).unwrap();
+            TemporaryName { registry, path }
+        })
     }
 
     #[test]
-    fn a_sweep_takes_what_nobody_holds_and_nothing_else() {
-        let dir = tempfile::tempdir().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        let others = [".hdralign-a.txt", "a.part", "hdralign-a.part"];
-        for name in others.iter().chain(&[".hdralign-dead.part", ".hdralign-2.part"]) {
-            fs::write(at(name), "x").unwrap();
-        }
-        fs::create_dir(at(".hdralign-folder.part")).unwrap();
-        let target = at("a.exr");
-        let written = Unnamed::create(registry(), dir.path(), &target).unwrap();
-        let whole = Unnamed::create(registry(), dir.path(), &target).unwrap().keep();
-        assert_eq!(names(dir.path()).len(), 8);
-        assert_eq!(sweep(dir.path()), 2);
-        assert!(written.file.path().exists() && whole.path.exists(), "they are being written");
-        drop((written, whole));
-        assert_eq!(names(dir.path()), [".hdralign-a.txt", ".hdralign-folder.part", "a.part", "hdralign-a.part"]);
-        assert_eq!((sweep(dir.path()), sweep(&at("nowhere"))), (0, 0));
-    }
-
-    /// Sweeps that run all the time take no file from those who make them.
-    #[test]
-    fn files_that_are_begun_during_a_sweep_are_there() {
-        let dir = tempfile::tempdir().unwrap();
-        let (folder, registry) = (dir.path(), registry());
-        std::thread::scope(|scope| {
-            let begin = || (0..100).map(|_| Unnamed::create(registry, folder, folder)).collect::<Result<Vec<_>>>();
-            let making = [scope.spawn(begin), scope.spawn(begin)];
-            let mut swept = 0;
-            while !making.iter().all(|thread| thread.is_finished()) {
-                swept += sweep(folder);
-            }
-            let made: Vec<Unnamed> = making.into_iter().flat_map(|thread| thread.join().unwrap().unwrap()).collect();
-            assert!(made.iter().all(|file| file.file.path().exists()), "{swept} swept");
-            assert_eq!((made.len(), names(folder).len(), sweep(folder)), (200, 200, 0));
-        });
-        assert!(registry.state().paths.is_empty() && names(folder).is_empty());
-    }
-
-    #[test]
-    fn a_folder_made_in_vain_goes_again() {
+    fn folder_made_in_vain_is_removed() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("new");
         drop(NewFolder::create(&folder).unwrap());
@@ -310,16 +285,37 @@ mod tests {
     }
 
     #[test]
-    fn few_whole_files_are_kept_open() {
+    fn claim_goes_with_the_last_temporary_name_of_its_folder() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
-        let create = || Unnamed::create(registry, dir.path(), dir.path()).unwrap().keep();
-        let mut whole: Vec<Kept> = (0..HELD + 5).map(|_| create()).collect();
-        assert_eq!(whole.iter().filter(|kept| kept.file.is_some()).count(), HELD);
-        whole.truncate(HELD - 1);
-        assert!(create().file.is_some(), "there is room again");
-        drop(whole);
-        assert_eq!(registry.state().held, 0);
+        let [a, b] = two(registry, dir.path());
+        assert_eq!((count(dir.path()), super::super::sweep(dir.path())), (3, 0));
+        drop(a);
+        assert_eq!(count(dir.path()), 2);
+        drop(b);
+        assert_eq!((count(dir.path()), registry.state().claims.len()), (0, 0));
+    }
+
+    /// Of many complete files no more are open than the process may well have, and the others keep their claim.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn complete_files_beyond_the_limit_are_closed_and_claimed() {
+        let dir = tempfile::tempdir().unwrap();
+        let registry = registry();
+        let keep = || Unnamed::create(registry, dir.path(), dir.path()).unwrap().keep().unwrap();
+        if anonymous::create(dir.path()).is_none() {
+            eprintln!("NOT TESTED: no anonymous files in {}", dir.path().display());
+            return;
+        }
+        let held = keep();
+        assert_eq!((count(dir.path()), registry.state().held), (0, 1));
+        // As if so many more were open.
+        registry.state().held += anonymous::most();
+        let named = keep();
+        assert_eq!((count(dir.path()), super::super::sweep(dir.path())), (2, 0));
+        registry.state().held -= anonymous::most();
+        drop((held, named));
+        assert_eq!((count(dir.path()), registry.state().held), (0, 0));
     }
 
     #[test]
@@ -327,15 +323,17 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
         let target = dir.path().join("a.exr");
-        let kept = [Unnamed::create(registry, dir.path(), &target).unwrap()];
+        let begun = Unnamed::create(registry, dir.path(), &target).unwrap();
+        let names = two(registry, dir.path());
         registry.abandon();
-        assert!(names(dir.path()).is_empty());
+        assert_eq!(count(dir.path()), 0);
         for error in [
             Unnamed::create(registry, dir.path(), &target).map(|_| ()).unwrap_err(),
-            registry.unless_abandoned(&target, || Ok(())).unwrap_err(),
+            registry.unless_abandoned(&target, |_| Ok(())).unwrap_err(),
         ] {
             assert!(matches!(&error, Error::Abandoned { path } if *path == target), "{error}");
         }
-        drop(kept);
+        drop((begun.keep().unwrap(), names));
+        assert_eq!((count(dir.path()), registry.state().held), (0, 0));
     }
 }

@@ -284,6 +284,21 @@ fn blessing_copies_and_says_so() {
 }
 
 #[test]
+fn values_that_are_not_numbers_are_blessed_with_a_warning() {
+    let folder = Folder::empty();
+    put(&folder, "one.exr", changed(|x, y, rgb| if (x, y) == (3, 4) { [f32::INFINITY; 3] } else { rgb }), &float());
+    put(&folder, "all.exr", changed(|_, _, _| [f32::NAN; 3]), &float());
+    for (name, said) in
+        [("one.exr", "warning: one.exr: 1 of "), ("all.exr", "warning: all.exr: all pixels hold values")]
+    {
+        let run = folder.line(&format!("compare golden.exr {name} --bless")).done();
+        assert!(run.stderr.contains(said) && run.stderr.contains("NaN"), "{}", run.stderr);
+        // What was blessed before is no better.
+        assert!(folder.line(&format!("compare golden.exr {name} --bless")).done().stderr.contains(said));
+    }
+}
+
+#[test]
 fn the_difference_picture_shows_where() {
     let folder = Folder::empty();
     put(&folder, "a.exr", scene(), &float());

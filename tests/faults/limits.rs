@@ -16,6 +16,10 @@ fn few_open_files_are_enough_and_fewer_are_told() {
     );
     let run = shell(&folder, &format!("ulimit -n 24; $H merge {FRAMES} -q {outputs}"));
     assert_eq!(run.code, 0, "{run:?}");
+    // Complete files that wait for their names need not all be open.
+    let run = shell(&folder, &format!("ulimit -n 24; $H inspect {FRAMES} -q -d look"));
+    assert_eq!((run.code, unnamed(folder.path())), (0, 0), "{run:?}");
+    assert!(std::fs::read_dir(folder.at("look")).expect("a folder").count() > 24);
     let folder = Folder::empty();
     Card::new(64).brackets(12, 3, 2.0).write(&folder.at("in"));
     let run = shell(&folder, "ulimit -n 24; $H batch in -d out -q --page --formats exr,png,jpg");

@@ -1,8 +1,10 @@
 //! Where results are asked to go: links, folders, devices, names that are too long, other disks.
 
-use super::{FRAMES, bracket, fails, shell};
+use super::{FRAMES, bracket, can, fails, shell, unnamed};
+use crate::support::card::Card;
+use crate::support::{Folder, without};
 use std::fs;
-use std::os::unix::fs::{MetadataExt, symlink};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::Path;
 
 #[test]
@@ -54,10 +56,112 @@ fn places_that_cannot_be_are_refused() {
         fails(&folder, &format!("$H merge {FRAMES} --force -o a.png -o {name}"), code, &[said]);
     }
     fails(&folder, &format!("$H merge {FRAMES} -o a.png -o ./a.png"), 2, &["a.png", "named twice"]);
-    fails(&folder, &format!("$H merge {FRAMES} -o a.exr --report r.json --save-response r.json"), 2, &["named twice"]);
+    for (line, said) in [
+        ("-o a.exr --report r.json --save-response r.json", "--report: r.json is named twice, also by --save-response"),
+        ("-o a.exr --report r.json --transforms ./r.json", "--transforms: ./r.json is named twice, also by --report"),
+        ("--deghost -o a.png --ghost-mask a.png", "--ghost-mask: a.png is named twice, also by -o"),
+    ] {
+        fails(&folder, &format!("$H merge {FRAMES} {line}"), 2, &[said]);
+    }
     let longest = &long[1..];
     assert_eq!(shell(&folder, &format!("$H merge {FRAMES} -q -o {longest}")).code, 0);
     assert!(folder.at(longest).is_file());
+}
+
+/// Files are known by device and inode: by another name, as where cases are not told apart, and through another mount.
+#[test]
+fn input_under_another_name_is_refused_by_the_option_that_names_it() {
+    let folder = bracket();
+    folder.line(&format!("merge {FRAMES} -q -o a.exr -o b.exr --save-response curve.json")).done();
+    folder.line(&format!("align {FRAMES} -q --transforms moves.json")).done();
+    for (file, alias, line, option) in [
+        ("w2.jpg", "W2.jpg", "merge FRAMES -o ALIAS", "-o"),
+        ("w3.jpg", "x.json", "merge FRAMES -o c.exr --report ALIAS", "--report"),
+        ("w3.jpg", "x.json", "align FRAMES --transforms t.json --report ALIAS", "--report"),
+        ("w4.jpg", "x.rsp", "merge FRAMES -o c.exr --save-response ALIAS", "--save-response"),
+        ("w4.jpg", "x.png", "merge FRAMES -o c.exr --deghost --ghost-mask ALIAS", "--ghost-mask"),
+        ("w2.jpg", "on_w2.tif", "align FRAMES --save-aligned on_", "--save-aligned"),
+        ("w2.jpg", "x.csv", "response FRAMES -o ALIAS", "-o"),
+        ("w2.jpg", "x.svg", "response FRAMES -o r.json --plot ALIAS", "--plot"),
+        ("w2.jpg", "look/tables.txt", "inspect FRAMES -d look", "-d"),
+        ("a.exr", "A.hdr", "tonemap a.exr -o ALIAS", "-o"),
+        ("b.exr", "x.png", "compare a.exr b.exr --diff ALIAS", "--diff"),
+        ("curve.json", "x.json", "merge FRAMES -o c.exr --response curve.json --report ALIAS", "--report"),
+        ("moves.json", "x.json", "align FRAMES --transforms moves.json --report ALIAS", "--report"),
+    ] {
+        fs::create_dir_all(folder.at("look")).expect("a folder");
+        fs::hard_link(folder.at(file), folder.at(alias)).expect("another name");
+        let line = line.replace("FRAMES", FRAMES).replace("ALIAS", alias);
+        let said = format!("{option}: {alias} is one of the files that are read");
+        fails(&folder, &format!("$H {line} --force"), 2, &[&said]);
+        fs::remove_file(folder.at(alias)).expect("another name");
+    }
+    if can("mount a folder twice", "unshare -rm true") {
+        fs::create_dir_all(folder.at("again")).expect("a folder");
+        for line in ["-o again/w2.jpg", "-o c.exr -o again/c.exr"] {
+            let line = format!("unshare -rm sh -c 'mount --bind . again && $H merge {FRAMES} --force {line}'");
+            fails(&folder, &line, 2, &["-o: again/"]);
+        }
+    }
+}
+
+#[test]
+fn batch_that_would_replace_a_photograph_is_refused_by_its_name_option() {
+    let folder = Folder::empty();
+    Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in"));
+    for path in fs::read_dir(folder.at("in")).expect("the card").flatten().map(|entry| entry.path()) {
+        fs::rename(&path, path.with_extension("jpg")).expect("another extension");
+    }
+    let first = fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph");
+    let run = folder.line("batch in --name {first} --formats jpg --force");
+    let said = "--name: ";
+    assert!(
+        run.code == 1 && run.stderr.contains(said) && run.stderr.contains("one of the files that are read"),
+        "{run:?}"
+    );
+    assert!(fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph") == first);
+}
+
+/// Some file systems by FUSE know neither hard links nor renaming without replacement, and few have files without a name.
+#[test]
+fn file_system_that_lacks_links_or_more_is_written_to_all_the_same() {
+    let folder = bracket();
+    folder.line(&format!("merge {FRAMES} -q -o a.exr -o a.png")).done();
+    for lacks in ["anonymous", "link", "noreplace", "link,noreplace", "anonymous,link", "anonymous,link,noreplace"] {
+        let Some(before) = without(lacks) else { return };
+        let line = format!("{} $H merge {FRAMES} -q -o b.exr -o b.png", before.join(" "));
+        let run = shell(&folder, &line);
+        assert_eq!((run.code, run.stderr.as_str()), (0, ""), "{lacks}");
+        let is_same =
+            || ["exr", "png"].iter().all(|e| folder.bytes(&format!("a.{e}")) == folder.bytes(&format!("b.{e}")));
+        assert!(is_same(), "{lacks}");
+        fails(&folder, &line, 1, &["b.exr: exists already"]);
+        folder.put("b.png", b"old");
+        assert_eq!(shell(&folder, &format!("{line} --force")).code, 0, "{lacks}");
+        assert!(is_same() && unnamed(folder.path()) == 0, "{lacks}");
+        fs::remove_file(folder.at("b.exr")).and_then(|()| fs::remove_file(folder.at("b.png"))).expect("two results");
+    }
+}
+
+/// As those of private photographs.
+#[test]
+fn replaced_files_keep_their_permissions() {
+    let folder = bracket();
+    let mode = |name: &str| fs::metadata(folder.at(name)).expect("a file").mode() & 0o777;
+    let set =
+        |name: &str, mode| fs::set_permissions(folder.at(name), fs::Permissions::from_mode(mode)).expect("its mode");
+    folder.line(&format!("merge {FRAMES} -q -o a.exr -o b.exr --response-model srgb")).done();
+    set("a.exr", 0o600);
+    folder.line(&format!("merge {FRAMES} -q -o a.exr --force")).done();
+    assert_eq!(mode("a.exr"), 0o600);
+    // A golden picture keeps its own; a new one is no more public than what it is a copy of.
+    set("b.exr", 0o640);
+    set("a.exr", 0o644);
+    folder.line("compare b.exr a.exr -q --bless").done();
+    assert_eq!(mode("b.exr"), 0o640);
+    set("a.exr", 0o400);
+    folder.line("compare new.exr a.exr -q --bless").done();
+    assert_eq!(mode("new.exr"), 0o400);
 }
 
 #[test]
@@ -87,10 +191,10 @@ fn results_may_go_to_another_disk() {
 fn a_folder_that_vanishes_is_named() {
     let folder = bracket();
     fs::create_dir(folder.at("sub")).expect("a folder");
-    // The first temporary file shows that the work is nearly done; a quick run may win.
+    // The first temporary file, with a name or without, shows that the work is nearly done; a quick run may win.
     let script = format!(
         "$H merge {FRAMES} -q --tmo fattal -o sub/a.jpg -o sub/a.exr -o sub/a.tif -o sub/a.png --report sub/a.html & \
-         while kill -0 $! 2>/dev/null && [ -z \"$(ls -A sub)\" ]; do :; done; rm -rf sub; wait $!"
+         while kill -0 $! 2>/dev/null && [ -z \"$(ls -A sub)$(ls -l /proc/$!/fd 2>/dev/null | grep /sub/)\" ]; do :; done; rm -rf sub; wait $!"
     );
     let run = shell(&folder, &script);
     let is_told = run.stderr.contains("sub/a.") && run.stderr.contains("cannot be written");

@@ -2,7 +2,7 @@
 //!
 //! `HDRALIGN_MOMENTS` says how many moments of each command; a dozen by default.
 
-use super::{FRAMES, bracket, shell, unnamed};
+use super::{FRAMES, bracket, can, shell, unnamed};
 use crate::support::{Folder, program};
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
@@ -101,6 +101,25 @@ fn what_is_to_be_ignored_is_ignored() {
         assert_eq!((run.code, run.stderr.as_str(), run.stdout), (0, "", format!("a{i}.exr\n")), "{signal}");
     }
     assert!(folder.bytes("a0.exr") == folder.bytes("a1.exr"));
+}
+
+/// As where the system does not list what is ignored, macOS and the BSDs.
+#[test]
+fn ignored_signals_are_found_without_a_list_of_them() {
+    if !can("mount over /proc", "unshare -rm mount -t tmpfs none /proc") {
+        return;
+    }
+    let folder = bracket();
+    // What a shell runs in the background ignores INT by itself.
+    for (ignore, signal, code) in [("trap \"\" HUP", "HUP", 0), (":", "HUP", 129), (":", "INT", 0)] {
+        let script = format!(
+            "unshare -rm sh -c 'mount -t tmpfs none /proc; {ignore}; $H merge {FRAMES} --force --tmo fattal -q -o a.exr -o b.png & \
+             sleep 0.1; for k in 1 2 3 4; do kill -{signal} $! 2>/dev/null; sleep 0.02; done; wait $!'"
+        );
+        let run = shell(&folder, &script);
+        assert_eq!(run.code, code, "{signal} {ignore} {run:?}");
+        assert_eq!(unnamed(folder.path()), 0);
+    }
 }
 
 /// A pause, and a pipe's signal, change nothing.

@@ -63,6 +63,19 @@ pub fn program() -> PathBuf {
     std::env::var_os("HDRALIGN_BIN").map_or_else(|| env!("CARGO_BIN_EXE_hdralign").into(), PathBuf::from)
 }
 
+/// What runs a command where the system lacks `lacks`: `anonymous` files, hard `link`s, renaming with `noreplace`; none where this machine does not
+/// let us.
+pub fn without(lacks: &str) -> Option<[String; 3]> {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/without.py");
+    let words = ["python3", script, lacks].map(str::to_owned);
+    let tried = Command::new(&words[0]).args(&words[1..]).arg("true").stderr(Stdio::null()).status();
+    let can = tried.is_ok_and(|status| status.success());
+    if !can {
+        eprintln!("NOT TESTED: this machine does not let us filter system calls");
+    }
+    can.then_some(words)
+}
+
 /// A folder of its own for one test, gone when the test is over.
 pub struct Folder(TempDir);
 

@@ -5,8 +5,8 @@
 //! Files by their own name come before links to them, whatever the order of the entries, so that a link is what is left over.
 
 use super::{LeftOver, Reason};
-use crate::bracket::identity;
 use crate::error::{Error, Result};
+use crate::intake::identity;
 use crate::pipeline::natural;
 use std::collections::{HashMap, HashSet};
 use std::fs;
