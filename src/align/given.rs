@@ -60,7 +60,8 @@ impl Place {
     }
 }
 
-/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts.
+/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that of a frame that is
+/// excluded by itself.
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, or wants the reference left out.
@@ -88,6 +89,11 @@ pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<
             continue;
         }
         verdicts[i].get_or_insert_with(|| place.verdict());
+    }
+    for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
+        if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
+            verdicts[i] = Some(Verdict { reason: Some(reason.clone()), ..Place::LeftOut.verdict() });
+        }
     }
     Ok(verdicts)
 }
