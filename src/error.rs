@@ -360,6 +360,18 @@ pub enum Warning {
         /// What is missing, and what was estimated.
         detail: String,
     },
+    /// The flash fired in some frames and not in others: their light is not the same.
+    #[error(
+        "{}: the flash fired, unlike in the other frames; {}",
+        path.display(),
+        if *is_used { "it is merged all the same, look at the result" } else { "it is excluded, give -e or name it as the --reference to use it" }
+    )]
+    FlashFired {
+        /// The frame.
+        path: PathBuf,
+        /// Whether it is used: too few were left without it, or it is the reference of the user's choice.
+        is_used: bool,
+    },
     /// The pixels contradict the exposures that the user gave; these were used.
     #[error("the exposures given by -e contradict the pixels ({detail}); give them in the order of the files")]
     ExposureDoubtful {
@@ -485,6 +497,7 @@ impl Warning {
                 | Warning::ExposureContradicted { .. }
                 | Warning::ExposureEstimated { .. }
                 | Warning::ExposureDoubtful { .. }
+                | Warning::FlashFired { .. }
                 | Warning::ExposureBounded { .. }
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }

@@ -14,7 +14,7 @@
 
 use super::warp::{Warp, corners, map};
 use super::{Alignment, KeypointCounts, Model, Status, Verdict};
-use crate::bracket::{Bracket, meant};
+use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;
 use nalgebra::Matrix3;
@@ -60,7 +60,8 @@ impl Place {
     }
 }
 
-/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts.
+/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that of a frame that is
+/// excluded by itself.
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, or wants the reference left out.
@@ -88,6 +89,11 @@ pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<
             continue;
         }
         verdicts[i].get_or_insert_with(|| place.verdict());
+    }
+    for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
+        if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
+            verdicts[i] = Some(Verdict { reason: Some(reason.clone()), ..Place::LeftOut.verdict() });
+        }
     }
     Ok(verdicts)
 }
@@ -217,7 +223,7 @@ impl SavedAlignment {
     /// [`Error::TransformsFile`] where its reference is none of them.
     pub fn check_names(&self, images: &[PathBuf], path: &Path) -> Result<()> {
         let images: Vec<&Path> = images.iter().map(PathBuf::as_path).collect();
-        if meant(&images, &self.reference).is_some() {
+        if bracket::named(&images, &self.reference).is_some() {
             return Ok(());
         }
         let reason = format!(

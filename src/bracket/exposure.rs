@@ -44,6 +44,8 @@ pub struct Exposure {
     pub iso: Option<f64>,
     relative: f64,
     correction_stops: f64,
+    /// Standard deviation from the nearest exposure that is known, in stops, where this one was estimated.
+    pub uncertainty_stops: Option<f64>,
     /// What the numbers were taken for.
     pub reading: Reading,
     /// Where the relative exposure is from.
@@ -59,9 +61,10 @@ impl Exposure {
         Exposure::at(ev, ExposureSource::Given, "-e".into())
     }
 
-    /// An exposure of `ev` stops that was had from the pixels; `None` where 2^`ev` is no positive, finite number.
-    pub fn estimated(ev: f64) -> Option<Self> {
-        Exposure::at(ev, ExposureSource::Estimated, String::new())
+    /// An exposure of `ev` stops that was had from the pixels, with this standard deviation; `None` where 2^`ev` is no positive, finite number.
+    pub fn estimated(ev: f64, uncertainty_stops: f64) -> Option<Self> {
+        let exposure = Exposure::at(ev, ExposureSource::Estimated, String::new())?;
+        Some(Exposure { uncertainty_stops: Some(uncertainty_stops), ..exposure })
     }
 
     fn at(ev: f64, source: ExposureSource, tags: String) -> Option<Self> {
@@ -71,6 +74,7 @@ impl Exposure {
             iso: None,
             relative: positive(libm::exp2(ev))?,
             correction_stops: 0.0,
+            uncertainty_stops: None,
             reading: Reading::AsWritten,
             source,
             tags,
@@ -87,6 +91,7 @@ impl Exposure {
             iso,
             relative: positive(time_s * s / (n * n)).filter(|relative| libm::log2(*relative).abs() <= MOST_EV)?,
             correction_stops: 0.0,
+            uncertainty_stops: None,
             reading: Reading::AsWritten,
             source: ExposureSource::Exif,
             tags,
@@ -135,6 +140,8 @@ pub struct ExposureTags {
     pub is_time_printed: bool,
     /// ShutterSpeedValue, in stops under 1 s.
     pub shutter_speed: Option<f64>,
+    /// Whether the flash fired.
+    pub flash: bool,
 }
 
 impl ExposureTags {
@@ -162,7 +169,9 @@ impl ExposureTags {
             .or_else(|| plain(Tag::RecommendedExposureIndex).map(|s| (s, "RecommendedExposureIndex")))
             .or_else(|| plain(Tag::StandardOutputSensitivity).map(|s| (s, "StandardOutputSensitivity")))
             .or_else(|| plain(Tag::ExposureIndex).map(|s| (s, "ExposureIndex")));
-        ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed }
+        // The lowest bit (EXIF 2.32, Flash).
+        let flash = number(Tag::Flash).is_some_and(|flash| flash as u32 & 1 == 1);
+        ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed, flash }
     }
 
     /// The relative exposure in EV by these tags alone, as written; `None` without a time. What else is missing counts as a factor of 1.

@@ -119,8 +119,6 @@ pub struct Header {
     pub mode: Option<ExposureMode>,
     /// By how many stops an automatic bracket departs from its middle here, where the camera says so.
     pub bracket_stops: Option<f64>,
-    /// Whether the flash fired.
-    pub flash: bool,
     /// The program that wrote the file.
     pub software: Option<String>,
 }
@@ -194,8 +192,6 @@ impl Header {
             bias_stops: number(exif, Tag::ExposureBiasValue).filter(|bias| bias.abs() <= 20.0),
             mode,
             bracket_stops: notes.bracket_stops,
-            // The lowest bit (EXIF 2.32, Flash).
-            flash: number(exif, Tag::Flash).is_some_and(|flash| flash as u32 & 1 == 1),
             software: text(Tag::Software).or(head.software),
         };
         match head.refused {

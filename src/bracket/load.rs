@@ -3,14 +3,15 @@
 //! In: paths, and what the user says of them. Out: a [`Bracket`] and what there is to say about it; the same whatever the order of the
 //! paths, save for `-e` and a reference by number, which go by it. Cost: that of the decoders, one frame per thread.
 //!
-//! Exposures are the user's where given, else those of EXIF, else, where one is missing or they cannot be, estimated from the pixels.
+//! Exposures are the user's where given, else those of EXIF, else, where one is missing or cannot be, estimated from the pixels. A frame that the
+//! flash lit shows another scene than those that it did not, and is excluded.
 
 use super::brightness::{self, Brightness};
 use super::capture;
 use super::colour::{Found, Profile};
 use super::copies::{self, Copied, Look};
 use super::decode::{self, Decoded};
-use super::exposure::{self, Exposure, ExposureSource, ExposureTags, MOST_EV};
+use super::exposure::{Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::header::Header;
 use super::window::Store;
 use super::{Bracket, Capture, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
@@ -126,7 +127,10 @@ pub fn load_with_progress(
             warnings.extend(doubtful(&pictures, &copies, &given));
             given
         }
-        None => settle_exposures(&mut pictures, &copies, &mut warnings)?,
+        None => {
+            warnings.extend(exclude_flash(&mut pictures, &options.reference)?);
+            exposures::settle(&mut pictures, &copies, &mut warnings)?
+        }
     };
     let mut notes = HashMap::new();
     let frames = pictures
@@ -139,6 +143,7 @@ pub fn load_with_progress(
             let mut frame = Frame::stored(picture.path, size, picture.store, picture.well_exposed, exposure);
             frame.profile = picture.profile;
             frame.capture = picture.capture;
+            frame.excluded = picture.excluded;
             frame
         })
         .collect();
@@ -219,6 +224,8 @@ struct Picture {
     tags: ExposureTags,
     profile: Option<Profile>,
     capture: Capture,
+    /// Why it is not to be merged.
+    excluded: Option<String>,
     warnings: Vec<Warning>,
 }
 
@@ -252,6 +259,7 @@ impl Picture {
             tags,
             profile,
             capture,
+            excluded: None,
             warnings,
         })
     }
@@ -349,102 +357,30 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
     Ok(())
 }
 
+/// Excludes the frames that were lit by the flash, where at least two others were not; but not the reference that the user chose.
+fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Result<Vec<Warning>> {
+    let unlit = pictures.iter().filter(|p| !p.tags.flash).count();
+    if unlit == 0 || unlit == pictures.len() {
+        return Ok(Vec::new());
+    }
+    let paths: Vec<&Path> = pictures.iter().map(|p| p.path.as_path()).collect();
+    let chosen = reference::chosen(&paths, reference)?;
+    let mut warnings = Vec::new();
+    for picture in pictures.iter_mut().filter(|p| p.tags.flash) {
+        let is_used = unlit < 2 || chosen.as_ref() == Some(&picture.path);
+        picture.excluded = (!is_used).then(|| "the flash fired, unlike in the other frames".to_owned());
+        warnings.push(Warning::FlashFired { path: picture.path.clone(), is_used });
+    }
+    warnings.sort_by_key(ToString::to_string);
+    Ok(warnings)
+}
+
 /// What the pixels say against the exposures that the user gives; these are taken all the same.
 fn doubtful(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
     let seen: Vec<Brightness> = pictures.iter().map(|p| p.brightness.clone()).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
     let detail = copies::contradiction(copies, &given).or_else(|| brightness::contradiction(&given, &seen))?;
     Some(Warning::ExposureDoubtful { detail })
-}
-
-/// The exposures by EXIF where they are whole and possible, else by the pixels.
-fn settle_exposures(pictures: &mut [Picture], copies: &[Copied], warnings: &mut Vec<Warning>) -> Result<Vec<Exposure>> {
-    let tags: Vec<_> = pictures.iter().map(|p| p.tags).collect();
-    let (by_tags, assumed) = exposure::by_tags(&tags);
-    let missing: Vec<usize> = (0..by_tags.len()).filter(|&i| by_tags[i].is_none()).collect();
-
-    // By path, so that ties and chains are the same in any order of the command line.
-    let mut order: Vec<usize> = (0..pictures.len()).collect();
-    order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
-    let seen: Vec<Brightness> = order.iter().map(|&i| pictures[i].brightness.clone()).collect();
-
-    let warning: fn(String) -> Warning;
-    let what;
-    // Frames whose EXIF is kept, though that of others is not believed.
-    let mut kept = vec![false; pictures.len()];
-    if let Some(&first) = missing.first() {
-        what = match missing.len() {
-            1 => format!("{} does not say how it was exposed", pictures[first].path.display()),
-            n => format!("{n} of {} files do not say how they were exposed", pictures.len()),
-        };
-        warning = |detail| Warning::ExposureEstimated { detail };
-    } else {
-        let written: Vec<f64> = by_tags.iter().flatten().map(Exposure::ev).collect();
-        let by_path: Vec<f64> = order.iter().map(|&i| written[i]).collect();
-        let contradiction =
-            copies::contradiction(copies, &written).or_else(|| brightness::contradiction(&by_path, &seen));
-        let Some(contradiction) = contradiction else {
-            for (i, detail) in assumed {
-                let path = pictures[i].path.clone();
-                pictures[i].warnings.push(Warning::ExposureIncomplete { path, detail });
-            }
-            return Ok(by_tags.into_iter().flatten().collect());
-        };
-        what = contradiction;
-        warning = |detail| Warning::ExposureContradicted { detail };
-        if let Some(odd) = brightness::at_odds(&by_path, &seen) {
-            (0..order.len()).filter(|k| !odd.contains(k)).for_each(|k| kept[order[k]] = true);
-        }
-    }
-
-    let unknown = |reason: &str| match missing.first() {
-        Some(&first) => Error::NoExposure {
-            path: pictures[first].path.clone(),
-            reason: format!("it has no usable exposure in its EXIF, and {reason}"),
-        },
-        None => Error::NoExposure {
-            path: pictures[order[0]].path.clone(),
-            reason: format!("the exposures in the files contradict the pixels ({what}), and {reason}"),
-        },
-    };
-    // Copies of one photograph were exposed as one, whatever it shows.
-    let is_one = missing.is_empty() && copies.len() + 1 == pictures.len();
-    let steps = if is_one { Some(vec![0.0; pictures.len()]) } else { brightness::estimate(&seen) };
-    let steps = steps
-        .ok_or_else(|| unknown("the pictures are too dark, too bright or too plain to tell it from the pixels"))?;
-    if brightness::all_alike(&steps) && !is_one {
-        return Err(unknown("the pictures are equally bright"));
-    }
-    // The steps hang in the air; where files do say something, it is right on the whole, so its median anchors them; where some of it is
-    // kept, the nearest of that does.
-    let mut offsets: Vec<f64> =
-        order.iter().zip(&steps).filter_map(|(&i, step)| Some(by_tags[i].as_ref()?.ev() - step)).collect();
-    if offsets.is_empty() {
-        offsets = steps.iter().map(|step| -step).collect();
-    }
-    let near: Vec<(f64, f64)> = (0..order.len()).filter(|&k| kept[order[k]]).map(|k| (steps[k], offsets[k])).collect();
-    offsets.sort_by(f64::total_cmp);
-    let anchor = |step: f64| {
-        let nearest = near.iter().min_by(|a, b| (a.0 - step).abs().total_cmp(&(b.0 - step).abs()));
-        nearest.map_or(offsets[offsets.len() / 2], |(_, offset)| *offset)
-    };
-
-    let mut exposures = by_tags;
-    for (&i, &step) in order.iter().zip(&steps).filter(|(i, _)| !kept[**i]) {
-        exposures[i] = Exposure::estimated(step + anchor(step));
-    }
-    let exposures: Vec<Exposure> = exposures.into_iter().flatten().collect();
-    let mut by_step = steps;
-    by_step.sort_by(f64::total_cmp);
-    let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
-    let odd = order.iter().filter(|&&i| kept.contains(&true) && !kept[i]);
-    let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
-    let kept = if odd.is_empty() { String::new() } else { format!("; that of {} is not believed", odd.join(", ")) };
-    warnings.push(warning(format!("{what}{kept}; their steps are about {} EV", listed.join(", "))));
-    if exposures.len() != pictures.len() {
-        return Err(unknown("the pixels give no usable number"));
-    }
-    Ok(exposures)
 }
 
 /// `exposure` with what the file says of its parts. A time that the pixels belie is not repeated.
@@ -469,5 +405,6 @@ pub(crate) fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
         .collect()
 }
 
+mod exposures;
 #[cfg(test)]
 mod tests;

@@ -23,7 +23,7 @@ pub(crate) use load::differing_profiles;
 pub use load::{LoadOptions, load, load_with_progress};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
-pub(crate) use reference::meant;
+pub(crate) use reference::named;
 pub use window::{Codes, Window};
 
 use crate::budget::Budget;
@@ -105,6 +105,8 @@ pub struct Frame {
     pub profile: Option<Profile>,
     /// What else the camera noted.
     pub capture: Capture,
+    /// Why it is not to be merged, unless the user says otherwise: its light is not that of the others.
+    pub excluded: Option<String>,
 }
 
 impl Frame {
@@ -121,7 +123,17 @@ impl Frame {
     fn stored(path: PathBuf, size: (usize, usize), store: Store, well_exposed: u64, exposure: Exposure) -> Self {
         let (width, height) = size;
         assert!(width > 0 && height > 0 && store.len() == 3 * width * height, "a frame holds three samples a pixel");
-        Frame { path, width, height, store, well_exposed, exposure, profile: None, capture: Capture::default() }
+        Frame {
+            path,
+            width,
+            height,
+            store,
+            well_exposed,
+            exposure,
+            profile: None,
+            capture: Capture::default(),
+            excluded: None,
+        }
     }
 
     /// The file it came from.
@@ -242,7 +254,7 @@ impl Bracket {
                 other_size: (first.width, first.height),
             });
         }
-        let chosen = reference::chosen(&frames, reference)?;
+        let chosen = reference::chosen(&reference::paths(&frames), reference)?;
         frames
             .sort_by(|a, b| a.exposure.relative().total_cmp(&b.exposure.relative()).then_with(|| a.path.cmp(&b.path)));
         let reference = match chosen {
@@ -324,7 +336,7 @@ impl Bracket {
     /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has
     /// that name.
     pub fn named(&self, path: &Path) -> Option<usize> {
-        reference::named(&self.frames, path)
+        reference::named(&reference::paths(&self.frames), path)
     }
 
     /// The frame that the others are aligned to, and whose rectangle the result has.

@@ -21,38 +21,32 @@ pub enum ReferenceChoice {
     File(PathBuf),
 }
 
-/// The path of the frame that the user chose among `frames`, which are as given; `None` for the automatic choice.
-pub(super) fn chosen(frames: &[Frame], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
+/// The path that the user chose among `paths`, which are as given; `None` for the automatic choice.
+pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
     match choice {
         ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_) => Ok(None),
         ReferenceChoice::Number(n) => {
-            n.checked_sub(1).and_then(|i| frames.get(i)).map(|frame| Some(frame.path.clone())).ok_or_else(|| {
+            n.checked_sub(1).and_then(|i| paths.get(i)).map(|path| Some(path.to_path_buf())).ok_or_else(|| {
                 Error::Option {
                     option: "--reference",
-                    reason: format!("there is no photograph number {n}; give 1 to {}, or a file name", frames.len()),
+                    reason: format!("there is no photograph number {n}; give 1 to {}, or a file name", paths.len()),
                 }
             })
         }
-        ReferenceChoice::File(path) => find(frames, path).map(Some),
+        ReferenceChoice::File(path) => find(paths, path).map(Some),
     }
 }
 
-/// The path of the frame that is meant by `path`.
-fn find(frames: &[Frame], path: &Path) -> Result<PathBuf> {
-    named(frames, path).map(|i| frames[i].path.clone()).ok_or_else(|| Error::Option {
+/// Which of `paths` is meant by `path`.
+fn find(paths: &[&Path], path: &Path) -> Result<PathBuf> {
+    named(paths, path).map(|i| paths[i].to_path_buf()).ok_or_else(|| Error::Option {
         option: "--reference",
         reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
     })
 }
 
-/// Which of `frames` is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file
-/// has that name.
-pub(super) fn named(frames: &[Frame], path: &Path) -> Option<usize> {
-    meant(&frames.iter().map(|frame| &*frame.path).collect::<Vec<_>>(), path)
-}
-
-/// As [`named`], of the files `paths`.
-pub(crate) fn meant(paths: &[&Path], path: &Path) -> Option<usize> {
+/// Which of `paths` is meant by `path`: the same, as given or by another way to the same file; or the only one whose file has that name.
+pub(crate) fn named(paths: &[&Path], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
     let same_file = || real(path).and_then(|wanted| paths.iter().position(|p| real(p).as_deref() == Some(&wanted)));
     let same_name = || {
@@ -62,10 +56,19 @@ pub(crate) fn meant(paths: &[&Path], path: &Path) -> Option<usize> {
     paths.iter().position(|p| *p == path).or_else(same_file).or_else(same_name)
 }
 
+/// Where `frames` are from, in their order.
+pub(super) fn paths(frames: &[Frame]) -> Vec<&Path> {
+    frames.iter().map(Frame::path).collect()
+}
+
 /// The frame that sees the most: see [`ReferenceChoice::Auto`]. Frames are by rising exposure.
-/// None of `except` is chosen, unless there is no other.
+/// None of `except` is chosen and none that is excluded, unless there is no other.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
-    let excluded: Vec<usize> = except.iter().filter_map(|path| named(frames, path)).collect();
+    let paths = paths(frames);
+    let mut excluded: Vec<usize> = except.iter().filter_map(|path| named(&paths, path)).collect();
+    excluded.extend((0..frames.len()).filter(|&i| frames[i].excluded.is_some()));
+    excluded.sort_unstable();
+    excluded.dedup();
     let is_open = |i: usize| !excluded.contains(&i) || excluded.len() >= frames.len();
     best_of(frames, is_open).unwrap_or(frames.len() / 2)
 }
@@ -116,7 +119,7 @@ mod tests {
     #[test]
     fn the_users_choice_is_by_number_or_by_name() {
         let frames = [frame("a.png", 1), frame("b.png", 1)];
-        let name = |choice| chosen(&frames, &choice).map(|p| p.unwrap());
+        let name = |choice| chosen(&paths(&frames), &choice).map(|p| p.unwrap());
         assert_eq!(name(ReferenceChoice::Number(2)).unwrap(), Path::new("b.png"));
         assert_eq!(name(ReferenceChoice::File("a.png".into())).unwrap(), Path::new("a.png"));
         for wrong in [ReferenceChoice::Number(0), ReferenceChoice::Number(3), ReferenceChoice::File("c.png".into())] {

@@ -73,7 +73,7 @@ mod tests {
         let noted = |f_number| Exposure::from_camera(0.1, f_number, Some(100.0), String::new()).unwrap();
         assert!(check(&frame(noted(Some(8.0)))).is_ok());
         assert!(check(&frame(noted(None))).is_ok(), "a lens without contacts");
-        for (exposure, said) in [(Exposure::given(-2.0), "given by -e"), (Exposure::estimated(0.0), "estimated")] {
+        for (exposure, said) in [(Exposure::given(-2.0), "given by -e"), (Exposure::estimated(0.0, 0.1), "estimated")] {
             let error = check(&frame(exposure.unwrap())).unwrap_err();
             let text = error.to_string();
             assert!(error.is_usage() && text.starts_with("--normalize: ") && text.contains("a.jpg"), "{text}");

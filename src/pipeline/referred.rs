@@ -63,9 +63,9 @@ fn is_open(options: &Options) -> bool {
         && options.align.given.iter().all(|given| given.place == Place::LeftOut)
 }
 
-/// Which frames the user wants left out.
+/// Which frames are left out: those that the user names, and those that are excluded by themselves.
 fn left_out(bracket: &Bracket, options: &Options) -> Vec<bool> {
-    let mut out = vec![false; bracket.frames().len()];
+    let mut out: Vec<bool> = bracket.frames().iter().map(|frame| frame.excluded.is_some()).collect();
     options.align.given.iter().filter_map(|given| bracket.named(&given.path)).for_each(|i| out[i] = true);
     out
 }

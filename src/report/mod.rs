@@ -135,6 +135,8 @@ pub struct FrameReport {
     pub relative_exposure: f64,
     /// By how much the pixels corrected it.
     pub exposure_correction_stops: f64,
+    /// Standard deviation of an exposure that was estimated from the pixels, from the nearest that is known; null of others.
+    pub exposure_uncertainty_stops: Option<f64>,
     /// Whether t, ISO and N are taken as they are written, or for the exact steps that they were rounded from.
     pub exposure_reading: Reading,
     /// Where that is from.
@@ -257,6 +259,7 @@ fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize
         iso: exposure.iso,
         relative_exposure: exposure.relative(),
         exposure_correction_stops: exposure.correction_stops(),
+        exposure_uncertainty_stops: exposure.uncertainty_stops,
         exposure_reading: exposure.reading,
         exposure_source: exposure.source,
         exposure_tags: exposure.tags.clone(),

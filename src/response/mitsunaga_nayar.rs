@@ -20,10 +20,10 @@
 //!   R agrees best with the exposures as they were given.
 
 use super::fit::{self, Found, Told};
+use super::least_squares::LeastSquares;
 use super::samples::{Sample, View};
 use super::{CODES, MID, ResponseCurve, hat};
 use crate::error::{Error, Result};
-use nalgebra::{DMatrix, DVector};
 use std::ops::RangeInclusive;
 
 /// Degrees among which the data choose.
@@ -214,37 +214,24 @@ impl Pairs {
     /// The coefficients of f for the ratios at hand, errors relative to the `f` before, and the condition of the problem.
     fn solve(&self, f: &[f64; CODES], trust: &[f64], degree: usize) -> Told<(Vec<f64>, f64)> {
         let mid = chebyshev(MID as f64);
-        let mut matrix = DMatrix::<f64>::zeros(degree, degree);
-        let mut right = DVector::<f64>::zeros(degree);
-        let mut row = vec![0.0; degree];
+        let mut equations = LeastSquares::new(degree);
+        let mut row = vec![0.0; degree + 1];
         let inverse: Vec<f64> = self.ratios.iter().map(|ratio| libm::exp(-ratio.ln_ratio)).collect();
         for pair in &self.all {
             let ratio = inverse[pair.ratio];
-            let scale = ratio * fit::at(f, pair.longer.code);
-            let weight = pair.weight * trust[pair.sample] / (scale * scale);
             let (a, b) = &pair.terms;
             // c_0 = 1 - sum c_n T_n(128), n > 0, for f(128) = 1.
             let constant = 1.0 - ratio;
             for n in 1..=degree {
                 row[n - 1] = a[n] - ratio * b[n] - constant * mid[n];
             }
-            for i in 0..degree {
-                right[i] -= weight * row[i] * constant;
-                for k in 0..=i {
-                    matrix[(i, k)] += weight * row[i] * row[k];
-                }
-            }
+            row[degree] = -constant;
+            let scale = ratio * fit::at(f, pair.longer.code);
+            equations.push(&row, (pair.weight * trust[pair.sample]).sqrt() / scale);
         }
-        matrix.fill_upper_triangle_with_lower_triangle();
-        let svd = matrix.symmetric_eigen();
-        let (least, most) = (svd.eigenvalues.min(), svd.eigenvalues.max());
-        let condition = if least > 0.0 { (most / least).sqrt() } else { f64::INFINITY };
-        fit::determined(condition)?;
-        let mut found = svd.eigenvectors.tr_mul(&right);
-        found.component_div_assign(&svd.eigenvalues);
-        let found = &svd.eigenvectors * found;
-        let first = 1.0 - dot(found.as_slice(), &mid[1..]);
-        Ok((std::iter::once(first).chain(found.iter().copied()).collect(), condition))
+        let (found, condition) = equations.solve()?;
+        let first = 1.0 - dot(&found, &mid[1..]);
+        Ok((std::iter::once(first).chain(found).collect(), condition))
     }
 
     /// ln f(longer) - ln f(shorter) of a pair.

@@ -12,6 +12,7 @@ mod csv;
 pub mod debevec;
 pub mod file;
 pub(crate) mod fit;
+mod least_squares;
 pub mod mitsunaga_nayar;
 mod monotone;
 pub mod ratios;

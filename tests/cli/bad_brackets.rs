@@ -57,10 +57,18 @@ fn png(picture: &RgbImage) -> Vec<u8> {
 
 /// A JPEG whose EXIF has nothing but this exposure time, in s.
 fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
-    let field =
-        Field { tag: Tag::ExposureTime, ifd_num: In::PRIMARY, value: Exif::Rational(vec![Rational { num, denom }]) };
+    shot(picture, (num, denom), false)
+}
+
+/// `picture` as a JPEG whose EXIF has the time, and whether the flash fired.
+fn shot(picture: &RgbImage, (num, denom): (u32, u32), flash: bool) -> Vec<u8> {
+    let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
+    let time = field(Tag::ExposureTime, Exif::Rational(vec![Rational { num, denom }]));
+    // 0x19: fired, in automatic mode; 0x18: did not fire.
+    let flash = field(Tag::Flash, Exif::Short(vec![0x18 + u16::from(flash)]));
     let mut writer = Writer::new();
-    writer.push_field(&field);
+    writer.push_field(&time);
+    writer.push_field(&flash);
     let mut exif = Cursor::new(Vec::new());
     writer.write(&mut exif, false).expect("EXIF");
     let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");

@@ -134,7 +134,7 @@ fn by_time(photographs: Vec<Placed>, options: &FindOptions) -> Vec<(Vec<Grouped>
             serial: header.serial.clone(),
             lens: header.lens.clone(),
             size: (header.width, header.height),
-            flash: header.flash,
+            flash: header.exposure.flash,
             is_timed: header.taken.is_some(),
         };
         streams.entry(stream).or_default().push(placed);

@@ -26,13 +26,14 @@ impl Files {
 
 const WIDTH: usize = 128;
 
-/// A smooth scene `ev` stops over its base, under sRGB's curve at the contrast of a camera.
+/// A smooth scene `ev` stops over its base, under sRGB's curve with the shoulder and the contrast of a camera.
 fn exposed(ev: f64) -> Vec<u8> {
     (0..WIDTH * 96)
         .flat_map(|i| {
             let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
             let scene = 2.5 * (x / 23.0).sin() + 2.0 * (y / 19.0).cos();
-            let light = 2f64.powf(1.4 * (scene + ev - 2.5));
+            let power = 2f64.powf(scene + ev - 2.5).min(1.0).powf(1.5);
+            let light = 9.0 * power / (1.0 + 8.0 * power);
             let v = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
             [(v.min(1.0) * 255.0) as u8; 3]
         })

@@ -11,6 +11,11 @@ fn stops(merged: &Merged, a: &str, b: &str) -> f64 {
     libm::log2(relative(merged, b) / relative(merged, a))
 }
 
+/// Where the exposures of `files` are from.
+fn sources<'a>(merged: &'a Merged, files: &[&str]) -> Vec<&'a str> {
+    files.iter().map(|file| merged.frame(file)["exposure_source"].as_str().expect("a text")).collect()
+}
+
 /// The frames 2, 3 and 4, two stops apart, with the EXIF of those of `exif`.
 fn window(folder: &Folder, exif: [usize; 3]) -> String {
     exposed(folder, &[(&frame(2), exif[0]), (&frame(3), exif[1]), (&frame(4), exif[2])])
@@ -41,6 +46,7 @@ fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
         folder.put("f3.jpg", &odd);
         let merged = merged(&folder, &names);
         assert!(merged.warns(true, &["f3.jpg does not say how it was exposed"]), "{:?}", merged.warnings());
+        assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg"]), ["exif", "exif", "estimated"]);
         assert!((stops(&merged, "f2.jpg", "f3.jpg") - 2.0).abs() < 0.4, "{}", stops(&merged, "f2.jpg", "f3.jpg"));
     }
 }
@@ -144,9 +150,7 @@ fn one_frame_that_is_at_odds_does_not_spoil_the_others() {
         "{:?}",
         merged.warnings()
     );
-    let sources = ["f1.jpg", "f2.jpg", "f3.jpg"]
-        .map(|file| merged.frame(file)["exposure_source"].as_str().expect("a text").to_owned());
-    assert_eq!(sources, ["exif", "exif", "estimated"]);
+    assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg"]), ["exif", "exif", "estimated"]);
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 1e-6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
     assert_eq!(merged.status("f3.jpg"), "rejected");
 }
@@ -189,5 +193,84 @@ fn a_blank_frame_beside_good_ones_is_left_out() {
         assert_eq!(merged.status("f3.jpg"), "rejected");
         assert!(merged.warns(true, &["f3.jpg: left out"]), "{:?}", merged.warnings());
         assert!(merged.confidence("f1.jpg").min(merged.confidence("f2.jpg")) > 0.8);
+    }
+}
+
+/// `picture` with a light of the camera's own on what is near.
+fn lit(mut picture: RgbImage) -> RgbImage {
+    for (x, y, pixel) in picture.enumerate_pixels_mut() {
+        let near = libm::exp(-((f64::from(x) - 150.0).powi(2) + (f64::from(y) - 100.0).powi(2)) / 8000.0);
+        pixel.0 = pixel.0.map(|code| (f64::from(code) + 160.0 * near).min(255.0) as u8);
+    }
+    picture
+}
+
+/// Three frames, and one with flash at the settings of the first.
+fn with_flash(folder: &Folder) -> &'static str {
+    for (i, denom) in [128, 32, 8].into_iter().enumerate() {
+        folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
+    }
+    folder.put("flash.jpg", &shot(&lit(frame(2)), (1, 128), true));
+    "f1.jpg f2.jpg f3.jpg flash.jpg"
+}
+
+#[test]
+fn flash_in_one_frame_excludes_it_and_the_others_keep_their_exif() {
+    let folder = Folder::empty();
+    let names = with_flash(&folder);
+    let alone = merged(&folder, "f1.jpg f2.jpg f3.jpg");
+    let merged = merged(&folder, names);
+    assert!(merged.warns(true, &["flash.jpg: the flash fired", "excluded", "-e"]), "{:?}", merged.warnings());
+    assert_eq!(merged.warnings().len(), 1, "{:?}", merged.warnings());
+    assert_eq!(merged.status("flash.jpg"), "rejected");
+    assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg", "flash.jpg"]), ["exif"; 4]);
+    assert_eq!(merged.radiance, alone.radiance);
+    assert_eq!(strict(&folder, names), 3);
+}
+
+#[test]
+fn flash_frame_is_merged_where_the_user_insists_or_too_few_are_left() {
+    let folder = Folder::empty();
+    let names = with_flash(&folder);
+    let given = merged(&folder, &format!("{names} -e=-2,0,2,-1 --align none"));
+    assert!(
+        given.status("flash.jpg") != "rejected" && !given.warns(true, &["the flash fired"]),
+        "{:?}",
+        given.warnings()
+    );
+    let reference = merged(&folder, &format!("{names} --reference flash.jpg --align none"));
+    assert_eq!(reference.status("flash.jpg"), "reference");
+    assert!(
+        reference.warns(true, &["flash.jpg: the flash fired", "merged all the same"]),
+        "{:?}",
+        reference.warnings()
+    );
+    let two = merged(&folder, "f2.jpg flash.jpg --align none");
+    assert!(two.status("flash.jpg") != "rejected");
+    assert!(two.warns(true, &["flash.jpg: the flash fired", "merged all the same"]), "{:?}", two.warnings());
+}
+
+#[test]
+fn exif_one_frame_wrong_only_that_frame_is_estimated() {
+    // Of each of four frames in turn the time is wrong: far too long, or far too short.
+    let times = [(1, 512), (1, 128), (1, 32), (1, 8)];
+    for odd in 0..4 {
+        for factor in [(4000, 1), (1, 4000)] {
+            let folder = Folder::empty();
+            for (i, (num, denom)) in times.into_iter().enumerate() {
+                let by = if i == odd { factor } else { (1, 1) };
+                folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 1), num * by.0, denom * by.1));
+            }
+            let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg f4.jpg");
+            let wrong = format!("that of f{}.jpg is not believed", odd + 1);
+            assert!(merged.warns(true, &["contradict the pixels", &wrong]), "{:?}", merged.warnings());
+            let files = ["f1.jpg", "f2.jpg", "f3.jpg", "f4.jpg"];
+            let expected: Vec<&str> = (0..4).map(|i| if i == odd { "estimated" } else { "exif" }).collect();
+            assert_eq!(sources(&merged, &files), expected);
+            for pair in files.windows(2) {
+                let seen = stops(&merged, pair[0], pair[1]);
+                assert!((seen - 2.0).abs() < 0.6, "{odd} {factor:?}, {pair:?}: {seen}");
+            }
+        }
     }
 }
