@@ -225,44 +225,37 @@ mod tests {
         assert!(matches!(whole(Path::new("/proc/self/status"), 1 << 20), Err(Error::Changed { .. })));
     }
 
-    /// Writers that append, cut and write anew, as fast as they can: a read gives all of one state, or says that there was none.
+    /// Each change comes after the first bytes were read and before the others are.
     #[test]
-    fn a_file_is_read_of_one_moment_or_not_at_all() {
-        use std::io::{Seek, Write};
-        use std::sync::atomic::{AtomicBool, Ordering};
+    fn file_changed_between_two_reads_is_refused() {
+        use std::io::Write;
+        use std::time::Duration;
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a");
-        std::fs::write(&path, vec![0; 1 << 20]).unwrap();
-        let (is_over, started) = (AtomicBool::new(false), AtomicBool::new(false));
-        let (mut read, mut changed) = (0, 0);
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                let mut file = File::options().write(true).open(&path).unwrap();
-                let mut length = 1 << 20;
-                while !is_over.load(Ordering::Relaxed) {
-                    file.rewind().unwrap();
-                    length = (length * 7 / 5) % (3 << 20) + 4096;
-                    file.set_len(length / 2).unwrap();
-                    file.write_all(&vec![1; length as usize]).unwrap();
-                    started.store(true, Ordering::Relaxed);
-                }
-            });
-            while !started.load(Ordering::Relaxed) {
-                std::thread::yield_now();
-            }
-            for _ in 0..10_000 {
-                match whole(&path, 1 << 30) {
-                    Ok(_) => read += 1,
-                    Err(Error::Changed { .. }) => changed += 1,
-                    Err(error) => panic!("{error}"),
-                }
-                if changed >= 20 {
-                    break;
-                }
-            }
-            is_over.store(true, Ordering::Relaxed);
-        });
-        assert!(changed > 0, "{read} reads, and none saw a change");
+        let length = 4 * BEGIN as usize;
+        let write = || File::options().write(true).open(&path).unwrap();
+        let append = || File::options().append(true).open(&path).unwrap().write_all(&[2]).unwrap();
+        let cut = || write().set_len(BEGIN + 1).unwrap();
+        let overwrite = || write().write_all(&vec![2; length]).unwrap();
+        let changes: [(&str, &dyn Fn()); 3] = [("append", &append), ("cut", &cut), ("overwrite", &overwrite)];
+        for (name, change) in changes {
+            std::fs::write(&path, vec![1; length]).unwrap();
+            // Two writes within one tick of the clock are of one time.
+            write().set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
+            let changed = |_: &[u8]| {
+                change();
+                Ok(())
+            };
+            assert!(matches!(whole_if(&path, 1 << 20, changed), Err(Error::Changed { .. })), "{name}");
+        }
+        // Another file under the same name is not the one that is open.
+        std::fs::write(&path, vec![1; length]).unwrap();
+        let replace = |_: &[u8]| {
+            std::fs::write(dir.path().join("b"), [2]).unwrap();
+            std::fs::rename(dir.path().join("b"), &path).unwrap();
+            Ok(())
+        };
+        assert_eq!(whole_if(&path, 1 << 20, replace).unwrap(), vec![1; length]);
     }
 
     #[test]

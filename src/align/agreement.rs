@@ -7,9 +7,10 @@
 
 use super::common_exposure::CommonExposure;
 use super::warp::map;
-use crate::plane::{Plane, map_bands};
+use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 
 /// Tiles along the long side.
 const TILES: usize = 16;
@@ -98,11 +99,8 @@ pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     // Of a strip that is longer than so many squares the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
-    // One task a tile; bands of one row each serve as the indexed map.
-    let tiles: Vec<Tile> = map_bands(rows * columns, |range| {
-        range.map(|i| judge(both, &warped, i % columns * side, i / columns * side, side)).collect::<Vec<_>>()
-    })
-    .concat();
+    let judged = |i| judge(both, &warped, i % columns * side, i / columns * side, side);
+    let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(judged).collect();
     let mut sum = Agreement::default();
     let mut displaced = Vec::new();
     let mut each = Vec::with_capacity(tiles.len());

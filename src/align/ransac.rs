@@ -206,8 +206,11 @@ pub(super) mod tests {
 
     #[test]
     fn nonsense_has_no_consensus_worth_the_name() {
-        let found = search(&pairs(100, 100, 0.0), &RansacOptions::default());
-        assert!(found.is_none_or(|f| f.inliers.len() < 12));
+        // 2.5 px about the right place are 6.5e-6 of the picture, and one draw of 13 is same-handed: with 96 others, 3000 trials meet a fifth
+        // inlier by chance in 13 % of the searches, and a sixth in none.
+        let search_with = |seed| search(&pairs(100, 100, 0.0), &RansacOptions { seed, ..RansacOptions::default() });
+        let found: Vec<Consensus> = (0..20).filter_map(search_with).collect();
+        assert!(found.len() <= 8 && found.iter().all(|f| f.inliers.len() == 5), "{found:?}");
         assert!(search(&pairs(3, 0, 0.0), &RansacOptions::default()).is_none());
     }
 

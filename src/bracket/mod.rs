@@ -38,6 +38,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use window::Store;
 
+/// Extensions of the photographs that are taken from a folder, in any case.
+pub(crate) const EXTENSIONS: [&str; 7] = ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff"];
+
 /// The code values of a picture: interleaved RGB by rows, three to a pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {

@@ -33,7 +33,7 @@ Examples:
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
     /// Folders to search, with all that is in them
-    #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name", "tmo_set"])]
+    #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name"])]
     folders: Vec<PathBuf>,
 
     /// Print what was found, and what was left over and why; merge nothing
@@ -199,9 +199,8 @@ impl Acting {
 }
 
 pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error> {
-    let help = (args.places.name == "help").then(|| format!("--name TEMPLATE, of\n{}", Template::help()));
-    if let Some(help) = args.acting.merging.tone.help().or(help) {
-        super::tell(&help)?;
+    if args.places.name == "help" {
+        super::tell(&format!("--name TEMPLATE, of\n{}", Template::help()))?;
         return Ok(ExitCode::SUCCESS);
     }
     let typed = matches.map(Acting::typed).unwrap_or_default();

@@ -93,10 +93,6 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    if let Some(help) = args.merging.tone.help() {
-        super::tell(&help)?;
-        return Ok(ExitCode::SUCCESS);
-    }
     let options = args.options()?;
     leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
     let mut bar = Bar::new(

@@ -102,6 +102,9 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
+    if let Some(settings) = tone::settings_asked(Cli::command()) {
+        return ended("", tell(&settings).map(|()| ExitCode::SUCCESS));
+    }
     let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
     let (command, matches) = match parsed {
         Ok(parsed) => parsed,
@@ -124,6 +127,11 @@ pub fn run() -> ExitCode {
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
     };
+    ended(name, outcome)
+}
+
+/// The exit code of the command `name`; what failed is told.
+fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {

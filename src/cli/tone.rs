@@ -1,6 +1,6 @@
 //! Arguments of the commands that tone-map.
 
-use clap::{Args, ValueEnum};
+use clap::{Args, FromArgMatches, ValueEnum};
 use hdralign::error::Error;
 use hdralign::tonemap::{Operator, Rendering};
 
@@ -58,11 +58,6 @@ impl OperatorArg {
 }
 
 impl Tone {
-    /// What may be set of the tone mapping named, where that is asked for.
-    pub fn help(&self) -> Option<String> {
-        self.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut self.tmo.rendering()))
-    }
-
     /// The operator with what was set of it, for radiance alone.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
@@ -88,6 +83,16 @@ impl Tone {
         }
         Ok(rendering)
     }
+}
+
+/// The settings of the tone mapping that the command line names, where it asks for them by `--tmo-set help`. Nothing else need be given.
+pub fn settings_asked(command: clap::Command) -> Option<String> {
+    let matches = command.ignore_errors(true).try_get_matches().ok()?;
+    let (_, own) = matches.subcommand()?;
+    // An error where the command has no tone mapping.
+    own.try_contains_id("tmo_set").ok()?;
+    let tone = Tone::from_arg_matches(own).ok()?;
+    tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo.rendering()))
 }
 
 /// What there is to be set of `rendering`.

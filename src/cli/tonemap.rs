@@ -62,10 +62,6 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    if let Some(help) = args.tone.help() {
-        super::tell(&help)?;
-        return Ok(ExitCode::SUCCESS);
-    }
     let outputs = match args.output.as_slice() {
         [] => vec![pipeline::default_picture(&args.input)],
         named => named.to_vec(),

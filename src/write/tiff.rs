@@ -5,8 +5,8 @@
 //! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
 //! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4 (tag 34675).
 //!
-//! The `tiff` crate's encoder writes the byte order of the machine and compresses only whole pictures, so the little that is needed of
-//! the structure is here; its decoder is the judge in the tests.
+//! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so the little that is
+//! needed of the structure is here; the tests read it back by that crate's decoder.
 
 use super::deflate::zlib;
 use super::ifd::{Directory, tag};

@@ -1,4 +1,4 @@
-//! The contract of the program (docs: exit codes, streams, files, report), held through the binary.
+//! The program, through its binary: exit codes, streams, files, reports, goldens, faults of the machine.
 
 #[path = "../support/mod.rs"]
 mod support;
@@ -7,12 +7,16 @@ mod bad_brackets;
 mod batch;
 mod cards;
 mod compare;
+mod faults;
 mod ghosts;
+mod golden;
 mod inspect;
+mod kills;
 mod limits;
 mod memory;
 mod names;
 mod numbers;
+mod page;
 mod places;
 mod refusals;
 mod report;

@@ -134,6 +134,14 @@ fn every_operator_has_its_look_and_its_settings() {
         assert!(help.code == 0 && help.stdout.contains(name) && help.stdout.contains("saturation="), "{help:?}");
         refused(folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set colour=1")), 2, "has no `colour`");
     }
+    // Neither a radiance map nor photographs are needed for that.
+    let help = folder.line("tonemap room.exr --tmo drago --tmo-set help").done();
+    for line in
+        ["tonemap --tmo drago --tmo-set help", "merge --tmo-set help --tmo drago", "batch --tmo=drago --tmo-set=help"]
+    {
+        assert_eq!(folder.line(line).done().stdout, help.stdout, "{line}");
+    }
+    refused(folder.line("align --tmo-set help"), 2, "--tmo-set");
     refused(folder.line("tonemap room.exr --tmo-set brightness=7"), 2, "from 0.1 to 0.9");
     refused(folder.line("tonemap room.exr --tmo-set brightness"), 2, "KEY=VALUE");
     refused(folder.line("tonemap room.exr --tmo-set brightness=much"), 2, "is no number");

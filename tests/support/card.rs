@@ -260,7 +260,7 @@ fn chance(view: u64, what: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// The value of `testdata/window`'s camera (`tests/window/camera.rs`) for one that was exposed `ev` stops less.
+/// The value of `testdata/window`'s camera (`tests/library/testdata/window/camera.rs`) for one that was exposed `ev` stops less.
 fn pushed(value: u8, ev: f64) -> u8 {
     let (power, knee) = (0.8, 0.45);
     let y = f64::from(value) / 255.0;

@@ -110,8 +110,9 @@ fn the_error_it_states_is_of_the_right_order() {
         actual += (dx - 0.7).powi(2) + (dy - 0.4).powi(2);
         stated += found.error_px * found.error_px;
     }
-    // It is what independent noise would leave. Smoothed by 1 px, 4 pi = 12.6 neighbouring points share theirs: the truth is up to
-    // sqrt(12.6) = 3.5 times as much, less by the noise that smoothing removes being counted at all, more by rounding and the jitter.
+    // Smoothed by 1 px, 4 pi = 12.6 neighbouring points share their noise: the error is up to sqrt(12.6) = 3.5 times what independent noise
+    // would leave, of which NOISE_FACTOR times is stated: a ratio of up to 0.89, less by the noise that smoothing removes being counted at
+    // all. Of 20 shots the ratio is known to 11 %.
     let ratio = f64::sqrt(actual / stated);
-    assert!((0.5..5.0).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
+    assert!((0.5..1.0).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
 }

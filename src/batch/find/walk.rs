@@ -5,6 +5,7 @@
 //! Files by their own name come before links to them, whatever the order of the entries, so that a link is what is left over.
 
 use super::{LeftOver, Reason};
+use crate::bracket::EXTENSIONS;
 use crate::error::{Error, Result};
 use crate::intake::identity;
 use crate::pipeline::natural;
@@ -74,7 +75,7 @@ impl Kind {
     pub(super) fn of(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         Some(match extension.as_str() {
-            "jpg" | "jpeg" | "jpe" | "jfif" | "png" | "tif" | "tiff" => Kind::Picture,
+            picture if EXTENSIONS.contains(&picture) => Kind::Picture,
             "heic" | "heif" | "hif" => Kind::Other("HEIC"),
             "avif" => Kind::Other("AVIF"),
             "webp" => Kind::Other("WebP"),

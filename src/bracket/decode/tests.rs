@@ -255,14 +255,12 @@ fn what_follows_or_pads_a_whole_jpeg_does_no_harm() {
     assert!(is_damage(read(&thumbnail[..second.len() + 20])));
 }
 
-/// Found by reading for the fuzzer: each piece was taken out by moving all that follows, 10^11 bytes here.
+/// That it takes little time is checked by `tests/cli/limits.rs`.
 #[test]
-fn a_million_bytes_between_segments_take_no_time() {
+fn many_pieces_between_segments_do_no_harm() {
     let whole = jpeg(&scene(64, 48), 64);
-    let padding = [0, 0xFF, 0x01].repeat(300_000);
-    let began = std::time::Instant::now();
+    let padding = [0, 0xFF, 0x01].repeat(3_000);
     assert_eq!(eight(read(&[&whole[..20], &padding, &whole[20..]].concat())), eight(read(&whole)));
-    assert!(began.elapsed().as_secs() < 4, "{:?}", began.elapsed());
 }
 
 #[test]

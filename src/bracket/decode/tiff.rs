@@ -1,4 +1,4 @@
-//! TIFF: grey, palette, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
+//! TIFF: grey, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
 //!
 //! In: the file. Out: RGB at the file's depth; grey of fewer than 8 bit becomes 8. Cost: that of the `tiff` crate.
 //! Source: TIFF 6.0; TIFF/EP and DNG for the tags that tell a camera raw file.

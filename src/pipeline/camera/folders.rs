@@ -3,13 +3,11 @@
 //! In: photographs and folders, as they are typed. Out: the photographs of each bracket. Cost: reading the folders.
 
 use super::super::names::natural;
+use crate::bracket::EXTENSIONS;
 use crate::bracket::header::Header;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use std::path::{Path, PathBuf};
-
-/// Extensions of the photographs that are taken from a folder, in any case.
-const PHOTOGRAPHS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 
 /// `images` by the folders that they are in, in the order of the first of each; of a folder, the photographs in it by name.
 pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
@@ -45,7 +43,7 @@ fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = entries.map(|e| Ok(e?.path())).collect::<std::io::Result<Vec<_>>>().map_err(unreadable)?;
     let extension = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let is_hidden = |p: &Path| p.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    paths.retain(|p| PHOTOGRAPHS.contains(&extension(p).as_str()) && !is_hidden(p) && p.is_file());
+    paths.retain(|p| EXTENSIONS.contains(&extension(p).as_str()) && !is_hidden(p) && p.is_file());
     paths.retain(|p| !Header::read(p, &Limits::default()).is_ok_and(|header| header.is_ours()));
     paths.sort_by(|a, b| natural(a, b));
     if paths.len() < 2 {
@@ -68,11 +66,14 @@ mod tests {
         for folder in ["a", "b", "empty"] {
             std::fs::create_dir(at(folder)).unwrap();
         }
-        for name in ["a/10.JPG", "a/9.jpg", "a/notes.txt", "a/.10.jpg", "b/1.png", "b/2.tif"] {
+        for name in ["a/10.JPG", "a/9.jpg", "a/notes.txt", "a/.10.jpg", "b/1.png", "b/2.tif", "a/8.jfif", "a/7.JPE"] {
             std::fs::write(at(name), "").unwrap();
         }
         let all = brackets(&[at("a"), at("b/2.tif"), at("b/1.png")]).unwrap();
-        assert_eq!(all, [[at("a/9.jpg"), at("a/10.JPG")], [at("b/2.tif"), at("b/1.png")]]);
+        assert_eq!(
+            all,
+            [vec![at("a/7.JPE"), at("a/8.jfif"), at("a/9.jpg"), at("a/10.JPG")], vec![at("b/2.tif"), at("b/1.png")]]
+        );
         assert!(brackets(&[at("empty")]).unwrap_err().to_string().contains("0 photographs"));
         assert!(brackets(&[at("a"), at("b/1.png")]).unwrap_err().to_string().contains("only"));
         assert!(matches!(brackets(&[at("b/1.png")]), Err(Error::TooFewFrames { given: 1 })));

@@ -1,20 +1,18 @@
 //! A run is killed at a random moment, again and again, by what nothing can hear: what has its final name is whole, and what else is left are
 //! temporary files, which the next run takes away.
 //!
-//! `HDRALIGN_KILLS` says how often, 12 by default; `HDRALIGN_SEED` when; `HDRALIGN_BIN` which program. One kill in three is of each: a `merge` of
+//! `HDRALIGN_KILLS` says how many kills come in time, 12 by default; `HDRALIGN_SEED` when; `HDRALIGN_BIN` which program. One kill in three is of each: a `merge` of
 //! new files, a `merge --force` over older ones, a `batch` that goes on from kill to kill.
 
 #![cfg(unix)]
 
-mod support;
-
+use crate::support::card::Card;
+use crate::support::{Folder, jpeg, program, shrink, window, without};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-use support::card::Card;
-use support::{Folder, jpeg, program, shrink, window, without};
 
 const MERGE: &str =
     "merge w2.jpg w3.jpg w4.jpg -q -o r/a.exr -o r/a.png -o r/a.jpg -o r/a.tif -o r/a.hdr --save-response r/a.csv";
@@ -170,7 +168,7 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
 
     run(&folder, &format!("{MERGE} {OLDER}"));
     let older = files(&results);
-    let merging = run(&folder, &format!("{MERGE} --force"));
+    let mut merging = run(&folder, &format!("{MERGE} --force"));
     let newer = files(&results);
     assert!(newer.len() == 6 && newer.iter().all(|(path, bytes)| older[path] != *bytes), "the two differ");
     let batching = run(&folder, BATCH);
@@ -179,7 +177,13 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
     let without = without("anonymous").map_or(Vec::new(), Vec::from);
     let mut random = Random(number("HDRALIGN_SEED").unwrap_or(1));
     let mut tally = Tally::default();
-    for i in 0..number("HDRALIGN_KILLS").unwrap_or(12) {
+    let wanted = number("HDRALIGN_KILLS").unwrap_or(12) as usize;
+    // One that came too late, as where the machine is less busy than it was, is tried again.
+    for i in 0.. {
+        if tally.in_time >= wanted {
+            break;
+        }
+        assert!(tally.kills < 4 * wanted, "too few came in time: {tally:?}");
         tally.kills += 1;
         // Every other time where the system has no anonymous files.
         let before = if i % 2 == 1 { &without[..] } else { &[] };
@@ -189,7 +193,7 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
                 fs::remove_dir_all(&results).and_then(|()| fs::create_dir(&results)).expect("an empty folder");
                 tally.in_time += usize::from(kill(&folder, MERGE, before, when(merging, &results)));
                 tally.check(&results, &[&newer]);
-                run(&folder, &format!("{MERGE} --force"));
+                merging = run(&folder, &format!("{MERGE} --force"));
                 assert!(is_complete(&results, &newer), "{tally:?}");
             }
             1 => {
@@ -198,7 +202,7 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
                     usize::from(kill(&folder, &format!("{MERGE} --force"), before, when(merging, &results)));
                 tally.check(&results, &[&older, &newer]);
                 assert!(newer.keys().all(|path| path.is_file()), "an older file was lost: {tally:?}");
-                run(&folder, &format!("{MERGE} --force"));
+                merging = run(&folder, &format!("{MERGE} --force"));
                 assert!(is_complete(&results, &newer), "{tally:?}");
             }
             _ => {
@@ -219,5 +223,4 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
         }
     }
     println!("{tally:?}");
-    assert!(tally.kills < 12 || tally.in_time > tally.kills / 3, "too few came in time: {tally:?}");
 }

@@ -1,16 +1,14 @@
 //! Goldens: every folder of `tests/golden/` is a case. Its `arguments` say how much smaller the bracket is made and what the program
 //! is told; every other file in it is a result, to the byte.
 //!
-//! `HDRALIGN_BLESS=1 cargo test --test golden` writes them anew: look at what has changed before committing it. Where a result
+//! `HDRALIGN_BLESS=1 cargo test --test cli golden` writes them anew: look at what has changed before committing it. Where a result
 //! differs, `target/golden/` gets expected, difference and actual side by side. A new case is a folder with its `arguments` and
 //! empty files of the names wanted.
 
-mod support;
-
+use crate::support::{FRAMES, Folder, shrink, window};
 use image::{Rgb, RgbImage};
 use std::fs;
 use std::path::{Path, PathBuf};
-use support::{FRAMES, Folder, shrink, window};
 
 /// What all goldens together may weigh, in bytes.
 const MOST_BYTES: usize = 400_000;

@@ -3,9 +3,6 @@
 
 #![cfg(unix)]
 
-#[path = "../support/mod.rs"]
-mod support;
-
 mod disk;
 mod inputs;
 mod limits;
@@ -13,11 +10,11 @@ mod places;
 mod signals;
 mod streams;
 
+use crate::support::{Folder, Run, jpeg, program, shrink, window};
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
-use support::{Folder, Run, jpeg, program, shrink, window};
 
 /// Three frames of 150 x 100 pixels, `w2.jpg` to `w4.jpg`: every run is a fraction of a second.
 fn bracket() -> Folder {
@@ -48,18 +45,10 @@ fn shell(folder: &Folder, script: &str) -> Run {
     Run { code, stdout: text(&output.stdout), stderr: text(&output.stderr) }
 }
 
-/// As [`shell`], and again where Rust's own runtime ended itself: a thread that was given its stack, and then no room for the small one that
-/// the runtime puts beside it, says so and aborts before any of the program runs.
-fn settled(folder: &Folder, script: &str) -> Run {
-    let is_settled = |run: &Run| !run.stderr.contains("failed to allocate an alternative stack");
-    let mut tries = std::iter::repeat_with(|| shell(folder, script)).take(8);
-    tries.find(is_settled).unwrap_or_else(|| shell(folder, script))
-}
-
 /// Runs `script`, and holds what every failure has in common: the exit code, a message with all of `said`, no panic, and nothing left behind or lost.
 fn fails(folder: &Folder, script: &str, code: i32, said: &[&str]) {
     let before = folder.listing();
-    let run = settled(folder, script);
+    let run = shell(folder, script);
     assert_eq!(run.code, code, "{script}\n{}", run.stderr);
     for part in said {
         assert!(run.stderr.contains(part), "{script}\n{}does not say {part:?}", run.stderr);
@@ -76,14 +65,4 @@ fn unnamed(folder: &Path) -> usize {
         _ => usize::from(entry.file_name().to_string_lossy().starts_with(".hdralign-")),
     };
     entries.map(count).sum()
-}
-
-/// Whether this machine lets us `script`; where it does not, a test says so and holds nothing.
-fn can(what: &str, script: &str) -> bool {
-    let done = Command::new("sh").args(["-c", script]).stdout(Stdio::null()).stderr(Stdio::null()).status();
-    let can = done.is_ok_and(|status| status.success());
-    if !can {
-        eprintln!("NOT TESTED: this machine does not let us {what}");
-    }
-    can
 }

@@ -1,7 +1,6 @@
 //! Several brackets of one camera and one scene: one unit of radiance, one response.
 
-mod support;
-
+use crate::support::{FRAMES, Folder, jpeg};
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
@@ -12,7 +11,6 @@ use hdralign::response::ResponseModel;
 use hdralign::response::ratios::Exposures;
 use image::{Rgb, RgbImage};
 use std::path::PathBuf;
-use support::{FRAMES, Folder, jpeg};
 
 const SIZE: (u32, u32) = (160, 120);
 

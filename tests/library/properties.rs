@@ -1,6 +1,6 @@
 //! Properties that hold of any small bracket, any options, any radiance: seeded, so that every run tries the same.
 //!
-//! `PROPTEST_CASES=5000 cargo test --test properties` tries more of them.
+//! `PROPTEST_CASES=5000 cargo test --test library properties` tries more of them.
 
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::LoadOptions;

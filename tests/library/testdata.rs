@@ -2,7 +2,7 @@
 //!
 //! To render it all again (a few minutes on two cores; `testdata/window/README.md` says more):
 //!
-//!     cargo test --release --test testdata -- --ignored render_the_bracket
+//!     cargo test --release --test library -- --ignored render_the_bracket
 //!
 //! `WINDOW_PREVIEW=scale,samples` renders only a picture to look at, `target/window-preview.png`, while the scene is
 //! being changed.

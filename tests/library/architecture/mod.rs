@@ -244,7 +244,7 @@ const OF_THE_PROCESSOR: [&str; 3] = ["matrixmultiply", "gemm", "blas-src"];
 
 #[test]
 fn no_crate_has_the_processor_choose_the_order_of_sums() {
-    let lock = include_str!("../../Cargo.lock");
+    let lock = include_str!("../../../Cargo.lock");
     assert!(lock.contains("name = \"nalgebra\""), "the check is blind");
     let found = OF_THE_PROCESSOR.iter().filter(|name| lock.contains(&format!("name = \"{name}\"")));
     assert_none(found.map(|name| format!("Cargo.lock: {name}")).collect(), "bytes would differ between processors");

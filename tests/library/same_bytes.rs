@@ -1,7 +1,6 @@
 //! The same bytes for the same photographs, on any number of threads, in any order and by any instructions.
 
-mod support;
-
+use crate::support::{FRAMES, Folder, jpeg, shrink, window};
 use hdralign::bracket::colour::Space;
 use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
@@ -12,7 +11,6 @@ use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 use serde_json::Value;
 use std::fs;
 use std::path::PathBuf;
-use support::{FRAMES, Folder, jpeg, shrink, window};
 
 /// Every format that is written, and the response.
 const OUTPUTS: [&str; 5] = ["a.exr", "a.hdr", "a.tif", "a.png", "response.json"];
