@@ -8,7 +8,7 @@ use super::schedule::Ending;
 use super::step::{Brief, Failure};
 use crate::error::{Error, Result};
 use crate::intake;
-use crate::write;
+use crate::write::{self, Target};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -233,7 +233,7 @@ impl Summary {
 /// # Errors
 /// [`Error::Write`].
 pub fn check(path: &Path, overwrite: bool) -> Result<()> {
-    write::check_targets(&files(path), &[], overwrite || is_summary(path)).map_err(kept)
+    write::check_targets(&Target::of("-d", &files(path)), &[], overwrite || is_summary(path)).map_err(kept)
 }
 
 /// The summary `path` and its table.
