@@ -142,3 +142,28 @@ fn a_rotation_out_of_range_is_an_error() {
     }
     assert!(AlignOptions::default().validate().is_ok());
 }
+
+#[test]
+fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
+    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame between.
+    let truth = shift(11.0, -7.0);
+    let take =
+        |name: &str, seed, warp: &Warp, ev| frame(name, &Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)), ev);
+    let reference = || take("reference", 41, &Warp::Identity, -7.0);
+    let bright = || take("bright", 41, &truth, 7.0);
+    let align = |frames| {
+        let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+        align(&bracket, &AlignOptions::default()).unwrap().0
+    };
+    assert_eq!(statuses(&align(vec![reference(), bright()])), [Status::Reference, Status::Rejected]);
+    let between = [take("middle", 41, &shift(-9.0, 6.0), 0.0), take("stranger", 42, &Warp::Identity, 2.0)];
+    let alignment = align([vec![reference()], between.into(), vec![bright()]].concat());
+    assert_eq!(
+        statuses(&alignment),
+        [Status::Reference, Status::Aligned, Status::Rejected, Status::Aligned],
+        "{:?}",
+        alignment.verdicts
+    );
+    let error = alignment.verdicts[3].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+    assert!(error < 2.0, "{error} px");
+}
