@@ -129,6 +129,18 @@ pub enum Error {
         /// Why one of the others was left out.
         reason: String,
     },
+    /// A frame was placed where it has no pixel in common with the reference and the other frames.
+    #[error(
+        "{}: does not overlap {} and the other frames; exclude it with --leave-out, or correct its transform in the file of transforms",
+        path.display(),
+        reference.display()
+    )]
+    NoOverlap {
+        /// The frame that overlaps the reference least.
+        path: PathBuf,
+        /// The reference.
+        reference: PathBuf,
+    },
     /// An option has a value that cannot be used, by itself or with these inputs.
     #[error("{option}: {reason}")]
     Option {

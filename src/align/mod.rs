@@ -285,7 +285,8 @@ const DOUBT: f64 = 0.5;
 /// Places every frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
+/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in common; [`Error::Scratch`].
+/// That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = given::verdicts(bracket, &options.given)?;
@@ -295,9 +296,9 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
         AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
         AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
-    let warnings = warn(bracket, &verdicts);
-    let warps: Vec<Warp> = verdicts.iter().filter_map(|v| v.warp).collect();
-    let overlap = overlap::largest(&warps, bracket.width(), bracket.height());
+    let mut warnings = warn(bracket, &verdicts);
+    let (overlap, small) = common_overlap(bracket, &verdicts)?;
+    warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
 }
 
@@ -324,6 +325,9 @@ fn search(
     let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
     match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
         None => Ok(found),
+/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
+const LEAST_OVERLAP: f64 = 0.5;
         Some(error) => Err(error),
     }
 }
@@ -344,6 +348,30 @@ impl Seen {
         let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
         // What is brighter than nearly all may burn out: a lamp still has its edge.
         let stops = nearly_most.leading_zeros().min(MOST_STOPS);
+/// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
+fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
+    let (width, height) = (bracket.width(), bracket.height());
+    let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
+    let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();
+    let common = overlap::largest(&warps, width, height);
+    let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
+    // The frame that overlaps least by itself, and by how much; of equals the first.
+    let least = || {
+        let shares = placed.iter().map(|&(i, warp)| (i, overlap::largest(&[warp], width, height).map_or(0.0, share)));
+        let (i, share) =
+            shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
+        (bracket.frames()[i].path().to_path_buf(), share)
+    };
+    match common {
+        Some(rect) if share(rect) >= LEAST_OVERLAP => Ok((rect, None)),
+        Some(rect) => {
+            let (path, overlap) = least();
+            Ok((rect, Some(Warning::SmallOverlap { path, overlap, common: share(rect) })))
+        }
+        None => Err(Error::NoOverlap { path: least().0, reference: bracket.reference().path().to_path_buf() }),
+    }
+}
+
         Seen {
             stops: (stops >= LEAST_STOPS).then_some(stops),
             is_blank: nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK,

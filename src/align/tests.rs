@@ -167,3 +167,29 @@ fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
     let error = alignment.verdicts[3].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
     assert!(error < 2.0, "{error} px");
 }
+
+#[test]
+fn small_overlap_is_warned_of_and_none_is_an_error() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, 2.0)]);
+    let align = |shifts: [f64; 2]| {
+        let place =
+            |dx| given::Place::Found(Verdict { warp: Some(shift(dx, 0.0)), ..Verdict::by_definition(Status::Aligned) });
+        let given = [1, 2].map(|i| Given { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
+        super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
+    };
+    // 384 pixels wide. Half of them are enough.
+    assert_eq!(align([-192.0, 0.0]).unwrap().1, []);
+    for sign in [-1.0, 1.0] {
+        let (alignment, warnings) = align([sign * 10.0, sign * 288.0]).unwrap();
+        assert_eq!(alignment.overlap.width(), 96);
+        let expected = Warning::SmallOverlap { path: "2".into(), overlap: 0.25, common: 0.25 };
+        assert!(expected.degrades());
+        assert_eq!(warnings, [expected]);
+        let error = align([0.0, sign * 400.0]).unwrap_err();
+        assert!(matches!(&error, Error::NoOverlap { path, .. } if path.as_os_str() == "2"), "{error}");
+        // Each overlaps the reference, but not the other.
+        assert!(
+            matches!(align([-sign * 200.0, sign * 250.0]), Err(Error::NoOverlap { path, .. }) if path.as_os_str() == "2")
+        );
+    }
+}

@@ -22,6 +22,21 @@ pub enum Warning {
         /// 0..1.
         confidence: f64,
     },
+    /// Less than half of the reference is common to all frames.
+    #[error(
+        "{}: overlaps {:.0} % of the reference, all frames together {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
+        path.display(),
+        100.0 * overlap,
+        100.0 * common
+    )]
+    SmallOverlap {
+        /// The frame that overlaps the reference least.
+        path: PathBuf,
+        /// The share of the reference that this frame covers by its largest rectangle, 0..1.
+        overlap: f64,
+        /// The share that all frames cover together, 0..1.
+        common: f64,
+    },
     /// A photograph is there twice.
     #[error("{}: has the same pixels as {}; it adds nothing, leave one of them out", path.display(), other.display())]
     SamePixels {
@@ -177,6 +192,7 @@ impl Warning {
                 | Warning::SamePixels { .. }
                 | Warning::NothingToAlign { .. }
                 | Warning::LowConfidence { .. }
+                | Warning::SmallOverlap { .. }
                 | Warning::ExposureContradicted { .. }
                 | Warning::ExposureEstimated { .. }
                 | Warning::ExposureDoubtful { .. }

@@ -80,3 +80,37 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
         assert!(run.code == 2 && run.stderr.contains(says), "{run:?}");
     }
 }
+
+/// The small bracket and its transforms `t.json`, of which `change` makes others for `w2.jpg`.
+fn with_place(change: impl Fn(&mut Value)) -> Folder {
+    let folder = Folder::with_bracket();
+    folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
+    let mut saved: Value = serde_json::from_slice(&folder.bytes("t.json")).expect("JSON");
+    let frames = saved["frames"].as_array_mut().expect("frames");
+    change(frames.iter_mut().find(|f| f["file"] == "w2.jpg").expect("the frame"));
+    folder.put("t.json", saved.to_string().as_bytes());
+    folder
+}
+
+#[test]
+fn small_overlap_is_a_warning_and_none_an_error() {
+    let shifted = |dx: f64| {
+        with_place(|frame| {
+            frame["status"] = "aligned".into();
+            frame["homography"] = serde_json::json!([1.0, 0.0, dx, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        })
+    };
+    for dx in [-250.0, 250.0] {
+        let folder = shifted(dx);
+        let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr --json --strict");
+        assert_eq!(run.code, 3, "{run:?}");
+        assert!(run.stderr.contains("w2.jpg: overlaps 17 % of the reference"), "{run:?}");
+        let width = report(&run.stdout)["crop"]["width_px"].as_u64().expect("a width");
+        assert!((40..=50).contains(&width), "{width} of 50 pixels");
+    }
+    let folder = shifted(400.0);
+    let before = folder.listing();
+    let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr");
+    assert!(run.code == 1 && run.stderr.contains("w2.jpg: does not overlap w3.jpg"), "{run:?}");
+    assert_eq!(folder.listing(), before);
+}
