@@ -142,7 +142,7 @@ pub enum Status {
     Aligned,
     /// Found not to have moved: its warp is exactly the identity.
     Unmoved,
-    /// Not placed; it takes no part in what follows.
+    /// Could not be placed; it takes no part in what follows.
     Rejected,
 }
 
@@ -163,6 +163,31 @@ pub enum Model {
 impl Model {
     /// The model that `warp` is of.
     pub fn of(warp: &Warp) -> Self {
+    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
+    /// ([`RejectedBy`]).
+    #[serde(rename = "rejected", skip_deserializing)]
+    Excluded,
+}
+
+/// Who took a frame out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RejectedBy {
+    /// The alignment, which could not place it.
+    Alignment,
+    /// The user.
+    User,
+}
+
+impl Status {
+    /// Who took the frame out; none where it takes part.
+    pub fn rejected_by(self) -> Option<RejectedBy> {
+        match self {
+            Status::Reference | Status::Aligned | Status::Unmoved => None,
+            Status::Rejected => Some(RejectedBy::Alignment),
+            Status::Excluded => Some(RejectedBy::User),
+        }
+    }
         match *warp {
             Warp::Identity => Model::Unmoved,
             Warp::Rigid { angle: 0.0, .. } => Model::Shift,
@@ -213,9 +238,9 @@ impl Rect {
 pub struct Verdict {
     /// What became of the frame.
     pub status: Status,
-    /// The smallest model that explains its motion; none where it was rejected.
+    /// The smallest model that explains its motion; none where it takes no part.
     pub model: Option<Model>,
-    /// Its warp, reference pixel -> frame pixel; none where it was rejected.
+    /// Its warp, reference pixel -> frame pixel; none where it takes no part.
     pub warp: Option<Warp>,
     /// Matches that RANSAC agreed on; none where features were not needed.
     pub inliers: Option<usize>,
@@ -266,8 +291,7 @@ impl Alignment {
     /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
     pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
         let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
-        let taking_part = all.filter(|(_, (_, verdict))| verdict.status != Status::Rejected);
-        taking_part.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
+        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
     }
 }
 
@@ -300,6 +324,9 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let (overlap, small) = common_overlap(bracket, &verdicts)?;
     warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
+/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
+const LEAST_OVERLAP: f64 = 0.5;
 }
 
 /// What `find` makes of the bracket, where nothing is `given`.
@@ -321,33 +348,6 @@ fn search(
             Plane::filled(bracket.width(), bracket.height(), 0)
         })
     };
-    let reference = bracket.reference_index();
-    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
-    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        None => Ok(found),
-/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
-const LEAST_OVERLAP: f64 = 0.5;
-        Some(error) => Err(error),
-    }
-}
-
-/// How a frame is looked at.
-struct Seen {
-    /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
-    stops: Option<u32>,
-    /// Whether it is as good as blank.
-    is_blank: bool,
-    /// Whether it is of one tone, blank or not.
-    is_plain: bool,
-}
-
-impl Seen {
-    fn of(whole: &Window) -> Self {
-        let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
-        let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
-        // What is brighter than nearly all may burn out: a lamp still has its edge.
-        let stops = nearly_most.leading_zeros().min(MOST_STOPS);
 /// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
 fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
@@ -372,6 +372,30 @@ fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Opti
     }
 }
 
+    let reference = bracket.reference_index();
+    let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
+    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        None => Ok(found),
+        Some(error) => Err(error),
+    }
+}
+
+/// How a frame is looked at.
+struct Seen {
+    /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
+    stops: Option<u32>,
+    /// Whether it is as good as blank.
+    is_blank: bool,
+    /// Whether it is of one tone, blank or not.
+    is_plain: bool,
+}
+
+impl Seen {
+    fn of(whole: &Window) -> Self {
+        let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
+        let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
+        // What is brighter than nearly all may burn out: a lamp still has its edge.
+        let stops = nearly_most.leading_zeros().min(MOST_STOPS);
         Seen {
             stops: (stops >= LEAST_STOPS).then_some(stops),
             is_blank: nearly_most <= BLANK || nearly_least >= u8::MAX - BLANK,
@@ -421,8 +445,6 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
         match verdict.status {
-            // Only the user's own word is as sure as that: nothing to tell.
-            Status::Rejected if verdict.confidence == 1.0 => {}
             Status::Rejected => {
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });

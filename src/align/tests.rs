@@ -193,3 +193,21 @@ fn small_overlap_is_warned_of_and_none_is_an_error() {
         );
     }
 }
+
+#[test]
+fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0)]);
+    let by_user = Verdict::by_definition(Status::Aligned);
+    let with = |dx| Verdict { warp: Some(shift(dx, 0.0)), ..by_user.clone() };
+    for (verdict, says) in [
+        (with(f64::NAN), "homography"),
+        (Verdict { warp: None, ..by_user.clone() }, "no homography"),
+        (Verdict { status: Status::Rejected, ..by_user.clone() }, "has a place"),
+        (Verdict { confidence: f64::NAN, ..by_user.clone() }, "confidence"),
+    ] {
+        let given = vec![Given { path: "1".into(), place: given::Place::Found(verdict) }];
+        let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
+        assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
+        assert!(error.to_string().contains(says), "{error}");
+    }
+}

@@ -21,7 +21,7 @@ mod cells;
 mod evidence;
 
 use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
@@ -128,7 +128,7 @@ pub fn find(
     let mut layers = Vec::new();
     let mut reference = 0;
     for (index, (frame, verdict)) in placed {
-        if let (Some(warp), true) = (verdict.warp, verdict.status != Status::Rejected) {
+        if let Some(warp) = verdict.warp {
             if index == bracket.reference_index() {
                 reference = layers.len();
             }
