@@ -118,15 +118,34 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
-    /// Checks the values against their ranges.
+    /// Checks the values against their ranges; what is [given](Self::given) is checked against the bracket.
     ///
     /// # Errors
     /// [`Error::Option`] for the first that is out of range.
     pub fn validate(&self) -> Result<()> {
-        let angle = self.mtb.max_rotation_deg;
-        if !(0.0..=45.0).contains(&angle) {
-            let reason = format!("{angle} is not within 0..45 degrees; give a number such as 5");
-            return Err(Error::Option { option: "--max-rotation", reason });
+        let numbers = |options: &AlignOptions| {
+            let (mtb, sift, ransac) = (&options.mtb, &options.sift, &options.ransac);
+            [
+                ("--max-rotation", mtb.max_rotation_deg, 0.0..=45.0, " degrees"),
+                ("mtb.max_shift", mtb.max_shift, 0.0..=1.0, " of the long side"),
+                ("sift.intervals", sift.intervals as f64, 1.0..=16.0, ""),
+                ("sift.sigma", sift.sigma, 0.5..=10.0, " pixels"),
+                ("sift.contrast", sift.contrast, 0.0..=1.0, ""),
+                ("sift.edge_ratio", sift.edge_ratio, 1.0..=1e6, ""),
+                ("sift.max_keypoints", sift.max_keypoints as f64, 1.0..=f64::INFINITY, ""),
+                ("ratio", options.ratio, 0.0..=1.0, ""),
+                ("ransac.threshold", ransac.threshold, 1e-3..=1e3, " pixels"),
+                ("ransac.confidence", ransac.confidence, 0.0..=1.0, ""),
+                ("ransac.max_trials", ransac.max_trials as f64, 1.0..=f64::INFINITY, ""),
+            ]
+        };
+        let usual = numbers(&AlignOptions::default()).map(|(_, value, ..)| value);
+        for ((option, value, range, unit), usual) in numbers(self).into_iter().zip(usual) {
+            if !range.contains(&value) {
+                let (low, high) = range.into_inner();
+                let reason = format!("{value} is not within {low}..{high}{unit}; give a number such as {usual}");
+                return Err(Error::Option { option, reason });
+            }
         }
         Ok(())
     }
@@ -144,25 +163,6 @@ pub enum Status {
     Unmoved,
     /// Could not be placed; it takes no part in what follows.
     Rejected,
-}
-
-/// What a warp is allowed to do, from the least to the most.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// Nothing.
-    Unmoved,
-    /// Shift: two numbers.
-    Shift,
-    /// Shift and rotation about the centre: three numbers.
-    Rigid,
-    /// Any view of a plane, or any turn of the camera: eight numbers.
-    Homography,
-}
-
-impl Model {
-    /// The model that `warp` is of.
-    pub fn of(warp: &Warp) -> Self {
     /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
     /// ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
@@ -188,6 +188,25 @@ impl Status {
             Status::Excluded => Some(RejectedBy::User),
         }
     }
+}
+
+/// What a warp is allowed to do, from the least to the most.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// Nothing.
+    Unmoved,
+    /// Shift: two numbers.
+    Shift,
+    /// Shift and rotation about the centre: three numbers.
+    Rigid,
+    /// Any view of a plane, or any turn of the camera: eight numbers.
+    Homography,
+}
+
+impl Model {
+    /// The model that `warp` is of.
+    pub fn of(warp: &Warp) -> Self {
         match *warp {
             Warp::Identity => Model::Unmoved,
             Warp::Rigid { angle: 0.0, .. } => Model::Shift,
@@ -305,6 +324,9 @@ fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
 
 /// A place with less confidence is told to the user.
 const DOUBT: f64 = 0.5;
+/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
+const LEAST_OVERLAP: f64 = 0.5;
 
 /// Places every frame of `bracket`.
 ///
@@ -324,30 +346,8 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let (overlap, small) = common_overlap(bracket, &verdicts)?;
     warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
-/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
-const LEAST_OVERLAP: f64 = 0.5;
 }
 
-/// What `find` makes of the bracket, where nothing is `given`.
-fn search(
-    bracket: &Bracket,
-    options: &AlignOptions,
-    given: &[Option<Verdict>],
-    find: fn(&Search) -> Vec<Verdict>,
-) -> Result<Vec<Verdict>> {
-    let looked: Vec<Result<(Seen, GreyPyramid)>> = bracket.frames().par_iter().map(look).collect();
-    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
-    let is_plain = seen.iter().all(|s| s.is_plain);
-    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
-    let failed = Mutex::new(None);
-    let grey = |i: usize| {
-        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
-            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-            Plane::filled(bracket.width(), bracket.height(), 0)
-        })
-    };
 /// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
 fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
@@ -372,6 +372,25 @@ fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Opti
     }
 }
 
+/// What `find` makes of the bracket, where nothing is `given`.
+fn search(
+    bracket: &Bracket,
+    options: &AlignOptions,
+    given: &[Option<Verdict>],
+    find: fn(&Search) -> Vec<Verdict>,
+) -> Result<Vec<Verdict>> {
+    let looked: Vec<Result<(Seen, GreyPyramid)>> = bracket.frames().par_iter().map(look).collect();
+    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let blank: Vec<bool> = seen.iter().map(|s| s.is_blank).collect();
+    let is_plain = seen.iter().all(|s| s.is_plain);
+    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
+    let failed = Mutex::new(None);
+    let grey = |i: usize| {
+        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
+            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            Plane::filled(bracket.width(), bracket.height(), 0)
+        })
+    };
     let reference = bracket.reference_index();
     let found = find(&Search { pyramids: &pyramids, grey: &grey, blank: &blank, is_plain, reference, given, options });
     match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
