@@ -393,6 +393,7 @@ fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.align.validate()?;
+    options.rendering.validate()?;
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
     options.write.jpeg.validate()?;

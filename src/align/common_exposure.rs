@@ -37,8 +37,8 @@ impl Tones {
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let samples = sample(reference, frame, h);
         let as_they_are = std::array::from_fn(|v| v as f32);
-        let forth = IntensityMap::from_samples(&samples);
-        if forth.brightens() {
+        if is_brighter(&samples) {
+            let forth = IntensityMap::from_samples(&samples);
             let reference = std::array::from_fn(|v| forth.at(v as f32));
             return Tones { reference, frame: as_they_are, trusts: trusts(&forth) };
         }
@@ -93,6 +93,12 @@ fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8
     samples
 }
 
+/// Whether the second of each pair, the frame's grey value, is the brighter on average. Every sample counts once: grey values that do not
+/// occur have no part in it.
+fn is_brighter(samples: &[(u8, u8)]) -> bool {
+    samples.iter().map(|&(reference, frame)| i64::from(frame) - i64::from(reference)).sum::<i64>() >= 0
+}
+
 /// For each level of the brighter frame, how far it can be trusted.
 fn trusts(map: &IntensityMap) -> [f32; 256] {
     let mut trusts = [0.0; 256];
@@ -138,5 +144,25 @@ mod tests {
         // What is clipped in the brighter, or black in the darker, is worth nothing.
         let tones = Tones::between(&take(0.0), &take(3.0), &Matrix3::identity());
         assert_eq!((tones.trust(254.0), tones.trust(1.0)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn pair_without_highlights_maps_the_darker_to_the_brighter() {
+        // Up to 100 of 255, and one EV more: 100 x 2^(1 / 2.2) = 137.
+        let gain = 2f64.powf(1.0 / 2.2);
+        let ramp = |gain: f64| {
+            Plane::from_rows(101, 40, |_, row: &mut [u8]| {
+                row.iter_mut().enumerate().for_each(|(x, v)| *v = (gain * x as f64).round() as u8);
+            })
+        };
+        let (dark, bright) = (ramp(1.0), ramp(gain));
+        for (reference, frame) in [(&dark, &bright), (&bright, &dark)] {
+            let tones = Tones::between(reference, frame, &Matrix3::identity());
+            let is_frame_brighter = frame == &bright;
+            let (mapped, kept) =
+                if is_frame_brighter { (tones.reference, tones.frame) } else { (tones.frame, tones.reference) };
+            assert_eq!(kept[90], 90.0, "the brighter is kept");
+            assert!((f64::from(mapped[90]) - gain * 90.0).abs() < 1.0, "the darker is mapped: {}", mapped[90]);
+        }
     }
 }

@@ -22,7 +22,7 @@ use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// Features of a frame: of the plain picture, and of its threshold bitmaps.
 #[derive(Debug, Clone, Default)]
@@ -134,19 +134,45 @@ fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
     counts
 }
 
-/// Keypoints by the square of 2 x 2 pixels that they lie in.
-#[derive(Default)]
-struct Places(BTreeMap<(i64, i64), Vec<Keypoint>>);
+/// What lies at the points of a picture, by the square of 2 x 2 pixels that each lies in.
+struct Squares<T>(BTreeMap<(i64, i64), Vec<T>>);
 
-impl Places {
+impl<T> Default for Squares<T> {
+    fn default() -> Self {
+        Squares(BTreeMap::new())
+    }
+}
+
+impl<T> Squares<T> {
     fn square(k: &Keypoint) -> (i64, i64) {
         ((k.x / 2.0).floor() as i64, (k.y / 2.0).floor() as i64)
     }
 
+    fn add(&mut self, at: &Keypoint, what: T) {
+        self.0.entry(Self::square(at)).or_default().push(what);
+    }
+
+    /// All that may lie within two pixels of `point`.
+    fn about(&self, point: &Keypoint) -> impl Iterator<Item = &T> {
+        let (cx, cy) = Self::square(point);
+        let squares = (cy - 1..=cy + 1).flat_map(move |y| (cx - 1..=cx + 1).map(move |x| (x, y)));
+        squares.filter_map(|at| self.0.get(&at)).flatten()
+    }
+}
+
+/// Whether two keypoints lie within `radius` pixels of each other.
+fn are_within(radius: f32, a: &Keypoint, b: &Keypoint) -> bool {
+    let (dx, dy) = (a.x - b.x, a.y - b.y);
+    dx * dx + dy * dy <= radius * radius
+}
+
+/// Keypoints by where they lie.
+#[derive(Default)]
+struct Places(Squares<Keypoint>);
+
+impl Places {
     fn add(&mut self, points: &[Keypoint]) {
-        for k in points {
-            self.0.entry(Self::square(k)).or_default().push(*k);
-        }
+        points.iter().for_each(|k| self.0.add(k, *k));
     }
 
     /// How many of `points` are not there yet.
@@ -156,15 +182,31 @@ impl Places {
 
     /// Whether there is a point within a pixel of `point`, and of like scale.
     fn has(&self, point: &Keypoint) -> bool {
-        let same = |k: &Keypoint| {
-            let (dx, dy) = (k.x - point.x, k.y - point.y);
-            dx * dx + dy * dy <= 1.0 && k.scale < 1.3 * point.scale && point.scale < 1.3 * k.scale
-        };
-        let (cx, cy) = Self::square(point);
-        let squares = (cy - 1..=cy + 1).flat_map(|y| (cx - 1..=cx + 1).map(move |x| (x, y)));
-        squares.filter_map(|at| self.0.get(&at)).flatten().any(same)
+        let is_same =
+            |k: &Keypoint| are_within(1.0, k, point) && k.scale < 1.3 * point.scale && point.scale < 1.3 * k.scale;
+        self.0.about(point).any(is_same)
     }
 }
+
+/// Pairs of keypoints by where the first of each lies.
+#[derive(Default)]
+struct Joined(Squares<(Keypoint, Keypoint)>);
+
+impl Joined {
+    /// Adds the pair of `a` and `b`, unless there is one that joins the same two places: a point found in several pictures, or with two
+    /// directions, is one inlier or none. Returns whether it was added.
+    fn add(&mut self, a: &Keypoint, b: &Keypoint) -> bool {
+        let is_same = |(c, d): &(Keypoint, Keypoint)| are_within(ONE_PLACE, a, c) && are_within(ONE_PLACE, b, d);
+        let is_new = !self.0.about(a).any(is_same);
+        if is_new {
+            self.0.add(a, (*a, *b));
+        }
+        is_new
+    }
+}
+
+/// Keypoints no farther apart are at one place, in pixels of the level: about twice what each is off ([`KEYPOINT_PX`]).
+const ONE_PLACE: f32 = 1.5;
 
 /// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again among the matches
 /// near the places that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
@@ -234,7 +276,7 @@ impl Matches {
             [x, y]
         };
         let plain = [(&reference.plain, &frame.plain)];
-        let mut seen = BTreeSet::new();
+        let mut joined = Joined::default();
         let (pairs, scales) = plain
             .into_iter()
             .chain(reference.mtb.iter().zip(&frame.mtb))
@@ -242,7 +284,7 @@ impl Matches {
                 let matches = match_mutual(a, b, ratio, guide);
                 matches.into_iter().map(|m| (&a.keypoints[m.reference], &b.keypoints[m.frame]))
             })
-            .filter(|(a, b)| seen.insert(voice(a, b)))
+            .filter(|(a, b)| joined.add(a, b))
             .map(|(a, b)| ((full(a), full(b)), f64::from(a.scale.max(b.scale)).max(1.0)))
             .unzip();
         Matches { pairs, scales }
@@ -272,11 +314,6 @@ impl Matches {
         let rms = (squares(&homography).iter().sum::<f64>() / right.len() as f64).sqrt();
         Consensus { homography, rms, ..found }
     }
-}
-
-/// Two pairs that join the same two places, within a pixel or so, have one voice: a point found in several pictures, or with two directions.
-fn voice(a: &Keypoint, b: &Keypoint) -> [i64; 4] {
-    [a.x, a.y, b.x, b.y].map(|v| (v / 1.5).floor() as i64)
 }
 
 #[cfg(test)]

@@ -10,10 +10,11 @@
 //! ```
 //!
 //! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel; null for a frame that
-//! was left out.
+//! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
+//! excluded is rejected with confidence 1. A place without `confidence` is the user's word, and sure.
 
 use super::warp::{Warp, corners, map};
-use super::{Alignment, KeypointCounts, Model, Status, Verdict};
+use super::{Alignment, KeypointCounts, Model, RejectedBy, Status, Verdict};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;
@@ -54,7 +55,7 @@ impl Place {
                 model: None,
                 warp: None,
                 reason: Some("left out, as was asked".into()),
-                ..Verdict::by_definition(Status::Rejected)
+                ..Verdict::by_definition(Status::Excluded)
             },
         }
     }
@@ -64,7 +65,7 @@ impl Place {
 /// excluded by itself.
 ///
 /// # Errors
-/// [`Error::Option`] where the user names a file that is no frame, or wants the reference left out.
+/// [`Error::Option`] where the user names a file that is no frame, wants the reference left out, or gives a place that is none.
 pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
     let mut verdicts = vec![None; bracket.frames().len()];
     for Given { path, place } in given {
@@ -81,6 +82,10 @@ pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<
             }
             return Err(wrong(format!("{} is not among the photographs; name one of them", path.display())));
         };
+        if let Place::Found(verdict) = place {
+            check(verdict, (bracket.width(), bracket.height()))
+                .map_err(|reason| wrong(format!("{}: {reason}", path.display())))?;
+        }
         if i == bracket.reference_index() {
             if *place == Place::LeftOut {
                 let reason = format!("{} is the reference; choose another with --reference", path.display());
@@ -92,7 +97,8 @@ pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<
     }
     for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
         if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
-            verdicts[i] = Some(Verdict { reason: Some(reason.clone()), ..Place::LeftOut.verdict() });
+            let verdict = Place::LeftOut.verdict();
+            verdicts[i] = Some(Verdict { status: Status::Flash, reason: Some(reason.clone()), ..verdict });
         }
     }
     Ok(verdicts)
@@ -123,6 +129,8 @@ struct Document {
 struct FrameDocument {
     file: String,
     status: Status,
+    #[serde(default)]
+    rejected_by: Option<RejectedBy>,
     #[serde(default)]
     model: Option<Model>,
     homography: Option<[f64; 9]>,
@@ -167,6 +175,7 @@ impl SavedAlignment {
             FrameDocument {
                 file: text(&given.path),
                 status: verdict.status,
+                rejected_by: verdict.status.rejected_by(),
                 model: verdict.model,
                 homography: matrix.map(|h| std::array::from_fn(|i| h[(i / 3, i % 3)])),
                 error_px: verdict.error_px,
@@ -198,8 +207,8 @@ impl SavedAlignment {
     /// The places in `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, or a homography is none: nine finite numbers that keep the
-    /// picture's corners finite and its sides the right way round.
+    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, a confidence is not within 0..1, or a homography is
+    /// none: nine finite numbers that keep the picture's corners in front of the camera and its sides the right way round.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header =
@@ -260,35 +269,65 @@ impl SavedAlignment {
 }
 
 /// The verdict that `frame` stands for, or what is wrong with it.
-fn verdict(frame: FrameDocument, (width, height): (usize, usize)) -> std::result::Result<Verdict, String> {
-    let warp = match (frame.status, frame.homography) {
-        (Status::Rejected, _) => None,
-        (_, None) => return Err("it is to be merged, but has no homography".into()),
-        (Status::Unmoved | Status::Reference, Some(_)) => Some(Warp::Identity),
+fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Verdict, String> {
+    let (status, warp) = match (frame.status, frame.homography) {
+        (Status::Rejected | Status::Excluded | Status::Flash, _) => {
+            let by = match frame.rejected_by {
+                None if frame.confidence == Some(1.0) => RejectedBy::User,
+                None => RejectedBy::Alignment,
+                Some(by) => by,
+            };
+            let status = match by {
+                RejectedBy::Alignment => Status::Rejected,
+                RejectedBy::User => Status::Excluded,
+                RejectedBy::Flash => Status::Flash,
+            };
+            (status, None)
+        }
+        (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Warp::Identity)),
         (Status::Aligned, Some(h)) => {
             let h = Matrix3::from_row_slice(&h);
             let last = h[(2, 2)];
-            let h = if last == 1.0 { h } else { h / last };
-            let placed = corners(width, height).map(|(x, y)| map(&h, x, y));
-            let is_sane = h.iter().all(|v| v.is_finite())
-                && h.determinant() > 0.0
-                && placed.iter().all(|(x, y)| x.is_finite() && y.is_finite());
-            if !is_sane {
-                return Err("its homography is none: nine finite numbers that do not mirror the picture".into());
-            }
-            Some(Warp::Homography(h))
+            (Status::Aligned, Some(Warp::Homography(if last == 1.0 { h } else { h / last })))
         }
+        (Status::Unmoved | Status::Reference | Status::Aligned, None) => (frame.status, None),
     };
-    Ok(Verdict {
-        status: frame.status,
+    let by_default = if status == Status::Rejected { 0.0 } else { 1.0 };
+    let verdict = Verdict {
+        status,
         model: warp.map(|w| frame.model.unwrap_or(Model::of(&w))),
         warp,
         inliers: frame.inliers,
         keypoints: frame.keypoints,
-        error_px: frame.error_px.filter(|e| e.is_finite()),
-        confidence: frame.confidence.filter(|c| (0.0..=1.0).contains(c)).unwrap_or(1.0),
+        error_px: frame.error_px,
+        confidence: frame.confidence.unwrap_or(by_default),
         reason: frame.reason,
-    })
+    };
+    check(&verdict, size)?;
+    Ok(verdict)
+}
+
+/// Whether `verdict` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing mirrored.
+fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::result::Result<(), String> {
+    if !(0.0..=1.0).contains(&verdict.confidence) {
+        return Err(format!("its confidence is {}, and not within 0..1", verdict.confidence));
+    }
+    let takes_part = verdict.status.rejected_by().is_none();
+    let Some(warp) = verdict.warp else {
+        return if takes_part { Err("it is to be merged, but has no homography".into()) } else { Ok(()) };
+    };
+    let h = warp.matrix(width, height);
+    let is_seen = |&(x, y): &(f64, f64)| {
+        let (u, v) = map(&h, x, y);
+        h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0 && u.is_finite() && v.is_finite()
+    };
+    let is_sane =
+        h.iter().all(|v| v.is_finite()) && h.determinant() > 0.0 && corners(width, height).iter().all(is_seen);
+    match (takes_part, is_sane) {
+        (true, true) => Ok(()),
+        (true, false) => Err("its homography is none: nine finite numbers that keep the picture in front of the camera and do not mirror it".into()),
+        (false, _) => Err("it is rejected, but has a place".into()),
+    }
 }
 
 #[cfg(test)]
@@ -309,6 +348,7 @@ mod tests {
                 given("a.jpg", found(Status::Aligned, Some(Warp::Homography(h)))),
                 given("c.jpg", found(Status::Unmoved, Some(Warp::Identity))),
                 given("d.jpg", found(Status::Rejected, None)),
+                given("e.jpg", found(Status::Excluded, None)),
             ],
         }
     }
@@ -328,10 +368,36 @@ mod tests {
             (json.replace("transforms/1", "transforms/9"), "schema"),
             (json.replace("-7.25", "1e999"), "t.json"),
             (json.replace("0.999", "-0.999"), "a.jpg: its homography"),
+            // The horizon crosses the picture, 100 pixels from the left.
+            (json.replace("1e-7", "-0.01"), "a.jpg: its homography"),
+            (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
             (json.replace("\"width_px\": 400,", ""), "width_px"),
         ] {
             let message = refused(&text);
             assert!(message.contains("t.json") && message.contains(says), "{message}");
         }
+    }
+
+    #[test]
+    fn rejection_in_a_file_is_the_users_where_the_file_says_so() {
+        let status = |frame: serde_json::Value| {
+            let text = serde_json::json!({
+                "schema": SCHEMA, "width_px": 4, "height_px": 3, "reference": "b.jpg", "frames": [frame],
+            });
+            let saved = SavedAlignment::from_json(&text.to_string(), Path::new("t.json")).unwrap();
+            saved.frames[0].place.verdict().status
+        };
+        let base = serde_json::json!({ "file": "a.jpg", "status": "rejected", "homography": null });
+        let with = |key: &str, value: serde_json::Value| {
+            let mut frame = base.clone();
+            frame[key] = value;
+            frame
+        };
+        assert_eq!(status(base.clone()), Status::Rejected);
+        assert_eq!(status(with("rejected_by", "user".into())), Status::Excluded);
+        assert_eq!(status(with("rejected_by", "alignment".into())), Status::Rejected);
+        // As the versions before the key wrote it.
+        assert_eq!(status(with("confidence", 1.0.into())), Status::Excluded);
+        assert_eq!(status(with("confidence", 0.2.into())), Status::Rejected);
     }
 }

@@ -1,7 +1,7 @@
 //! LMedS: the homography that half of the matches fit best.
 //!
 //! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs for each
-//! of a fixed number of trials: 143 for a confidence of 0.9999. Source: Rousseeuw, "Least Median of Squares Regression", JASA 79(388),
+//! of a number of trials that follows from theirs: for a confidence of 0.9999 some 140, several times that for fewer than ten. Source: Rousseeuw, "Least Median of Squares Regression", JASA 79(388),
 //! 1984; the scale from the median and the refit are Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987, chapter 5).
 //!
 //! Beside RANSAC it needs no threshold to tell right from wrong, as the median itself says how far right ones scatter; but where more
@@ -11,8 +11,6 @@ use super::homography::{Pair, fit};
 use super::ransac::{Consensus, RansacOptions, distance_squared, guess, inliers, trials_for};
 use nalgebra::Matrix3;
 
-/// The share of right pairs for which there are trials enough: less the median cannot bear.
-const SHARE: f64 = 0.5;
 /// Standard deviations, by the median, within which a pair is right.
 const WITHIN: f64 = 2.5;
 /// Scatter that is taken for granted, in pixels: no keypoint is known better.
@@ -28,7 +26,8 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 5 {
         return None;
     }
-    let trials = trials_for(SHARE, options).min(options.max_trials);
+    // The least majority: fewer right pairs the median cannot bear.
+    let trials = trials_for(pairs.len() / 2 + 1, pairs.len(), options);
     let (median, mut h) = (0..trials)
         .filter_map(|trial| {
             let h = guess(pairs, options.seed, trial)?;
@@ -132,6 +131,6 @@ mod tests {
     #[test]
     fn the_number_of_trials_is_that_for_half_of_wrong_ones() {
         // ln(1 - 0.9999) / ln(1 - 1/16) = 142.7
-        assert_eq!(trials_for(SHARE, &RansacOptions::default()), 143);
+        assert_eq!(trials_for(501, 1000, &RansacOptions::default()), 143);
     }
 }

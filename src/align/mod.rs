@@ -117,15 +117,34 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
-    /// Checks the values against their ranges.
+    /// Checks the values against their ranges; what is [given](Self::given) is checked against the bracket.
     ///
     /// # Errors
     /// [`Error::Option`] for the first that is out of range.
     pub fn validate(&self) -> Result<()> {
-        let angle = self.mtb.max_rotation_deg;
-        if !(0.0..=45.0).contains(&angle) {
-            let reason = format!("{angle} is not within 0..45 degrees; give a number such as 5");
-            return Err(Error::Option { option: "--max-rotation", reason });
+        let numbers = |options: &AlignOptions| {
+            let (mtb, sift, ransac) = (&options.mtb, &options.sift, &options.ransac);
+            [
+                ("--max-rotation", mtb.max_rotation_deg, 0.0..=45.0, " degrees"),
+                ("mtb.max_shift", mtb.max_shift, 0.0..=1.0, " of the long side"),
+                ("sift.intervals", sift.intervals as f64, 1.0..=16.0, ""),
+                ("sift.sigma", sift.sigma, 0.5..=10.0, " pixels"),
+                ("sift.contrast", sift.contrast, 0.0..=1.0, ""),
+                ("sift.edge_ratio", sift.edge_ratio, 1.0..=1e6, ""),
+                ("sift.max_keypoints", sift.max_keypoints as f64, 1.0..=f64::INFINITY, ""),
+                ("ratio", options.ratio, 0.0..=1.0, ""),
+                ("ransac.threshold", ransac.threshold, 1e-3..=1e3, " pixels"),
+                ("ransac.confidence", ransac.confidence, 0.0..=1.0, ""),
+                ("ransac.max_trials", ransac.max_trials as f64, 1.0..=f64::INFINITY, ""),
+            ]
+        };
+        let usual = numbers(&AlignOptions::default()).map(|(_, value, ..)| value);
+        for ((option, value, range, unit), usual) in numbers(self).into_iter().zip(usual) {
+            if !range.contains(&value) {
+                let (low, high) = range.into_inner();
+                let reason = format!("{value} is not within {low}..{high}{unit}; give a number such as {usual}");
+                return Err(Error::Option { option, reason });
+            }
         }
         Ok(())
     }
@@ -141,8 +160,39 @@ pub enum Status {
     Aligned,
     /// Found not to have moved: its warp is exactly the identity.
     Unmoved,
-    /// Not placed; it takes no part in what follows.
+    /// Could not be placed; it takes no part in what follows.
     Rejected,
+    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
+    /// ([`RejectedBy`]).
+    #[serde(rename = "rejected", skip_deserializing)]
+    Excluded,
+    /// Excluded because the flash fired in it, unlike in the others; by the same name in files.
+    #[serde(rename = "rejected", skip_deserializing)]
+    Flash,
+}
+
+/// Who took a frame out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RejectedBy {
+    /// The alignment, which could not place it.
+    Alignment,
+    /// The user.
+    User,
+    /// The flash, which fired in this frame alone.
+    Flash,
+}
+
+impl Status {
+    /// Who took the frame out; none where it takes part.
+    pub fn rejected_by(self) -> Option<RejectedBy> {
+        match self {
+            Status::Reference | Status::Aligned | Status::Unmoved => None,
+            Status::Rejected => Some(RejectedBy::Alignment),
+            Status::Excluded => Some(RejectedBy::User),
+            Status::Flash => Some(RejectedBy::Flash),
+        }
+    }
 }
 
 /// What a warp is allowed to do, from the least to the most.
@@ -212,9 +262,9 @@ impl Rect {
 pub struct Verdict {
     /// What became of the frame.
     pub status: Status,
-    /// The smallest model that explains its motion; none where it was rejected.
+    /// The smallest model that explains its motion; none where it takes no part.
     pub model: Option<Model>,
-    /// Its warp, reference pixel -> frame pixel; none where it was rejected.
+    /// Its warp, reference pixel -> frame pixel; none where it takes no part.
     pub warp: Option<Warp>,
     /// Matches that RANSAC agreed on; none where features were not needed.
     pub inliers: Option<usize>,
@@ -265,8 +315,7 @@ impl Alignment {
     /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
     pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
         let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
-        let taking_part = all.filter(|(_, (_, verdict))| verdict.status != Status::Rejected);
-        taking_part.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
+        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
     }
 }
 
@@ -280,11 +329,15 @@ fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
 
 /// A place with less confidence is told to the user.
 const DOUBT: f64 = 0.5;
+/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
+const LEAST_OVERLAP: f64 = 0.5;
 
 /// Places every frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
+/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in common; [`Error::Scratch`].
+/// That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = given::verdicts(bracket, &options.given)?;
@@ -294,10 +347,34 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
         AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
         AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
-    let warnings = warn(bracket, &verdicts);
-    let warps: Vec<Warp> = verdicts.iter().filter_map(|v| v.warp).collect();
-    let overlap = overlap::largest(&warps, bracket.width(), bracket.height());
+    let mut warnings = warn(bracket, &verdicts);
+    let (overlap, small) = common_overlap(bracket, &verdicts)?;
+    warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
+}
+
+/// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
+fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
+    let (width, height) = (bracket.width(), bracket.height());
+    let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
+    let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();
+    let common = overlap::largest(&warps, width, height);
+    let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
+    // The frame that overlaps least by itself, and by how much; of equals the first.
+    let least = || {
+        let shares = placed.iter().map(|&(i, warp)| (i, overlap::largest(&[warp], width, height).map_or(0.0, share)));
+        let (i, share) =
+            shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
+        (bracket.frames()[i].path().to_path_buf(), share)
+    };
+    match common {
+        Some(rect) if share(rect) >= LEAST_OVERLAP => Ok((rect, None)),
+        Some(rect) => {
+            let (path, overlap) = least();
+            Ok((rect, Some(Warning::SmallOverlap { path, overlap, common: share(rect) })))
+        }
+        None => Err(Error::NoOverlap { path: least().0, reference: bracket.reference().path().to_path_buf() }),
+    }
 }
 
 /// What `find` makes of the bracket, where nothing is `given`.
@@ -401,8 +478,6 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
         let path = frame.path().to_path_buf();
         match verdict.status {
-            // Only the user's own word is as sure as that: nothing to tell.
-            Status::Rejected if verdict.confidence == 1.0 => {}
             Status::Rejected => {
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });

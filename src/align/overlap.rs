@@ -1,20 +1,20 @@
 //! The overlap: the largest rectangle of the reference that all placed frames cover.
 //!
-//! In: warps. Out: a [`Rect`]. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of its four
-//! edges, which a homography keeps straight; so for a left and a right edge the best upper and lower ones are known, and the logarithm of
-//! the area is concave in the other two: it has one top, found by halving.
+//! In: warps. Out: a [`Rect`], or none. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of
+//! its four edges, which a homography keeps straight; so for a left and a right edge the best upper and lower ones are known, and the
+//! logarithm of the area is concave in the other two: it has one top, found by halving. Where the height is negative it is concave itself,
+//! so that the search is led back; vertical edges bound the search.
 
 use super::Rect;
 use super::warp::Warp;
 use nalgebra::Vector3;
 
-/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; a single pixel where
-/// the frames have nothing in common.
-pub(super) fn largest(warps: &[Warp], width: usize, height: usize) -> Rect {
-    let whole = Rect { x0: 0, y0: 0, x1: width, y1: height };
+/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
+/// have no pixel in common.
+pub(super) fn largest(warps: &[Warp], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is positive.
-    let edges: Vec<Vector3<f64>> = warps
+    let (upright, sloping): (Vec<_>, Vec<_>) = warps
         .iter()
         .filter(|w| **w != Warp::Identity)
         .flat_map(|w| {
@@ -22,27 +22,20 @@ pub(super) fn largest(warps: &[Warp], width: usize, height: usize) -> Rect {
             let row = |i: usize| Vector3::new(h[(i, 0)], h[(i, 1)], h[(i, 2)]);
             [row(0), row(1), right * row(2) - row(0), bottom * row(2) - row(1)]
         })
-        .collect();
-    if edges.is_empty() {
-        return whole;
-    }
-    let span = |x0: f64, x1: f64| vertical_span(&edges, x0, x1, bottom);
+        .partition(|n| n.y == 0.0);
+    let (left, right) = horizontal_span(&upright, right)?;
+    let span = |x0: f64, x1: f64| vertical_span(&sloping, x0, x1, bottom);
     let area = |x0: f64, x1: f64| {
         let (y0, y1) = span(x0, x1);
-        // Below nothing, how far from something: so that the search is led back.
         if y1 < y0 { y1 - y0 } else { (x1 - x0 + 1.0) * (y1 - y0 + 1.0) }
     };
     let best_right = |x0: f64| top_of(|x1| area(x0, x1), x0, right);
-    let x0 = top_of(|x0| area(x0, best_right(x0)), 0.0, right);
+    let x0 = top_of(|x0| area(x0, best_right(x0)), left, right);
     let x1 = best_right(x0);
     let (x0, x1) = (inwards_up(x0), inwards_down(x1));
     let (y0, y1) = span(x0, x1);
     let (y0, y1) = (inwards_up(y0), inwards_down(y1));
-    if x1 < x0 || y1 < y0 {
-        let (x, y) = (width / 2, height / 2);
-        return Rect { x0: x, y0: y, x1: x + 1, y1: y + 1 };
-    }
-    Rect { x0: x0 as usize, y0: y0 as usize, x1: x1 as usize + 1, y1: y1 as usize + 1 }
+    (x0 <= x1 && y0 <= y1).then(|| Rect { x0: x0 as usize, y0: y0 as usize, x1: x1 as usize + 1, y1: y1 as usize + 1 })
 }
 
 /// A place that is whole but for rounding is whole.
@@ -56,18 +49,31 @@ fn inwards_down(v: f64) -> f64 {
     (v + WHOLE).floor()
 }
 
-/// The lowest and the highest row for which columns `x0` to `x1` are within all edges.
-fn vertical_span(edges: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f64, f64) {
+/// The first and the last column, of those up to `right`, that are within all `upright` edges (n.y = 0); none where there is no such column.
+fn horizontal_span(upright: &[Vector3<f64>], right: f64) -> Option<(f64, f64)> {
+    let (mut x0, mut x1) = (0.0f64, right);
+    for n in upright {
+        if n.x > 0.0 {
+            x0 = x0.max(-n.z / n.x);
+        } else if n.x < 0.0 {
+            x1 = x1.min(-n.z / n.x);
+        } else if n.z < 0.0 {
+            return None;
+        }
+    }
+    (x0 <= x1).then_some((x0, x1))
+}
+
+/// The lowest and the highest row for which columns `x0` to `x1` are within all `sloping` edges (n.y != 0).
+fn vertical_span(sloping: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f64, f64) {
     let (mut y0, mut y1) = (0.0f64, bottom);
-    for n in edges {
+    for n in sloping {
         // The corner that is nearest to the edge decides.
         let across = (n.x * x0).min(n.x * x1) + n.z;
         if n.y > 0.0 {
             y0 = y0.max(-across / n.y);
-        } else if n.y < 0.0 {
+        } else {
             y1 = y1.min(-across / n.y);
-        } else if across < 0.0 {
-            y1 = -1.0;
         }
     }
     (y0, y1)
@@ -121,7 +127,7 @@ mod tests {
             vec![Warp::Identity, tilted],
         ] {
             let (width, height) = (120, 80);
-            let rect = largest(&warps, width, height);
+            let rect = largest(&warps, width, height).unwrap();
             for w in &warps {
                 let h = w.matrix(width, height);
                 for (x, y) in
@@ -140,14 +146,33 @@ mod tests {
     #[test]
     fn a_whole_shift_cuts_just_that_off() {
         let shift = Warp::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 };
-        assert_eq!(largest(&[shift], 100, 50), Rect { x0: 0, y0: 3, x1: 93, y1: 50 });
-        assert_eq!(largest(&[Warp::Identity], 100, 50), Rect { x0: 0, y0: 0, x1: 100, y1: 50 });
+        assert_eq!(largest(&[shift], 100, 50), Some(Rect { x0: 0, y0: 3, x1: 93, y1: 50 }));
+        assert_eq!(largest(&[Warp::Identity], 100, 50), Some(Rect { x0: 0, y0: 0, x1: 100, y1: 50 }));
     }
 
     #[test]
-    fn nothing_in_common_is_a_pixel() {
-        let away = Warp::Rigid { dx: 500.0, dy: 0.0, angle: 0.0 };
-        let rect = largest(&[away], 100, 50);
-        assert_eq!((rect.width(), rect.height()), (1, 1));
+    fn shift_by_most_of_the_picture_leaves_the_rest() {
+        for (dx, dy, rect) in [
+            (-90.0, 0.0, Rect { x0: 90, y0: 0, x1: 100, y1: 50 }),
+            (90.0, 0.0, Rect { x0: 0, y0: 0, x1: 10, y1: 50 }),
+            (0.0, -45.0, Rect { x0: 0, y0: 45, x1: 100, y1: 50 }),
+            (-99.0, 49.0, Rect { x0: 99, y0: 0, x1: 100, y1: 1 }),
+        ] {
+            assert_eq!(largest(&[Warp::Rigid { dx, dy, angle: 0.0 }], 100, 50), Some(rect), "{dx} {dy}");
+            // Three hundredths less, and turned a little: up to three columns more, or one less on each side.
+            let turned = largest(&[Warp::Rigid { dx: 0.97 * dx, dy: 0.97 * dy, angle: 1e-3 }], 100, 50).unwrap();
+            assert!(turned.width() <= rect.width() + 3 && turned.width() + 2 >= rect.width(), "{turned:?}");
+            assert!(turned.height() <= rect.height() + 3 && turned.height() + 2 >= rect.height(), "{turned:?}");
+        }
+    }
+
+    #[test]
+    fn frames_without_a_common_pixel_have_no_overlap() {
+        let shift = |dx: f64, angle: f64| Warp::Rigid { dx, dy: 0.0, angle };
+        for angle in [0.0, 0.02] {
+            assert_eq!(largest(&[shift(500.0, angle)], 100, 50), None);
+            assert_eq!(largest(&[shift(60.0, angle), shift(-60.0, angle)], 100, 50), None);
+            assert!(largest(&[shift(60.0, angle)], 100, 50).is_some());
+        }
     }
 }

@@ -57,8 +57,7 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
         if best.as_ref().is_none_or(|(c, _)| cost < *c) {
             let (cost, h) = polish(pairs, cost, h, limit);
             best = Some((cost, h));
-            let share = inliers(pairs, &h, limit).len() as f64 / pairs.len() as f64;
-            needed = needed.min(trials_for(share, options));
+            needed = needed.min(trials_for(inliers(pairs, &h, limit).len(), pairs.len(), options));
         }
     }
     let (_, homography) = best?;
@@ -120,14 +119,13 @@ fn polish(pairs: &[Pair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f6
     (cost, h)
 }
 
-/// Trials after which four inliers were drawn at once with the wanted probability: ln(1 - p) / ln(1 - share^4).
-pub(super) fn trials_for(share: f64, options: &RansacOptions) -> u64 {
-    let all_four = share * share * share * share;
-    if all_four >= 1.0 {
-        return 1;
-    }
-    let trials = libm::log(1.0 - options.confidence) / libm::log(1.0 - all_four);
-    if trials.is_finite() { trials.ceil() as u64 } else { options.max_trials }
+/// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) / ln(1 - q) where one trial
+/// does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most those of the options.
+pub(super) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
+    let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
+    // Both logarithms are negative, or 0 or infinite at the limits; the ratio that is no number is of q = 0 and p = 1.
+    let trials = (libm::log1p(-options.confidence) / libm::log1p(-all_four)).ceil();
+    if trials < options.max_trials as f64 { (trials as u64).max(1) } else { options.max_trials }
 }
 
 /// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them leaves them.
@@ -222,5 +220,22 @@ pub(super) mod tests {
             assert!((0..4).all(|i| four[i] < 5 && !four[..i].contains(&four[i])));
         }
         assert_ne!(draw(1, 0, 1000), draw(2, 0, 1000));
+    }
+
+    #[test]
+    fn trials_are_those_of_draws_without_replacement() {
+        let options = RansacOptions { max_trials: u64::MAX, ..RansacOptions::default() };
+        for (right, all) in [(5, 10), (6, 9), (8, 20), (300, 500)] {
+            // Every way to draw four, one after the other.
+            let ways = |n: usize| (n - 3..=n).product::<usize>() as f64;
+            let hit = ways(right) / ways(all);
+            let trials = trials_for(right, all, &options) as f64;
+            let miss = |trials: f64| libm::pow(1.0 - hit, trials);
+            assert!(miss(trials) <= 1e-4 * (1.0 + 1e-9) && miss(trials - 1.0) > 1e-4, "{right} of {all}: {trials}");
+        }
+        // Half of ten: 5 / 210 of the draws, where 1 / 16 was counted on.
+        assert_eq!(trials_for(5, 10, &options), 383);
+        assert_eq!((trials_for(10, 10, &options), trials_for(3, 10, &options)), (1, u64::MAX));
+        assert_eq!(trials_for(3, 10, &RansacOptions::default()), 3000);
     }
 }

@@ -194,15 +194,16 @@ impl Search<'_> {
         place::judge(&Comparison::new(self.base(), &self.pyramids[i], &warp), warp, 0.0)
     }
 
-    /// The verdicts of the frames of `order`, each of which is the neighbour of the one before it, the first that of the reference.
+    /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the nearest before it that was
+    /// placed.
     fn outwards(&self, order: &[usize], first: &[First], shared: &Shared) -> Vec<Verdict> {
         let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
-        for (k, &i) in order.iter().enumerate() {
+        for &i in order {
             let verdict = match &first[i] {
                 First::Settled(verdict) => verdict.clone(),
                 First::Doubtful(candidate) => {
-                    let neighbour = k.checked_sub(1).map(|k| (order[k], &verdicts[k]));
-                    self.doubtful(i, candidate.clone(), neighbour, shared)
+                    let nearest = order.iter().zip(&verdicts).rev().find_map(|(&n, verdict)| self.stand_in(n, verdict));
+                    self.doubtful(i, candidate.clone(), nearest, shared)
                 }
             };
             verdicts.push(verdict);
@@ -211,20 +212,14 @@ impl Search<'_> {
     }
 
     /// The verdict of a frame that the bitmaps did not settle.
-    fn doubtful(
-        &self,
-        i: usize,
-        first: Option<Candidate>,
-        neighbour: Option<(usize, &Verdict)>,
-        shared: &Shared,
-    ) -> Verdict {
+    fn doubtful(&self, i: usize, first: Option<Candidate>, neighbour: Option<Base>, shared: &Shared) -> Verdict {
         let frame = &self.pyramids[i];
         let (width, height) = self.size();
         let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
         let alike = |a: &Warp, b: &Warp| place::distance(a, b, width, height) <= near;
         let reference = Base { pyramid: Cow::Borrowed(self.base()), error_px: 0.0, confidence: 1.0 };
         let mut bases = vec![reference];
-        bases.extend(neighbour.and_then(|(n, verdict)| self.stand_in(n, verdict)));
+        bases.extend(neighbour);
         let mut pool = Pool::default();
         pool.add(0, first);
         for (b, base) in bases.iter().enumerate().skip(1) {
@@ -273,7 +268,7 @@ impl Search<'_> {
         placed(&Candidate { trust: best.trust, error_px, ..reduced }, found)
     }
 
-    /// The placed neighbour `n` on the reference's grid: what is measured against it is measured in the reference's pixels.
+    /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's pixels.
     fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
         let warp = verdict.warp?;
         let pyramid = match warp {

@@ -134,11 +134,97 @@ fn each_method_by_itself_finds_the_motion() {
 }
 
 #[test]
-fn a_rotation_out_of_range_is_an_error() {
-    for max_rotation_deg in [-0.1, 45.1, f64::NAN] {
-        let mtb = MtbOptions { max_rotation_deg, ..MtbOptions::default() };
-        let options = AlignOptions { mtb, ..AlignOptions::default() };
-        assert!(matches!(options.validate(), Err(Error::Option { option: "--max-rotation", .. })));
+fn option_out_of_range_is_an_error_that_names_it() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0)]);
+    let refused = |expected: &str, set: &dyn Fn(&mut AlignOptions)| {
+        let mut options = AlignOptions { mode: AlignMode::Sift, ..AlignOptions::default() };
+        set(&mut options);
+        let error = align(&bracket, &options).unwrap_err();
+        assert!(matches!(error, Error::Option { option, .. } if option == expected), "{expected}: {error}");
+        assert!(error.is_usage() && error.to_string().contains(" is not within "), "{error}");
+    };
+    for value in [-0.1, 1e9, f64::NAN] {
+        refused("--max-rotation", &|o| o.mtb.max_rotation_deg = value);
+        refused("mtb.max_shift", &|o| o.mtb.max_shift = value);
+        refused("sift.sigma", &|o| o.sift.sigma = value);
+        refused("sift.contrast", &|o| o.sift.contrast = value);
+        refused("sift.edge_ratio", &|o| o.sift.edge_ratio = value);
+        refused("ratio", &|o| o.ratio = value);
+        refused("ransac.threshold", &|o| o.ransac.threshold = value);
+        refused("ransac.confidence", &|o| o.ransac.confidence = value);
     }
+    refused("sift.intervals", &|o| o.sift.intervals = 0);
+    refused("sift.intervals", &|o| o.sift.intervals = usize::MAX);
+    refused("sift.max_keypoints", &|o| o.sift.max_keypoints = 0);
+    refused("ransac.max_trials", &|o| o.ransac.max_trials = 0);
     assert!(AlignOptions::default().validate().is_ok());
+}
+
+#[test]
+fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0)]);
+    let by_user = Verdict::by_definition(Status::Aligned);
+    let with = |dx| Verdict { warp: Some(shift(dx, 0.0)), ..by_user.clone() };
+    for (verdict, says) in [
+        (with(f64::NAN), "homography"),
+        (Verdict { warp: None, ..by_user.clone() }, "no homography"),
+        (Verdict { status: Status::Rejected, ..by_user.clone() }, "has a place"),
+        (Verdict { confidence: f64::NAN, ..by_user.clone() }, "confidence"),
+    ] {
+        let given = vec![Given { path: "1".into(), place: given::Place::Found(verdict) }];
+        let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
+        assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
+        assert!(error.to_string().contains(says), "{error}");
+    }
+}
+
+#[test]
+fn small_overlap_is_warned_of_and_none_is_an_error() {
+    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, 2.0)]);
+    let align = |shifts: [f64; 2]| {
+        let place =
+            |dx| given::Place::Found(Verdict { warp: Some(shift(dx, 0.0)), ..Verdict::by_definition(Status::Aligned) });
+        let given = [1, 2].map(|i| Given { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
+        super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
+    };
+    // 384 pixels wide. Half of them are enough.
+    assert_eq!(align([-192.0, 0.0]).unwrap().1, []);
+    for sign in [-1.0, 1.0] {
+        let (alignment, warnings) = align([sign * 10.0, sign * 288.0]).unwrap();
+        assert_eq!(alignment.overlap.width(), 96);
+        let expected = Warning::SmallOverlap { path: "2".into(), overlap: 0.25, common: 0.25 };
+        assert!(expected.degrades());
+        assert_eq!(warnings, [expected]);
+        let error = align([0.0, sign * 400.0]).unwrap_err();
+        assert!(matches!(&error, Error::NoOverlap { path, .. } if path.as_os_str() == "2"), "{error}");
+        // Each overlaps the reference, but not the other.
+        assert!(
+            matches!(align([-sign * 200.0, sign * 250.0]), Err(Error::NoOverlap { path, .. }) if path.as_os_str() == "2")
+        );
+    }
+}
+
+#[test]
+fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
+    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame between.
+    let truth = shift(11.0, -7.0);
+    let take =
+        |name: &str, seed, warp: &Warp, ev| frame(name, &Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)), ev);
+    let reference = || take("reference", 41, &Warp::Identity, -7.0);
+    let bright = || take("bright", 41, &truth, 7.0);
+    let align = |frames| {
+        let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+        align(&bracket, &AlignOptions::default()).unwrap().0
+    };
+    assert_eq!(statuses(&align(vec![reference(), bright()])), [Status::Reference, Status::Rejected]);
+    let between = [take("middle", 41, &shift(-9.0, 6.0), 0.0), take("stranger", 42, &Warp::Identity, 2.0)];
+    let alignment = align([vec![reference()], between.into(), vec![bright()]].concat());
+    assert_eq!(
+        statuses(&alignment),
+        [Status::Reference, Status::Aligned, Status::Rejected, Status::Aligned],
+        "{:?}",
+        alignment.verdicts
+    );
+    let error = alignment.verdicts[3].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+    assert!(error < 2.0, "{error} px");
 }

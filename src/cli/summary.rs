@@ -79,7 +79,7 @@ fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
 /// Photographs, and the size of what came of them.
 fn size(report: &Report) -> String {
     let (width, height) = (report.crop.width_px, report.crop.height_px);
-    let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected).count();
+    let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none()).count();
     let all = report.frames.len();
     let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
     let megapixels = (width * height) as f64 / 1e6;
@@ -119,8 +119,11 @@ fn aligned(report: &Report, room: usize) -> String {
 fn doubts(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
+    let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
     let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
-    let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > rejected.len() + doubtful.len();
+    let flash = which(&|f| f.alignment.status == Status::Flash);
+    let named = rejected.len() + flash.len() + doubtful.len();
+    let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > named;
     let told = |most: usize| {
         let some = |label: &str, frames: &[&FrameReport]| {
             let names: Vec<&str> = frames.iter().take(most).map(|f| name(&f.path)).collect();
@@ -128,7 +131,7 @@ fn doubts(report: &Report, room: usize) -> String {
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
         let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
-        let parts = [some(" left out", &rejected), some(" doubtful", &doubtful), guessed];
+        let parts = [some(" left out", &rejected), some(" excluded", &excluded), some(" doubtful", &doubtful), guessed];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
     // By name as far as there is room.
@@ -139,7 +142,7 @@ fn doubts(report: &Report, room: usize) -> String {
 /// What the exposures span, and what the result holds.
 fn range(report: &Report) -> String {
     let evs = || {
-        let merged = report.frames.iter().filter(|f| f.alignment.status != Status::Rejected);
+        let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none());
         merged.map(|f| f.relative_exposure.log2())
     };
     let span = evs().fold(f64::NEG_INFINITY, f64::max) - evs().fold(f64::INFINITY, f64::min);
@@ -200,6 +203,8 @@ fn line(frame: &FrameReport) -> String {
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
         Status::Rejected => "left out",
+        Status::Excluded => "excluded",
+        Status::Flash => "excluded, for the flash fired",
     };
     let mut text = format!("{}: {ev:+.1} EV", frame.path);
     if frame.exposure_correction_stops != 0.0 {

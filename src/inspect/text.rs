@@ -172,6 +172,7 @@ pub(crate) fn status_word(status: Status) -> &'static str {
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
         Status::Rejected => "left out",
+        Status::Excluded | Status::Flash => "excluded",
     }
 }
 

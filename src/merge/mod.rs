@@ -257,7 +257,6 @@ pub fn merge(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::Status;
     use crate::align::warp::Warp;
     use crate::response::tests::still;
 
@@ -316,7 +315,7 @@ mod tests {
         // Moved out of the picture, it is as if it were rejected.
         alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
-        alignment.verdicts[0].status = Status::Rejected;
+        alignment.verdicts[0].warp = None;
         let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((outside.pixels, report.frames), (rejected.pixels, 2));
     }

@@ -12,8 +12,13 @@ use std::fmt::Write;
 /// The numbers that matter.
 pub(super) fn facts(report: &Report) -> String {
     let count = |status| report.frames.iter().filter(|f| f.alignment.status == status).count();
-    let (aligned, unmoved, rejected) = (count(Status::Aligned), count(Status::Unmoved), count(Status::Rejected));
-    let words = [(aligned, "moved and aligned"), (unmoved, "unmoved"), (rejected, "left out")];
+    let aligned = count(Status::Aligned);
+    let words = [
+        (aligned, "moved and aligned"),
+        (count(Status::Unmoved), "unmoved"),
+        (count(Status::Rejected), "left out"),
+        (count(Status::Excluded) + count(Status::Flash), "excluded"),
+    ];
     let became: Vec<String> = words.iter().filter(|(n, _)| *n > 0).map(|(n, word)| format!("{n} {word}")).collect();
     let mut facts = vec![("Frames", report.frames.len().to_string(), became.join(", "))];
     if let Some(merged) = &report.radiance {
@@ -131,6 +136,8 @@ pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
         (Status::Reference, ..) => "the others are laid on it".into(),
         (Status::Unmoved, ..) => "lies as the reference does".into(),
         (Status::Rejected, ..) => "could not be placed".into(),
+        (Status::Excluded, ..) => "excluded by the user".into(),
+        (Status::Flash, ..) => "excluded: the flash fired".into(),
         (Status::Aligned, Some([dx, dy]), Some(angle)) => {
             format!("{}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
         }

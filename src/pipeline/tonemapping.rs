@@ -44,6 +44,7 @@ pub fn tonemap_file(
     watch: &(dyn Fn(Progress) + Sync),
 ) -> Result<TonemapReport> {
     in_pool(options.threads, || {
+        options.operator.validate()?;
         options.write.jpeg.validate()?;
         for path in &options.outputs {
             write::Format::of(path)?;

@@ -5,7 +5,7 @@
 pub mod options;
 pub mod tonemapped;
 
-use crate::align::{Alignment, KeypointCounts, Model, Rect, Status, Verdict};
+use crate::align::{Alignment, KeypointCounts, Model, Rect, RejectedBy, Status, Verdict};
 use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
@@ -152,6 +152,8 @@ pub struct FrameReport {
 pub struct AlignmentReport {
     /// What became of it.
     pub status: Status,
+    /// Who took it out; null for a frame that takes part.
+    pub rejected_by: Option<RejectedBy>,
     /// The smallest model that explains its motion.
     pub model: Option<Model>,
     /// Nine numbers by rows, reference pixel -> frame pixel; null when rejected.
@@ -168,7 +170,7 @@ pub struct AlignmentReport {
     pub error_px: Option<f64>,
     /// 0..1; under 0.5 is doubtful.
     pub confidence: f64,
-    /// Why it was rejected.
+    /// Why it takes no part, or is taken as it lies.
     pub reason: Option<String>,
 }
 
@@ -265,6 +267,7 @@ fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize
         exposure_tags: exposure.tags.clone(),
         alignment: AlignmentReport {
             status: verdict.status,
+            rejected_by: verdict.status.rejected_by(),
             model: verdict.model,
             homography: verdict.warp.map(|w| {
                 let h = w.matrix(width, height);

@@ -96,6 +96,14 @@ impl Operator {
         }
     }
 
+    /// Checks the settings against their ranges.
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::error::Error::Option) for the first that is out of its range.
+    pub fn validate(&self) -> Result<()> {
+        settings::validate(&self.clone().settings(), self.name())
+    }
+
     /// What maps rows of the picture that `overview` has seen all of.
     pub fn settled(&self, overview: Overview) -> Tones {
         let width = overview.width();
@@ -150,6 +158,14 @@ impl Rendering {
         }
     }
 
+    /// Checks the settings against their ranges.
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::error::Error::Option) for the first that is out of its range.
+    pub fn validate(&self) -> Result<()> {
+        settings::validate(&self.clone().settings(), self.name())
+    }
+
     /// Sets `key` to `value`.
     ///
     /// # Errors
@@ -160,7 +176,7 @@ impl Rendering {
     }
 }
 
-/// The picture of `radiance` by `operator`. Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
+/// The picture of `radiance` by `operator`, whose [settings](Operator::settings) are within their ranges. Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
 pub fn tonemap(radiance: &RadianceMap, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries);
@@ -184,6 +200,17 @@ mod tests {
             Operator::Mantiuk06(mantiuk06::Options::default()),
             Operator::Mantiuk08(mantiuk08::Options::default()),
         ]
+    }
+
+    #[test]
+    fn setting_out_of_range_is_an_error_that_names_it() {
+        assert!(every().iter().all(|operator| operator.validate().is_ok()));
+        assert!(Rendering::Fused(mertens::Options::default()).validate().is_ok());
+        for reach in [f64::NAN, -1.0, 1e9] {
+            let durand = Operator::Durand(durand::Options { reach, ..durand::Options::default() });
+            let error = durand.validate().unwrap_err();
+            assert!(error.is_usage() && error.to_string().contains("`reach` of `durand`"), "{error}");
+        }
     }
 
     /// Found by the property tests: beyond 2^127 of the key the local shoulder was no number, and so were the places in the table of tones.

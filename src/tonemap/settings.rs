@@ -57,6 +57,16 @@ impl<'a> Setting<'a> {
         Setting::number("saturation", (0.0, 3.0), value, "times the colourfulness of the scene; 0 is grey")
     }
 
+    /// Whether `value` is within its range; `operator` is whose it is.
+    fn check(&self, operator: &str, value: f64) -> Result<()> {
+        let (least, most) = self.range;
+        if (least..=most).contains(&value) {
+            return Ok(());
+        }
+        let reason = format!("`{}` of `{operator}` is from {least} to {most}, not {value}", self.key);
+        Err(Error::Option { option: OPTION, reason })
+    }
+
     /// What it is, in words.
     pub fn value(&self) -> String {
         match &self.place {
@@ -67,21 +77,33 @@ impl<'a> Setting<'a> {
     }
 }
 
+/// The option that sets them.
+const OPTION: &str = "--tmo-set";
+
+/// Checks `settings`, which are those of `operator`, against their ranges.
+///
+/// # Errors
+/// [`Error::Option`] for the first that is out of its range.
+pub(super) fn validate(settings: &[Setting], operator: &str) -> Result<()> {
+    let value = |setting: &Setting| match &setting.place {
+        Place::Number(value) => Some(**value),
+        Place::Estimated(value) => **value,
+    };
+    settings.iter().filter_map(|s| Some((s, value(s)?))).try_for_each(|(s, value)| s.check(operator, value))
+}
+
 /// Sets the one of `settings`, which are those of `operator`, that is called `key`.
 ///
 /// # Errors
 /// [`Error::Option`] where there is none of that name, or the value is out of its range.
 pub(super) fn set(settings: Vec<Setting>, operator: &str, key: &str, value: f64) -> Result<()> {
-    let refused = |reason| Err(Error::Option { option: "--tmo-set", reason });
     let known: Vec<&str> = settings.iter().map(|s| s.key).collect();
     let known = known.join(", ");
     let Some(setting) = settings.into_iter().find(|s| s.key == key) else {
-        return refused(format!("`{operator}` has no `{key}`; it has {known}"));
+        let reason = format!("`{operator}` has no `{key}`; it has {known}");
+        return Err(Error::Option { option: OPTION, reason });
     };
-    let (least, most) = setting.range;
-    if !(least..=most).contains(&value) {
-        return refused(format!("`{key}` of `{operator}` is from {least} to {most}, not {value}"));
-    }
+    setting.check(operator, value)?;
     match setting.place {
         Place::Number(place) => *place = value,
         Place::Estimated(place) => *place = Some(value),

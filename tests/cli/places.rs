@@ -80,3 +80,62 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
         assert!(run.code == 2 && run.stderr.contains(says), "{run:?}");
     }
 }
+
+/// The small bracket and its transforms `t.json`, of which `change` makes others for `w2.jpg`.
+fn with_place(change: impl Fn(&mut Value)) -> Folder {
+    let folder = Folder::with_bracket();
+    folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
+    let mut saved: Value = serde_json::from_slice(&folder.bytes("t.json")).expect("JSON");
+    let frames = saved["frames"].as_array_mut().expect("frames");
+    change(frames.iter_mut().find(|f| f["file"] == "w2.jpg").expect("the frame"));
+    folder.put("t.json", saved.to_string().as_bytes());
+    folder
+}
+
+#[test]
+fn small_overlap_is_a_warning_and_none_an_error() {
+    let shifted = |dx: f64| {
+        with_place(|frame| {
+            frame["status"] = "aligned".into();
+            frame["homography"] = serde_json::json!([1.0, 0.0, dx, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        })
+    };
+    for dx in [-250.0, 250.0] {
+        let folder = shifted(dx);
+        let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr --json --strict");
+        assert_eq!(run.code, 3, "{run:?}");
+        assert!(run.stderr.contains("w2.jpg: overlaps 17 % of the reference"), "{run:?}");
+        let width = report(&run.stdout)["crop"]["width_px"].as_u64().expect("a width");
+        assert!((40..=50).contains(&width), "{width} of 50 pixels");
+    }
+    let folder = shifted(400.0);
+    let before = folder.listing();
+    let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr");
+    assert!(run.code == 1 && run.stderr.contains("w2.jpg: does not overlap w3.jpg"), "{run:?}");
+    assert_eq!(folder.listing(), before);
+}
+
+#[test]
+fn rejection_in_transforms_is_warned_of_unless_it_is_the_users() {
+    // By hand, without a confidence.
+    let folder = with_place(|frame| {
+        *frame = serde_json::json!({ "file": "w2.jpg", "status": "rejected", "homography": null, "reason": "a bird" });
+    });
+    let run = folder.line("align w2.jpg w3.jpg w4.jpg --transforms t.json --json --strict");
+    assert_eq!(run.code, 3, "{run:?}");
+    assert!(run.stderr.contains("w2.jpg: left out: a bird"), "{run:?}");
+    assert_eq!(frame(&report(&run.stdout), "w2.jpg")["rejected_by"], "alignment");
+    // What the user excludes is in the file as that, and stays so.
+    let folder = Folder::with_bracket();
+    let line = "align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json --json --strict";
+    for line in [&format!("{line} --leave-out w2.jpg"), line] {
+        let run = folder.line(line).done();
+        assert!(!run.stderr.contains("warning"), "{run:?}");
+        let said = report(&run.stdout);
+        let (out, placed) = (frame(&said, "w2.jpg"), frame(&said, "w4.jpg"));
+        assert_eq!((&out["status"], &out["rejected_by"]), (&"rejected".into(), &"user".into()));
+        assert_eq!(placed["rejected_by"], Value::Null);
+    }
+    let saved: Value = serde_json::from_slice(&folder.bytes("t.json")).expect("JSON");
+    assert_eq!(saved["frames"][0]["rejected_by"], "user");
+}

@@ -108,6 +108,26 @@ fn points_found_twice_are_counted_once() {
 }
 
 #[test]
+fn pair_found_twice_is_one_match_wherever_it_lies() {
+    // A bitmap finds what the plain picture found, some tenths of a pixel beside it, in both frames.
+    let sets = |x: f32, y: f32, mtb: (f32, f32)| FeatureSets {
+        plain: keypoints(&[(x, y, 2.0)]),
+        mtb: vec![keypoints(&[(x + mtb.0, y + mtb.1, 2.0)])],
+        counts: KeypointCounts::default(),
+    };
+    let count = |at: f32, mtb: [(f32, f32); 2]| {
+        pairs(&sets(at, 10.0, mtb[0]), &sets(at + 30.0, 12.0, mtb[1]), &Matrix3::identity(), 0.8).len()
+    };
+    for tenth in 0..40 {
+        let at = 100.0 + 0.1 * tenth as f32;
+        assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
+        // Of other places in the reference, or in the frame.
+        assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
+        assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
+    }
+}
+
+#[test]
 fn large_keypoints_count_less_in_the_last_fit() {
     // Twelve small ones that are right, and four large ones that all drag to the same side.
     let place = |i: usize| [(i * 37 % 100) as f64 * 4.0, (i * 61 % 100) as f64 * 3.0];

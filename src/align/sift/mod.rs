@@ -38,7 +38,7 @@ impl Default for SiftOptions {
     }
 }
 
-/// The features of `grey`, sorted by place.
+/// The features of `grey`, sorted by place. The options are within the ranges of [`AlignOptions::validate`](super::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     let base = Plane::from_rows(grey.width(), grey.height(), |y, row| {
         for (v, g) in row.iter_mut().zip(grey.row(y)) {

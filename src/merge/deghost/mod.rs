@@ -21,7 +21,7 @@ mod cells;
 mod evidence;
 
 use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Budget;
 use crate::error::{Error, Result};
@@ -129,7 +129,7 @@ pub fn find(
     let mut layers = Vec::new();
     let mut reference = 0;
     for (index, (frame, verdict)) in placed {
-        if let (Some(warp), true) = (verdict.warp, verdict.status != Status::Rejected) {
+        if let Some(warp) = verdict.warp {
             if index == bracket.reference_index() {
                 reference = layers.len();
             }
