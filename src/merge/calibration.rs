@@ -5,7 +5,8 @@
 //! Source: the constant is that of Greg Ward's hdrgen, [`CAMERA_CONSTANT`]; ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t
 //! S) for saturation-based speeds, without the half stop that it leaves for highlights: 85.
 //!
-//! The top code of a frame with exposure time t in s, f-number N and sensitivity S stands for
+//! The top code of a frame with exposure time t in s, f-number N and sensitivity S, each the exact step that was rounded to what the
+//! file says and fine-tuned as radiance is, stands for
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
@@ -114,22 +115,23 @@ impl Calibration {
     }
 }
 
-/// 87 N^2 / (t S) of `frame`.
+/// 87 N^2 / (t S) of `frame`, by the [relative exposure](crate::bracket::exposure::Exposure::relative) that radiance is relative to:
+/// exact steps and fine-tuning included, so that luminance does not depend on which frame is the reference.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;
-    let (Some(time), Some(f_number), Some(iso)) = (exposure.time_s, exposure.f_number, exposure.iso) else {
-        let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
-        let missing: Vec<&str> = known.into_iter().filter(|(_, v)| v.is_none()).map(|(name, _)| name).collect();
-        return Err(Error::Option {
-            option: "--absolute",
-            reason: format!(
-                "{} does not say its {}; measure one luminance and give --calibration-factor alone, in cd/m2 per unit of radiance",
-                frame.path().display(),
-                missing.join(" and ")
-            ),
-        });
-    };
-    Ok(CAMERA_CONSTANT * f_number * f_number / (time * iso))
+    let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
+    let missing: Vec<&str> = known.into_iter().filter(|(_, v)| v.is_none()).map(|(name, _)| name).collect();
+    if missing.is_empty() {
+        return Ok(CAMERA_CONSTANT / exposure.relative());
+    }
+    Err(Error::Option {
+        option: "--absolute",
+        reason: format!(
+            "{} does not say its {}; measure one luminance and give --calibration-factor alone, in cd/m2 per unit of radiance",
+            frame.path().display(),
+            missing.join(" and ")
+        ),
+    })
 }
 
 /// Multiplies `map` by `factor`, into cd/m2 or another unit; what a float does not hold becomes the nearest that it does.
@@ -152,8 +154,8 @@ mod tests {
     use crate::plane::Plane;
 
     fn frame(time_s: Option<f64>, f_number: Option<f64>, iso: Option<f64>) -> Frame {
-        let mut exposure = Exposure::given(0.0).unwrap();
-        (exposure.time_s, exposure.f_number, exposure.iso) = (time_s, f_number, iso);
+        let noted = time_s.and_then(|time| Exposure::from_camera(time, f_number, iso, String::new()));
+        let exposure = noted.or(Exposure::given(0.0)).unwrap();
         Frame::new("a.jpg".into(), 1, 1, Samples::Eight(vec![0; 3]), exposure)
     }
 
@@ -163,7 +165,7 @@ mod tests {
         let camera = Calibration { camera: true, factor: None };
         let of = |c: &Calibration, f: &Frame| c.settle(f, &ResponseCurve::linear());
         let report = of(&camera, &frame(Some(0.125), Some(8.0), Some(100.0))).unwrap().unwrap();
-        assert_eq!(report.camera_top_code_cd_m2, Some(87.0 * 64.0 / 12.5));
+        assert!((report.camera_top_code_cd_m2.unwrap() / (87.0 * 64.0 / 12.5) - 1.0).abs() < 1e-12);
         assert!((report.cd_m2_per_unit - 87.0 * 64.0 / 12.5 * 128.0 / 255.0).abs() < 1e-4);
         let both = Calibration { factor: Some(1.25), ..camera };
         let corrected = of(&both, &frame(Some(0.125), Some(8.0), Some(100.0))).unwrap().unwrap();

@@ -1,8 +1,7 @@
 //! Brackets that are none, or hardly: what becomes of each is stated in `docs/robustness.md`, and held here.
 
-use crate::support::{FRAMES, Folder, jpeg, small};
-use exif::experimental::Writer;
-use exif::{Field, In, Rational, Tag, Value as Exif};
+use crate::support::{FRAMES, Folder, jpeg, jpeg_with, ratio, small};
+use exif::Tag;
 use hdralign::read;
 use image::{Rgb, RgbImage};
 use img_parts::{Bytes, ImageEXIF};
@@ -57,15 +56,7 @@ fn png(picture: &RgbImage) -> Vec<u8> {
 
 /// A JPEG whose EXIF has nothing but this exposure time, in s.
 fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
-    let field =
-        Field { tag: Tag::ExposureTime, ifd_num: In::PRIMARY, value: Exif::Rational(vec![Rational { num, denom }]) };
-    let mut writer = Writer::new();
-    writer.push_field(&field);
-    let mut exif = Cursor::new(Vec::new());
-    writer.write(&mut exif, false).expect("EXIF");
-    let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");
-    file.set_exif(Some(exif.into_inner().into()));
-    file.encoder().bytes().to_vec()
+    jpeg_with(picture, &[(Tag::ExposureTime, ratio(num, denom))])
 }
 
 /// `file`, a JPEG or a PNG, with the EXIF of frame `i`.
