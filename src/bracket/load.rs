@@ -235,7 +235,7 @@ struct Picture {
 impl Picture {
     /// Reads `path`; with a scratch file, the codes are put on it.
     fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let Decoded { width, height, samples, exif, icc, mut notes } = decoded(path, &options.limits())?;
+        let Decoded { width, height, samples, exif, icc, mut notes, .. } = decoded(path, &options.limits())?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);

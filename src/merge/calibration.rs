@@ -27,8 +27,35 @@ use serde::Serialize;
 /// The luminance of the top code times t S / N^2, in cd/m2 times s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
-/// The largest factor: from starlight to the sun it is 1e14. Beyond, floats end.
-const MOST_FACTOR: f64 = 1e20;
+/// A factor on radiance or luminance: finite, above 0, and from 1e-20 to 1e20. From starlight to the sun it is 1e14; beyond, the floats
+/// that it is multiplied with end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Factor(f64);
+
+impl Factor {
+    /// 1.
+    pub const ONE: Factor = Factor(1.0);
+
+    /// `value` as a factor; none where it is out of range or no number.
+    pub fn new(value: f64) -> Option<Factor> {
+        (1e-20..=1e20).contains(&value).then_some(Factor(value))
+    }
+
+    /// Its value.
+    pub fn get(self) -> f64 {
+        self.0
+    }
+
+    /// Both factors together; none where that is out of range.
+    pub fn times(self, other: Factor) -> Option<Factor> {
+        Factor::new(self.0 * other.0)
+    }
+
+    /// This factor without the other; none where that is out of range.
+    pub fn over(self, other: Factor) -> Option<Factor> {
+        Factor::new(self.0 / other.0)
+    }
+}
 
 /// What the values of a radiance map are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -47,7 +74,7 @@ pub enum Unit {
 pub struct Calibration {
     /// Whether the camera's exposure time, f-number and sensitivity tell the luminance, by [`CAMERA_CONSTANT`].
     pub camera: bool,
-    /// A factor on the result, above 0, from 1e-20 to 1e20. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
+    /// A [`Factor`] on the result. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
     /// itself the luminance of radiance 1 in cd/m2.
     pub factor: Option<f64>,
 }
@@ -70,7 +97,7 @@ impl Calibration {
     /// [`Error::Option`].
     pub fn validate(&self) -> Result<()> {
         match self.factor {
-            Some(factor) if !(1.0 / MOST_FACTOR..=MOST_FACTOR).contains(&factor) => Err(Error::Option {
+            Some(factor) if Factor::new(factor).is_none() => Err(Error::Option {
                 option: "--calibration-factor",
                 reason: format!(
                     "{factor} is no factor; give a number above 0, from 1e-20 to 1e20: luminance measured over luminance reported"

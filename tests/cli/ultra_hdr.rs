@@ -9,9 +9,6 @@ use hdralign::read::read;
 use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata};
 use image::RgbImage;
-use img_parts::ImageEXIF;
-use img_parts::jpeg::Jpeg;
-use std::io::Cursor;
 
 const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
 const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";

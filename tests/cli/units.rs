@@ -3,6 +3,7 @@
 use crate::support::{FRAMES, Folder, jpeg_with, ratio, small};
 use exif::{Tag, Value as Exif};
 use hdralign::bracket::colour::{Conversion, Primaries};
+use hdralign::merge::calibration::Factor;
 use hdralign::read::read;
 use serde_json::Value;
 
@@ -27,9 +28,9 @@ fn a_factor_makes_cd_m2_in_every_format() {
 
     let map = |name: &str| read(&folder.at(name)).unwrap();
     let (radiance, header) = map("a.exr");
-    assert_eq!(header.cd_m2_per_unit, Some(1.0));
+    assert_eq!(header.cd_m2_per_unit, Some(Factor::ONE));
     assert_eq!(map("r.exr").1.cd_m2_per_unit, None);
-    assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(1.0));
+    assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(Factor::ONE));
     assert!(map("a.tif").0.pixels == radiance.pixels);
     let luminance = |p: [f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
     // A mantissa is cut to 1/128 of the largest at most: half of that is what the middle is off by.
