@@ -24,7 +24,7 @@ fn radiance(data: &[u8]) {
     let path = put("r.any", data);
     let kind = read::holds_radiance(&path, &Limits::default());
     let limits = Limits { max_pixels: MOST_PIXELS, ..Limits::default() };
-    let (map, _) = match read::read_within(&path, &limits) {
+    let map = match read::read_within(&path, &limits) {
         Ok(read) => read,
         Err(e) => return check_error(&e, "r.any"),
     };

@@ -3,7 +3,8 @@
 //! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost: nothing to speak of.
 //! Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or drop, annex E.
 //!
-//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer knows better; thumbnail
+//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer knows better; the id of the one image that it
+//! was; thumbnail
 //! and maker note, which show or address what is no longer there; places in the picture, which has been moved and cropped; and, unless
 //! it is asked for, where it was taken.
 
@@ -26,7 +27,7 @@ const DESCRIPTIVE: [Tag; 9] = [
 ];
 
 /// Of the EXIF directory, those that speak of the stored pixels or of what was left behind.
-const OF_THE_FILE: [Tag; 11] = [
+const OF_THE_FILE: [Tag; 12] = [
     Tag::MakerNote,
     Tag::PixelXDimension,
     Tag::PixelYDimension,
@@ -38,6 +39,7 @@ const OF_THE_FILE: [Tag; 11] = [
     Tag::SubjectLocation,
     Tag::RelatedSoundFile,
     Tag::CustomRendered,
+    Tag::ImageUniqueID,
 ];
 
 /// From here on numbers of the EXIF directory are padding of one program and another's own.
@@ -120,6 +122,7 @@ mod tests {
             field(Tag::Software, Value::Ascii(vec![b"Firmware 1".to_vec()])),
             field(Tag::FNumber, Value::Rational(vec![exif::Rational { num: 28, denom: 10 }])),
             field(Tag::LensModel, Value::Ascii(vec![b"50 mm".to_vec()])),
+            field(Tag::ImageUniqueID, Value::Ascii(vec![b"0123456789abcdef0123456789abcdef".to_vec()])),
             field(Tag::MakerNote, Value::Undefined(vec![1; 99], 0)),
             field(Tag::PixelXDimension, Value::Long(vec![4000])),
             field(Tag::UserComment, Value::Undefined(vec![65; LONGEST + 1], 0)),

@@ -8,8 +8,10 @@
 //! from a file then gives the same numbers to the bit.
 
 mod profile;
+mod transfer;
 
 pub use profile::{Found, Profile};
+pub use transfer::{Curve, Transfer};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -53,6 +55,15 @@ impl Primaries {
     /// ACEScg (AP1; AMPAS S-2014-004), the ACES white.
     pub const ACES_AP1: Primaries =
         Primaries { red: [0.713, 0.293], green: [0.165, 0.830], blue: [0.128, 0.044], white: [0.32168, 0.33767] };
+
+    /// ACES2065-1 (AP0; SMPTE ST 2065-1), the ACES white: it holds every colour, and its blue has a negative y.
+    pub const ACES_AP0: Primaries =
+        Primaries { red: [0.7347, 0.2653], green: [0.0, 1.0], blue: [0.0001, -0.0770], white: [0.32168, 0.33767] };
+
+    /// Whether no coordinate is negative, as formats that write chromaticities as unsigned fractions need it.
+    pub fn are_positive(&self) -> bool {
+        self.all().iter().all(|v| *v >= 0.0)
+    }
 
     /// Whether no coordinate differs by more than `tolerance`; profiles round, and 0.005 is below what can be seen.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {

@@ -35,6 +35,8 @@ pub(super) struct Decoded {
     pub exif: Option<Exif>,
     /// An RGB or unknown ICC profile, as found.
     pub icc: Option<Vec<u8>>,
+    /// Whether the file has alpha, which is left out.
+    pub has_alpha: bool,
     /// What was ignored, in words.
     pub notes: Vec<String>,
 }
@@ -49,6 +51,10 @@ struct Stored {
     /// EXIF from its TIFF header on; a TIFF file is its own.
     exif: Option<Vec<u8>>,
     icc: Option<Vec<u8>>,
+    /// Whether there was more than colour.
+    has_alpha: bool,
+    /// What was ignored, in words.
+    notes: Vec<String>,
 }
 
 /// Why a file was refused, in words for [`Error::Decode`].
@@ -77,7 +83,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
     .map_err(|reason| Error::Decode { path: path.into(), format: format.name(), reason })?;
 
-    let mut notes = Vec::new();
+    let mut notes = stored.notes;
     let exif = stored.exif.and_then(|raw| {
         let exif = parsed(raw);
         if exif.is_none() {
@@ -87,7 +93,16 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    Ok(Decoded { width, height, samples, decoding: stored.decoding, exif, icc: stored.icc, notes })
+    Ok(Decoded {
+        width,
+        height,
+        samples,
+        decoding: stored.decoding,
+        exif,
+        icc: stored.icc,
+        has_alpha: stored.has_alpha,
+        notes,
+    })
 }
 
 /// The fields of an EXIF block that can be read; `None` where it is no such block.

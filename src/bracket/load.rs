@@ -235,7 +235,8 @@ impl Picture {
         let limits = options.limits();
         let bytes = content(path, &limits)?;
         refuse_result(path, &bytes, &limits)?;
-        let Decoded { width, height, samples, decoding, exif, icc, mut notes } = decode::decode(path, bytes, &limits)?;
+        let Decoded { width, height, samples, decoding, exif, icc, mut notes, .. } =
+            decode::decode(path, bytes, &limits)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);

@@ -21,6 +21,8 @@ pub struct Photograph {
     pub samples: Samples,
     /// Its colour profile; none is taken for sRGB.
     pub profile: Option<Profile>,
+    /// Whether the file has alpha, which is left out of the samples.
+    pub has_alpha: bool,
     /// What the camera noted.
     pub capture: Capture,
     /// Shutter time in seconds, if it is written.
@@ -42,6 +44,7 @@ impl Photograph {
         let mut notes = decoded.notes;
         let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = decoded.exif.as_ref().map(|exif| capture::read(exif, false)).unwrap_or_default();
+        let has_alpha = decoded.has_alpha;
         let profile = profile(decoded.icc, decoded.exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
         let photograph = Photograph {
@@ -49,6 +52,7 @@ impl Photograph {
             height: decoded.height,
             samples: decoded.samples,
             profile,
+            has_alpha,
             capture,
             time_s: tags.time_s.map(|t| t.0),
             f_number: tags.f_number.map(|n| n.0),

@@ -25,10 +25,12 @@ const ROUNDED_DE: f64 = 0.05;
 
 /// The picture `b` against the picture `a`, both of one size.
 pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
-    let (left, right) = (Codes::of(a), Codes::of(b));
+    let (left, mut right) = (Codes::of(a), Codes::of(b));
     let by_codes = left.mean_the_same(&right);
     let max = a.samples.max().max(b.samples.max());
-    let right = if by_codes { Codes { primaries: left.primaries, ..right } } else { right };
+    if by_codes {
+        right.primaries = left.primaries;
+    }
     let (light_a, light_b) = (
         shone(a, &left, None),
         shone(b, &right, Conversion::between(&right.primaries, &left.primaries).filter(|_| !by_codes)),
@@ -167,7 +169,17 @@ mod tests {
     fn picture(samples: Samples, profile: Option<Profile>) -> Photograph {
         let (width, height) = (32, samples.len() / 96);
         let (time_s, f_number, iso) = (None, None, None);
-        Photograph { width, height, samples, profile, capture: Capture::default(), time_s, f_number, iso }
+        Photograph {
+            width,
+            height,
+            samples,
+            profile,
+            has_alpha: false,
+            capture: Capture::default(),
+            time_s,
+            f_number,
+            iso,
+        }
     }
 
     fn eight(code: impl Fn(usize) -> u8) -> Photograph {

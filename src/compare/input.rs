@@ -9,8 +9,10 @@ use crate::error::{Error, Result, Warning};
 use crate::intake::Stamp;
 use crate::limits::Limits;
 use crate::merge::RadianceMap;
+use crate::merge::calibration::Factor;
 use crate::read;
 use crate::write::Metadata;
+use std::fmt::{self, Display, Formatter};
 use std::fs::{self, File};
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -36,15 +38,15 @@ impl Input {
         let path = path.to_owned();
         let stamp = Stamp::of(&path)?;
         if read::holds_radiance(&path, limits)? {
-            let (map, metadata) = read::read_within(&path, limits)?;
-            return Ok(Input { path, pixels: Pixels::Radiance(map, Box::new(metadata)), warnings: Vec::new(), stamp });
+            let contents = read::read_within(&path, limits)?;
+            let mut warnings = contents.warnings(&path);
+            warnings.extend(not_compared(&path, &contents.unread));
+            let pixels = Pixels::Radiance(contents.map, Box::new(contents.metadata));
+            return Ok(Input { path, pixels, warnings, stamp });
         }
         match Photograph::read(&path, limits) {
             Ok((photograph, mut warnings)) => {
-                if has_alpha(&path) {
-                    let detail = "its alpha is not compared".into();
-                    warnings.push(Warning::Metadata { path: path.clone(), detail });
-                }
+                warnings.extend(not_compared(&path, photograph.has_alpha.then(|| "alpha".to_owned()).as_slice()));
                 Ok(Input { path, pixels: Pixels::Display(Box::new(photograph)), warnings, stamp })
             }
             Err(Error::UnknownFormat { path, found }) => Err(Error::NotComparable { path, found }),
@@ -134,15 +136,15 @@ impl Input {
     /// What the headers tell differently.
     pub fn changed(&self, other: &Input) -> Vec<Changed> {
         let (ours, theirs) = (self.told(), other.told());
-        let both = ours.into_iter().zip(theirs);
-        both.filter(|(a, b)| a.1 != b.1)
-            .map(|((key, expected), (_, actual))| Changed { key, expected, actual })
-            .collect()
+        let both = ours.into_iter().zip(theirs).filter(|((_, a), (_, b))| !is_same(a.as_ref(), b.as_ref()));
+        let text = |told: Option<Told>| told.map(|told| told.to_string());
+        both.map(|((key, a), (_, b))| Changed { key, expected: text(a), actual: text(b) }).collect()
     }
 
     /// What the headers tell, in an order that is always the same.
-    fn told(&self) -> [(&'static str, Option<String>); 11] {
-        let number = |v: Option<f64>| v.map(|v| v.to_string());
+    fn told(&self) -> [(&'static str, Option<Told>); 11] {
+        let number = |v: Option<f64>| v.map(Told::Number);
+        let text = |v: Option<String>| v.map(Told::Text);
         let (capture, time, aperture, iso, unit, colour, comments) = match &self.pixels {
             Pixels::Radiance(_, m) => {
                 let comments = (!m.comments.is_empty()).then(|| m.comments.join("\n"));
@@ -151,7 +153,7 @@ impl Input {
                     m.time_s,
                     m.f_number,
                     m.iso,
-                    m.cd_m2_per_unit,
+                    m.cd_m2_per_unit.map(Factor::get),
                     Some(chromaticities(&m.primaries)),
                     comments,
                 )
@@ -162,26 +164,61 @@ impl Input {
             }
         };
         [
-            ("make", capture.make.clone()),
-            ("model", capture.model.clone()),
-            ("lens", capture.lens.clone()),
-            ("date", capture.date.clone()),
+            ("make", text(capture.make.clone())),
+            ("model", text(capture.model.clone())),
+            ("lens", text(capture.lens.clone())),
+            ("date", text(capture.date.clone())),
             ("focal_length_mm", number(capture.focal_length_mm)),
             ("time_s", number(time)),
             ("f_number", number(aperture)),
             ("iso", number(iso)),
             ("cd_m2_per_unit", number(unit)),
-            ("colour", colour),
-            ("comments", comments),
+            ("colour", text(colour)),
+            ("comments", text(comments)),
         ]
     }
 }
 
-/// Whether a PNG says that it has alpha (PNG, section 11.2.1: colour types 4 and 6).
-fn has_alpha(path: &Path) -> bool {
-    let mut start = [0; 26];
-    let is_read = File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok();
-    is_read && start.starts_with(b"\x89PNG") && matches!(start[25], 4 | 6)
+/// Something that headers tell.
+enum Told {
+    Text(String),
+    Number(f64),
+}
+
+impl Display for Told {
+    /// Numbers in as many digits as a float has.
+    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
+        match self {
+            Told::Text(text) => f.write_str(text),
+            Told::Number(number) => write!(f, "{}", *number as f32),
+        }
+    }
+}
+
+/// Whether both tell the same; of numbers within the precision of a float, which is the coarsest that a format keeps them in.
+fn is_same(a: Option<&Told>, b: Option<&Told>) -> bool {
+    match (a, b) {
+        (None, None) => true,
+        (Some(Told::Text(a)), Some(Told::Text(b))) => a == b,
+        (Some(Told::Number(a)), Some(Told::Number(b))) => {
+            a == b || (a - b).abs() <= f64::from(f32::EPSILON) * a.abs() || a.is_nan() && b.is_nan()
+        }
+        _ => false,
+    }
+}
+
+/// Names that a warning has room for.
+const NAMED: usize = 8;
+
+/// That `unread` parts of the file `path` have no say.
+fn not_compared(path: &Path, unread: &[String]) -> Option<Warning> {
+    let (last, others) = unread.split_last()?;
+    let list = match (others, others.len().checked_sub(NAMED)) {
+        ([], _) => format!("{last} is"),
+        (_, None | Some(0)) => format!("{} and {last} are", others.join(", ")),
+        (_, Some(more)) => format!("{} and {} others are", others[..NAMED].join(", "), more + 1),
+    };
+    Some(Warning::Metadata { path: path.to_owned(), detail: format!("its {list} not compared") })
 }
 
 /// Rounded as floats are: a format that keeps them coarser is no other colour space.

@@ -12,10 +12,12 @@ use crate::plane::{Plane, fold_bands};
 const P: [f64; 7] =
     [0.353487901, 0.3734658629, 8.277049286e-05, 0.9062562627, 0.09150303166, 0.9099517204, 596.3148142];
 /// What it is made for, in cd/m2.
-const LEAST: f32 = 0.005;
-const MOST: f32 = 10_000.0;
+const LEAST: f64 = 0.005;
+const MOST: f64 = 10_000.0;
 /// Steps in an octave, as a power of two.
 const FINE: u32 = 8;
+/// Bits of a float below those that count the steps.
+const BELOW: u32 = f64::MANTISSA_DIGITS - 1 - FINE;
 
 /// A picture in linear light.
 pub(super) struct Light<'a> {
@@ -37,7 +39,7 @@ impl Light<'_> {
         let [r, g, b] = self.weights;
         Plane::from_rows(self.pixels.width(), self.pixels.height(), |y, row| {
             for (v, p) in row.iter_mut().zip(self.pixels.row(y)) {
-                *v = table.code((r * p[0] + g * p[1] + b * p[2]) * self.scale);
+                *v = table.code(f64::from((r * p[0] + g * p[1] + b * p[2]) * self.scale)) as f32;
             }
         })
     }
@@ -50,48 +52,50 @@ pub(super) fn psnr(a: &Light, b: &Light) -> Option<f64> {
         let pairs = a.pixels.rows(rows.clone()).iter().zip(b.pixels.rows(rows));
         pairs
             .map(|(p, q)| {
-                let off = |c: usize| f64::from(table.code(p[c] * a.scale) - table.code(q[c] * b.scale));
+                // As doubles, in which floats that differ have codes that differ.
+                let code = |v: f32, light: &Light| table.code(f64::from(v) * f64::from(light.scale));
+                let off = |c: usize| code(p[c], a) - code(q[c], b);
                 [0, 1, 2].map(off).iter().map(|d| d * d).sum::<f64>()
             })
             .sum::<f64>()
     };
     let squares = fold_bands(a.pixels.height(), band, 0.0, |sum, more| sum + more);
     let mean = squares / (3 * a.pixels.as_slice().len()) as f64;
-    (mean > 0.0).then(|| 20.0 * libm::log10(code(f64::from(MOST)) / mean.sqrt()))
+    (mean > 0.0).then(|| 20.0 * libm::log10(code(MOST) / mean.sqrt()))
 }
 
 /// The paper's equation 1: the code of a luminance in cd/m2.
 fn code(luminance: f64) -> f64 {
-    let power = libm::pow(luminance.clamp(f64::from(LEAST), f64::from(MOST)), P[3]);
+    let power = libm::pow(luminance.clamp(LEAST, MOST), P[3]);
     P[6] * (libm::pow((P[0] + P[1] * power) / (1.0 + P[2] * power), P[4]) - P[5])
 }
 
-/// The codes at the floats whose last 15 bits are 0.
-struct Table(Vec<f32>);
+/// The codes at the floats whose last [`BELOW`] bits are 0.
+struct Table(Vec<f64>);
 
 impl Table {
     fn new() -> Table {
-        let last = MOST.to_bits() >> (23 - FINE);
-        let at = |i: u32| f64::from(f32::from_bits(i << (23 - FINE)));
+        let last = MOST.to_bits() >> BELOW;
+        let at = |i: u64| f64::from_bits(i << BELOW);
         // Not clamped: between the last line and the one after it lies the most.
         let open = |luminance: f64| {
             let power = libm::pow(luminance, P[3]);
             P[6] * (libm::pow((P[0] + P[1] * power) / (1.0 + P[2] * power), P[4]) - P[5])
         };
-        Table((Table::first()..=last + 1).map(|i| open(at(i)) as f32).collect())
+        Table((Table::first()..=last + 1).map(|i| open(at(i))).collect())
     }
 
-    fn first() -> u32 {
-        LEAST.to_bits() >> (23 - FINE)
+    fn first() -> u64 {
+        LEAST.to_bits() >> BELOW
     }
 
     /// The code of a luminance; of no number, that of the least.
-    fn code(&self, luminance: f32) -> f32 {
+    fn code(&self, luminance: f64) -> f64 {
         // No number is not more than anything.
         let luminance = if luminance > LEAST { luminance.min(MOST) } else { LEAST };
         let bits = luminance.to_bits();
-        let line = (bits >> (23 - FINE)) - Table::first();
-        let between = (bits & ((1 << (23 - FINE)) - 1)) as f32 / (1u32 << (23 - FINE)) as f32;
+        let line = (bits >> BELOW) - Table::first();
+        let between = (bits & ((1 << BELOW) - 1)) as f64 / (1u64 << BELOW) as f64;
         let (low, high) = (self.0[line as usize], self.0[line as usize + 1]);
         low + (high - low) * between
     }
@@ -108,14 +112,13 @@ mod tests {
         let table = Table::new();
         let mut worst = 0.0f64;
         for i in 0..20_000 {
-            let luminance = libm::exp2(-7.6 + 20.9 * f64::from(i) / 2e4) as f32;
-            let expected = code(f64::from(luminance));
-            worst = worst.max((f64::from(table.code(luminance)) - expected).abs());
+            let luminance = libm::exp2(-7.6 + 20.9 * f64::from(i) / 2e4);
+            worst = worst.max((table.code(luminance) - code(luminance)).abs());
         }
-        // Curvature over half a step of 1/256 octave, 1e-4; a float near 595 is within 3e-5.
+        // Curvature over half a step of 1/256 octave: 1e-4.
         assert!(worst < 1e-3, "{worst}");
-        assert_eq!([f32::NAN, -1.0, 0.0].map(|v| table.code(v)), [table.code(LEAST); 3]);
-        assert_eq!(table.code(f32::INFINITY), table.code(MOST));
+        assert_eq!([f64::NAN, -1.0, 0.0].map(|v| table.code(v)), [table.code(LEAST); 3]);
+        assert_eq!(table.code(f64::INFINITY), table.code(MOST));
     }
 
     #[test]
@@ -127,5 +130,7 @@ mod tests {
         // Each code is within 1e-3, of a difference of 11.
         assert!((psnr(&light(&a), &light(&b)).unwrap() - expected).abs() < 2e-3);
         assert_eq!(psnr(&light(&a), &light(&a)), None);
+        let next = flat(0.5f32.next_up());
+        assert!(psnr(&light(&a), &light(&next)).is_some_and(|db| db > 120.0), "a float and the next differ");
     }
 }

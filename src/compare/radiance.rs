@@ -35,7 +35,7 @@ pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Mea
     let (plane, tallies) = stops(&a.pixels, &b.pixels, floor);
     let weights = a.primaries.luminance().map(|w| w as f32);
     let scale = match about.cd_m2_per_unit {
-        Some(unit) => unit,
+        Some(unit) => unit.get(),
         None => BRIGHT_CD_M2 / f64::from(bright(a, weights)),
     };
     let light = |pixels| Light { pixels, scale: scale as f32, weights };

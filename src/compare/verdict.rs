@@ -134,12 +134,16 @@ pub(super) fn judge(
         // Beyond what is compared by it, as infinities are, there may be no difference that the PSNR sees.
         let not_comparable = measured.radiance.as_ref().map_or(0, |r| r.not_comparable_pixels);
         if not_comparable > 0 {
-            return (Verdict::Differs, format!("{} are no numbers in one file alone", pixels(not_comparable)));
+            return (Verdict::Differs, format!("{} no numbers in one file alone", pixels_are(not_comparable)));
         }
         return match found {
             Some(db) if db < least => (Verdict::Differs, format!("{name} {db:.2} dB, and {least} dB are asked for")),
             Some(db) => (Verdict::Same, format!("{name} {db:.2} dB, and {least} dB are asked for")),
-            None => (Verdict::Same, format!("{name} sees no difference")),
+            // Beyond what it is made for, as all black and a millionth of a cd/m2 are, it says nothing.
+            None => (
+                Verdict::Differs,
+                format!("{} not equal, and {name} says nothing of them", pixels_are(differing.unequal_pixels)),
+            ),
         };
     }
     let most = limits.max_differing_percent.unwrap_or(0.0);
@@ -160,6 +164,10 @@ pub(super) fn judge(
         format!("{many} ({share}) {tolerance}{allowed}")
     };
     (if is_same { Verdict::Same } else { Verdict::Differs }, reason)
+}
+
+fn pixels_are(count: usize) -> String {
+    format!("{} {}", pixels(count), if count == 1 { "is" } else { "are" })
 }
 
 fn pixels(count: usize) -> String {

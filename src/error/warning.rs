@@ -127,15 +127,13 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
-    /// The response file is of another camera than the photographs.
-    #[error("{}: is the response of {found}, and the photographs were taken by {kept}; recover theirs by `hdralign response`", path.display())]
-    ResponseOfAnother {
+    /// The response file is of another camera than the photographs, or they contradict it.
+    #[error("{}: {detail}; recover that of the photographs by `hdralign response`, or leave --response out", path.display())]
+    ResponseDoubtful {
         /// The response file.
         path: PathBuf,
-        /// Its camera.
-        found: String,
-        /// The camera of the photographs.
-        kept: String,
+        /// Why it may be another's.
+        detail: String,
     },
     /// Brackets of two cameras were given as one's.
     #[error("{}: was taken by {found}, others by {kept}; one curve is made of both", path.display())]
@@ -213,7 +211,7 @@ impl Warning {
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
                 | Warning::ResponseBorrowed { .. }
-                | Warning::ResponseOfAnother { .. }
+                | Warning::ResponseDoubtful { .. }
                 | Warning::CamerasDiffer { .. }
                 | Warning::BracketLeftOut { .. }
         )

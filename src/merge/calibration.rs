@@ -5,7 +5,8 @@
 //! Source: the constant is that of Greg Ward's hdrgen, [`CAMERA_CONSTANT`]; ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t
 //! S) for saturation-based speeds, without the half stop that it leaves for highlights: 85.
 //!
-//! The top code of a frame with exposure time t in s, f-number N and sensitivity S stands for
+//! The top code of a frame with exposure time t in s, f-number N and sensitivity S, each the exact step that was rounded to what the
+//! file says and fine-tuned as radiance is, stands for
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
@@ -26,8 +27,35 @@ use serde::Serialize;
 /// The luminance of the top code times t S / N^2, in cd/m2 times s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
-/// The largest factor: from starlight to the sun it is 1e14. Beyond, floats end.
-const MOST_FACTOR: f64 = 1e20;
+/// A factor on radiance or luminance: finite, above 0, and from 1e-20 to 1e20. From starlight to the sun it is 1e14; beyond, the floats
+/// that it is multiplied with end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Factor(f64);
+
+impl Factor {
+    /// 1.
+    pub const ONE: Factor = Factor(1.0);
+
+    /// `value` as a factor; none where it is out of range or no number.
+    pub fn new(value: f64) -> Option<Factor> {
+        (1e-20..=1e20).contains(&value).then_some(Factor(value))
+    }
+
+    /// Its value.
+    pub fn get(self) -> f64 {
+        self.0
+    }
+
+    /// Both factors together; none where that is out of range.
+    pub fn times(self, other: Factor) -> Option<Factor> {
+        Factor::new(self.0 * other.0)
+    }
+
+    /// This factor without the other; none where that is out of range.
+    pub fn over(self, other: Factor) -> Option<Factor> {
+        Factor::new(self.0 / other.0)
+    }
+}
 
 /// What the values of a radiance map are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -46,7 +74,7 @@ pub enum Unit {
 pub struct Calibration {
     /// Whether the camera's exposure time, f-number and sensitivity tell the luminance, by [`CAMERA_CONSTANT`].
     pub camera: bool,
-    /// A factor on the result, above 0, from 1e-20 to 1e20. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
+    /// A [`Factor`] on the result. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
     /// itself the luminance of radiance 1 in cd/m2.
     pub factor: Option<f64>,
 }
@@ -69,7 +97,7 @@ impl Calibration {
     /// [`Error::Option`].
     pub fn validate(&self) -> Result<()> {
         match self.factor {
-            Some(factor) if !(1.0 / MOST_FACTOR..=MOST_FACTOR).contains(&factor) => Err(Error::Option {
+            Some(factor) if Factor::new(factor).is_none() => Err(Error::Option {
                 option: "--calibration-factor",
                 reason: format!(
                     "{factor} is no factor; give a number above 0, from 1e-20 to 1e20: luminance measured over luminance reported"
@@ -114,22 +142,23 @@ impl Calibration {
     }
 }
 
-/// 87 N^2 / (t S) of `frame`.
+/// 87 N^2 / (t S) of `frame`, by the [relative exposure](crate::bracket::exposure::Exposure::relative) that radiance is relative to:
+/// exact steps and fine-tuning included, so that luminance does not depend on which frame is the reference.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;
-    let (Some(time), Some(f_number), Some(iso)) = (exposure.time_s, exposure.f_number, exposure.iso) else {
-        let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
-        let missing: Vec<&str> = known.into_iter().filter(|(_, v)| v.is_none()).map(|(name, _)| name).collect();
-        return Err(Error::Option {
-            option: "--absolute",
-            reason: format!(
-                "{} does not say its {}; measure one luminance and give --calibration-factor alone, in cd/m2 per unit of radiance",
-                frame.path().display(),
-                missing.join(" and ")
-            ),
-        });
-    };
-    Ok(CAMERA_CONSTANT * f_number * f_number / (time * iso))
+    let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
+    let missing: Vec<&str> = known.into_iter().filter(|(_, v)| v.is_none()).map(|(name, _)| name).collect();
+    if missing.is_empty() {
+        return Ok(CAMERA_CONSTANT / exposure.relative());
+    }
+    Err(Error::Option {
+        option: "--absolute",
+        reason: format!(
+            "{} does not say its {}; measure one luminance and give --calibration-factor alone, in cd/m2 per unit of radiance",
+            frame.path().display(),
+            missing.join(" and ")
+        ),
+    })
 }
 
 /// Multiplies `map` by `factor`, into cd/m2 or another unit; what a float does not hold becomes the nearest that it does.
@@ -152,8 +181,8 @@ mod tests {
     use crate::plane::Plane;
 
     fn frame(time_s: Option<f64>, f_number: Option<f64>, iso: Option<f64>) -> Frame {
-        let mut exposure = Exposure::given(0.0).unwrap();
-        (exposure.time_s, exposure.f_number, exposure.iso) = (time_s, f_number, iso);
+        let noted = time_s.and_then(|time| Exposure::from_camera(time, f_number, iso, String::new()));
+        let exposure = noted.or(Exposure::given(0.0)).unwrap();
         Frame::new("a.jpg".into(), 1, 1, Samples::Eight(vec![0; 3]), exposure)
     }
 
@@ -163,7 +192,7 @@ mod tests {
         let camera = Calibration { camera: true, factor: None };
         let of = |c: &Calibration, f: &Frame| c.settle(f, &ResponseCurve::linear());
         let report = of(&camera, &frame(Some(0.125), Some(8.0), Some(100.0))).unwrap().unwrap();
-        assert_eq!(report.camera_top_code_cd_m2, Some(87.0 * 64.0 / 12.5));
+        assert!((report.camera_top_code_cd_m2.unwrap() / (87.0 * 64.0 / 12.5) - 1.0).abs() < 1e-12);
         assert!((report.cd_m2_per_unit - 87.0 * 64.0 / 12.5 * 128.0 / 255.0).abs() < 1e-4);
         let both = Calibration { factor: Some(1.25), ..camera };
         let corrected = of(&both, &frame(Some(0.125), Some(8.0), Some(100.0))).unwrap().unwrap();

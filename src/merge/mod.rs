@@ -51,6 +51,7 @@ use mean::{Bounds, Means, MergedRow};
 use serde::Serialize;
 use statistics::Statistics;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use weight::Weight;
 
@@ -141,11 +142,12 @@ impl<'a> Merging<'a> {
     /// The merge of `options.region`.
     ///
     /// Frames that are rejected take no part, nor does a frame where it does not cover the pixel. What `ghosts` (found over the same
-    /// region) leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less
+    /// region, with the same alignment) leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less
     /// than half is kept decides nothing.
     ///
     /// # Errors
-    /// [`Error::Option`] where the region is empty or not within the reference, or where no frame was placed; [`Error::Scratch`].
+    /// [`Error::Option`] where the region is empty or not within the reference, where no frame was placed, or where `ghosts` are of another
+    /// region or other frames; [`Error::Scratch`].
     pub fn of(
         bracket: &'a Bracket,
         alignment: &'a Alignment,
@@ -172,7 +174,11 @@ impl<'a> Merging<'a> {
                 reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
             });
         }
-        let frames = alignment.placed(bracket).map(|(i, _, _)| i).collect();
+        let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
+        if let Some(ghosts) = ghosts {
+            let paths: Vec<&Path> = frames.iter().map(|&i| bracket.frames()[i].path()).collect();
+            ghosts.check(region, &paths)?;
+        }
         Ok(Merging { bracket, region, layers, frames, ghosts })
     }
 
@@ -300,6 +306,25 @@ mod tests {
         assert!((bright[0] / (4.0 * curve.exposure(0, 255.0)) - 1.0).abs() < 1e-3);
         assert!(bright[0] == bright[1] && bright[1] == bright[2] && dark[0] > 0.0);
         assert!((dark[0] / curve.exposure(0, 0.0) - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn ghosts_of_another_region_or_of_other_frames_are_refused() {
+        let (bracket, alignment) = still((64, 48), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
+        let curve = ResponseCurve::srgb();
+        let region = Rect { x0: 8, y0: 0, x1: 40, y1: 48 };
+        let ghosts = deghost::find(&bracket, &alignment, &curve, region, &deghost::Deghost { strength: 0.5 }).unwrap();
+        let merged = |alignment: &Alignment, region| {
+            merge(&bracket, alignment, &curve, &MergeOptions { weight: Weight::Hat, region }, Some(&ghosts))
+        };
+        assert!(merged(&alignment, region).is_ok());
+        let moved = Rect { x0: 9, x1: 41, ..region };
+        let refused = merged(&alignment, moved).unwrap_err().to_string();
+        assert!(refused.contains("--deghost") && refused.contains("columns 8..40"), "{refused}");
+        let mut fewer = alignment.clone();
+        fewer.verdicts[0].status = Status::Rejected;
+        fewer.verdicts[0].warp = None;
+        assert!(merged(&fewer, region).is_err_and(|e| e.to_string().contains("other frames")));
     }
 
     #[test]

@@ -35,23 +35,27 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// The weight of a code on the scale 0..=255 under a curve `g`, in 0..=1; under [`Weight::Noise`] its fading alone.
-    fn at(self, code: f64, g: &[f64; CODES]) -> f64 {
-        let off = code / 127.5 - 1.0;
+    /// The weight of a code on the scale 0..=255 under a curve `g` that is black up to the code `black`, in 0..=1; under [`Weight::Noise`]
+    /// its fading alone. Shapes are stretched over the codes above black; slopes and distances are those of the code itself.
+    fn at(self, code: usize, g: &[f64; CODES], black: f64) -> f64 {
+        let above = (code as f64 - black).max(0.0);
+        let stretched = above * 255.0 / (255.0 - black);
+        let off = stretched / 127.5 - 1.0;
         match self {
-            Weight::Hat => hat(code),
+            Weight::Hat => hat(stretched),
             Weight::Gaussian => {
                 let bell = |off: f64| libm::exp(-4.0 * off * off);
                 ((bell(off) - bell(1.0)) / (1.0 - bell(1.0))).max(0.0)
             }
             Weight::Plateau => (1.0 - libm::pow(off, 12.0)).max(0.0),
             Weight::Uniform => 1.0,
-            Weight::MannPicard if code <= 0.0 || code >= 255.0 => 0.0,
+            Weight::MannPicard if above <= 0.0 || code >= CODES - 1 => 0.0,
             Weight::MannPicard => {
-                let steepest = (1..CODES - 1).map(|z| certainty(g, z)).fold(f64::MIN_POSITIVE, f64::max);
-                certainty(g, code as usize) / steepest
+                let least = black.ceil() as usize;
+                let steepest = (least + 1..CODES - 1).map(|z| certainty(g, least, z)).fold(f64::MIN_POSITIVE, f64::max);
+                certainty(g, least, code) / steepest
             }
-            Weight::Noise => (code / FADES.0).min((255.0 - code) / FADES.1).clamp(0.0, 1.0),
+            Weight::Noise => (above / FADES.0).min((255.0 - code as f64) / FADES.1).clamp(0.0, 1.0),
         }
     }
 
@@ -64,13 +68,12 @@ impl Weight {
     pub(super) fn table(self, curve: &ResponseCurve, channel: usize, time: f64, noise: &Noise) -> [f32; CODES] {
         let (g, black) = (curve.ln_exposure(channel), curve.black(channel));
         std::array::from_fn(|code| {
-            let above = (code as f64 - black).max(0.0) * 255.0 / (255.0 - black);
             let say = match self {
                 Weight::Uniform => 1.0,
                 Weight::Noise => within(time * time / noise.variance(curve, channel, code)),
                 _ => time.sqrt(),
             };
-            (self.at(above, g) * say) as f32
+            (self.at(code, g, black) * say) as f32
         })
     }
 
@@ -91,9 +94,9 @@ fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }
 
-/// Codes to a neper of exposure at a code: the inverse of the slope of g.
-fn certainty(g: &[f64; CODES], code: usize) -> f64 {
-    let (from, to) = (code.saturating_sub(REACH), (code + REACH).min(CODES - 1));
+/// Codes to a neper of exposure at a code: the inverse of the slope of g from the code `least` on.
+fn certainty(g: &[f64; CODES], least: usize, code: usize) -> f64 {
+    let (from, to) = (code.saturating_sub(REACH).max(least), (code + REACH).min(CODES - 1));
     (to - from) as f64 / (g[to] - g[from])
 }
 
@@ -131,6 +134,16 @@ mod tests {
         let g = std::array::from_fn(|z| (z as f64 - 128.0) / 40.0);
         let w = table(Weight::MannPicard, &ResponseCurve::new([g; 3]).unwrap());
         assert!((1..255).all(|z| (w[z] - 1.0).abs() < 1e-6));
+    }
+
+    /// A camera that is linear above a black of 55: dZ / d ln X = Z - 55.
+    #[test]
+    fn the_certainty_with_a_black_level_is_the_slope_at_the_code_itself() {
+        let g = std::array::from_fn(|z| libm::log((z as f64 - 55.0).max(1e-3 * (z + 1) as f64)));
+        let lifted = ResponseCurve::new([g; 3]).unwrap().with_black([55.0; 3]).unwrap();
+        let w = table(Weight::MannPicard, &lifted);
+        assert_eq!((w[55], w[255]), (0.0, 0.0));
+        assert!(w[56] > 0.0 && (w[155] / w[105] - 2.0).abs() < 0.01, "{}", w[155] / w[105]);
     }
 
     #[test]

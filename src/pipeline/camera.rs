@@ -149,8 +149,9 @@ pub fn prepare(
             write::check_targets(&target, &photographs, options.line.write.overwrite)?;
             curves.push(path);
         }
+        let deciding = samples::deciding(&places(&seen));
         for path in &curves {
-            let encoded = saved.encode(path)?;
+            let encoded = saved.encode(path, &deciding)?;
             let mut written = write::text(path, &encoded.text)?;
             written.warnings.extend(encoded.lossy(path));
             files.push(written);

@@ -4,11 +4,10 @@
 
 use crate::align::resample::{OUTSIDE, resample_rows};
 use crate::align::{Alignment, Rect};
-use crate::bracket::Bracket;
-use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
+use crate::bracket::colour::{Conversion, Primaries, Transfer, linear_to_srgb};
+use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result};
 use crate::plane::{BAND_ROWS, Plane};
-use crate::tonemap::display::Encoder;
 use crate::tonemap::mertens::{self, BYTES_PER_PIXEL, Channels};
 use rayon::prelude::*;
 
@@ -33,6 +32,7 @@ pub(super) fn fused(
     }
     let frames = bracket.frames().iter().zip(&alignment.verdicts);
     let placed: Vec<_> = frames.filter_map(|(frame, verdict)| Some((frame, verdict.warp?))).collect();
+    let to_srgb = ToSrgb::of(bracket.reference());
     let channels = |k: usize| -> Result<Channels> {
         let (frame, warp) = &placed[k];
         let window = frame.whole()?;
@@ -47,32 +47,42 @@ pub(super) fn fused(
             resample_rows(&window, warp, region.x0..region.x1, y..y + red.len() / width, codes);
             for (((r, g), b), code) in red.iter_mut().zip(green).zip(blue).zip(codes.iter()) {
                 // Overshoot of the kernel must not be taken for what is outside.
-                let value = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
-                [*r, *g, *b] = value;
+                let inside = || code.map(|c| (c / 255.0).clamp(0.0, 1.0));
+                [*r, *g, *b] = match &to_srgb {
+                    _ if code[0] == OUTSIDE => [-1.0; 3],
+                    None => inside(),
+                    Some(to_srgb) => to_srgb.codes(inside()),
+                };
             }
         });
         Ok(planes)
     };
     let codes = mertens::fuse(placed.len(), channels, options)?;
-    Ok(shown(&codes, &bracket.reference().primaries()))
+    let (width, height) = (codes[0].width(), codes[0].height());
+    Ok(Plane::from_rows(width, height, |y, row| {
+        for (x, to) in row.iter_mut().enumerate() {
+            *to = codes.each_ref().map(|c| (255.0 * c.at(x, y).clamp(0.0, 1.0) + 0.5) as u8);
+        }
+    }))
 }
 
-/// Codes of the camera's colour space as codes of sRGB. The transfer of the frames is taken for sRGB's, as displays do.
-fn shown(codes: &Channels, primaries: &Primaries) -> Plane<[u8; 3]> {
-    let conversion = if primaries.is_close(&Primaries::SRGB, 1e-3) {
-        None
-    } else {
-        Conversion::between(primaries, &Primaries::SRGB)
-    };
-    let (width, height) = (codes[0].width(), codes[0].height());
-    let encoder = Encoder::new();
-    Plane::from_rows(width, height, |y, row| {
-        for (x, to) in row.iter_mut().enumerate() {
-            let code = codes.each_ref().map(|c| c.at(x, y).clamp(0.0, 1.0));
-            *to = match &conversion {
-                None => code.map(|c| (255.0 * c + 0.5) as u8),
-                Some(conversion) => encoder.codes(&conversion.apply(code.map(|c| srgb_to_linear(c.into()) as f32))),
-            };
-        }
-    })
+/// The way from the codes of a frame to those of sRGB, both 0 to 1: the measures of fusion are made for what a display shows.
+struct ToSrgb {
+    transfer: Transfer,
+    conversion: Conversion,
+}
+
+impl ToSrgb {
+    /// None where `frame` is in sRGB, or in no space.
+    fn of(frame: &Frame) -> Option<ToSrgb> {
+        let (primaries, transfer) = (frame.primaries(), Transfer::of(frame.profile.as_ref()));
+        let is_srgb = primaries.is_close(&Primaries::SRGB, 1e-3) && transfer.is_srgb();
+        let conversion = Conversion::between(&primaries, &Primaries::SRGB).filter(|_| !is_srgb)?;
+        Some(ToSrgb { transfer, conversion })
+    }
+
+    fn codes(&self, codes: [f32; 3]) -> [f32; 3] {
+        let light = [0, 1, 2].map(|c| self.transfer.light(c, codes[c].into()) as f32);
+        self.conversion.apply(light).map(|v| linear_to_srgb(v.into()) as f32)
+    }
 }

@@ -10,7 +10,7 @@ use crate::align::given::SavedAlignment;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::error::{Result, Warning};
-use crate::merge::calibration::{self, CalibrationReport, Unit};
+use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::statistics::{Statistics, Tally};
@@ -18,10 +18,10 @@ use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
-use crate::response::file::SavedResponse;
+use crate::response::file::{ALL_CODES, SavedResponse};
 use crate::response::ratios::{self, Exposures};
-use crate::response::samples::Places;
-use crate::response::{self, ResponseCurve, ResponseReport};
+use crate::response::samples::{self, Places};
+use crate::response::{self, CODES, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
@@ -85,12 +85,23 @@ fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &
 fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
     let found = saved.camera()?;
     let kept = capture.camera()?;
-    (found != kept).then(|| Warning::ResponseOfAnother { path: path.to_owned(), found, kept })
+    let detail = format!("is the response of {found}, and the photographs were taken by {kept}");
+    (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
+}
+
+/// What there is to say of the curve in the file `path` where the photographs contradict it.
+fn contradicted_response(path: &Path, curve: &ResponseCurve, places: &Places) -> Result<Option<Warning>> {
+    let told = |(found, own)| {
+        let detail =
+            format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}");
+        Warning::ResponseDoubtful { path: path.to_owned(), detail }
+    };
+    Ok(response::contradiction(curve, places)?.map(told))
 }
 
 /// What headers say of a result.
 pub(super) fn metadata(reference: &Frame, options: &Options) -> Metadata {
-    let cd_m2_per_unit = options.calibration.is_asked().then_some(1.0);
+    let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
     let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");
     let comments = options.unit_exposure.map(unit).into_iter().collect();
     Metadata { cd_m2_per_unit, comments, ..Metadata::of(reference) }
@@ -102,13 +113,22 @@ pub(super) struct Line<'a> {
     pub began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
+    /// Which codes decide what is merged, for response files that hold less than a curve.
+    deciding: [[u64; CODES]; 3],
     /// The page, where one is asked for.
     page: Option<Page>,
 }
 
 impl<'a> Line<'a> {
     pub fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
-        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new(), page: None }
+        Line {
+            watch,
+            began: Instant::now(),
+            times: Times::default(),
+            warnings: Vec::new(),
+            deciding: ALL_CODES,
+            page: None,
+        }
     }
 
     /// With a page, where the report is to be one.
@@ -178,13 +198,15 @@ impl<'a> Line<'a> {
         let (done, time) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
             let is_sought = saved.is_none() && options.response.is_sought();
-            let mut places = if is_tuned || is_sought { Places::of(&bracket, alignment)? } else { Places::default() };
+            let is_needed = is_tuned || is_sought || saved.is_some() || options.save_response.is_some();
+            let mut places = if is_needed { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
             let (curve, report) = match saved {
                 Some(saved) => {
                     let path = options.response_file.as_deref().unwrap_or(Path::new(""));
                     warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
+                    warnings.extend(contradicted_response(path, &saved.curve, &places)?);
                     (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
                 }
                 None => {
@@ -193,9 +215,10 @@ impl<'a> Line<'a> {
                     (curve, report)
                 }
             };
-            Ok((bracket, curve, report, warnings))
+            Ok((bracket, curve, report, warnings, samples::deciding(&[&places])))
         });
-        let (bracket, curve, report, warnings) = done?;
+        let (bracket, curve, report, warnings, deciding) = done?;
+        self.deciding = deciding;
         self.times.response = time;
         self.warnings.extend(warnings);
         Ok((bracket, curve, report))
@@ -374,7 +397,7 @@ impl<'a> Line<'a> {
             let mut files = Vec::new();
             if let (Some(path), Some(curve)) = (&options.save_response, curve) {
                 let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
-                let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path)?;
+                let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path, &self.deciding)?;
                 let mut written = write::text(path, &encoded.text)?;
                 written.warnings.extend(encoded.lossy(path));
                 files.push(written);

@@ -58,9 +58,11 @@ pub fn tonemap_file(
             Some(since.elapsed().as_secs_f64())
         };
         watch(Progress::Begins(Stage::Load));
-        let (map, metadata) = read::read_within(input, &options.limits)?;
+        let contents = read::read_within(input, &options.limits)?;
+        let mut warnings = contents.warnings(input);
+        let read::Contents { map, metadata, .. } = contents;
         let (map, repaired) = read::repair(map);
-        let mut warnings = repaired.warnings(input);
+        warnings.extend(repaired.warnings(input));
         let (map, outside) = match options.colour {
             Some(space) => gamut::converted(map, space),
             None => (map, 0),

@@ -3,12 +3,12 @@
 //! In: a file. Out: the radiance of its first part with R, G and B, or else with Y, and what its header tells. Halves, floats and whole
 //! numbers, scan lines and tiles (the finest level), every compression of the `exr` crate (all but HTJ2K), one part or several. Of a
 //! data window that is not the display window's, the pixels there are; alpha is left out, as colours are premultiplied: what shows is
-//! laid over black. Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate's codecs; blocks
+//! laid over black; other channels and parts are [named](Contents::unread). Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate's codecs; blocks
 //! are unpacked in parallel. Source: as for [`crate::write::exr`].
 
+use super::Contents;
 use crate::bracket::colour::Primaries;
 use crate::limits::{self, DEFLATE, Limits};
-use crate::merge::RadianceMap;
 use crate::plane::Plane;
 use crate::write::Metadata;
 use ::exr::block::UncompressedBlock;
@@ -29,7 +29,7 @@ use std::io::Cursor;
 ///
 /// # Errors
 /// The reason for damaged files, for those without colour or luminance, and for those that ask for more than `limits` allow.
-pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), String> {
+pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let failed = |e| match e {
         ::exr::error::Error::Io(_) => "it is cut short; copy it again".into(),
         ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
@@ -57,7 +57,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
     });
 
     let own = &layer.attributes;
-    let number = |v: Option<f32>| v.map(f64::from);
+    let number = |v: Option<f32>| v.map(decimal);
     let words = |t: Option<&Text>| t.map(|t| t.to_string());
     let other = |name: &str| match own.other.get(&Text::from(name)) {
         Some(AttributeValue::Text(text)) => Some(text.to_string()),
@@ -67,14 +67,13 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
         time_s: number(own.exposure),
         f_number: number(own.aperture),
         iso: number(own.iso_speed),
-        cd_m2_per_unit: number(own.white_luminance),
         ..Metadata::default()
     };
     metadata.capture.make = other("cameraMake");
     metadata.capture.model = other("cameraModel");
     metadata.capture.lens = other("lensModel");
     metadata.capture.focal_length_mm = match own.other.get(&Text::from("nominalFocalLength")) {
-        Some(AttributeValue::F32(length)) => Some(f64::from(*length)),
+        Some(AttributeValue::F32(length)) => Some(decimal(*length)),
         _ => None,
     };
     metadata.capture.date = words(own.capture_date.as_ref());
@@ -83,7 +82,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
         let xy = |p: Vec2<f32>| [f64::from(p.0), f64::from(p.1)];
         metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
     }
-    Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+    let mut contents = Contents::new(pixels, metadata);
+    contents.set_unit("whiteLuminance", number(own.white_luminance));
+    contents.unread = unread(&layers, layer, channels);
+    Ok(contents)
 }
 
 /// Holds what the headers say of all parts, which are all read, against what is there and what is allowed: the crate takes their word.
@@ -144,6 +146,7 @@ fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<
 }
 
 type Channel = AnyChannel<FlatSamples>;
+type Layer = ::exr::image::Layer<AnyChannels<FlatSamples>>;
 
 /// R, G and B, by themselves or all with one prefix and a dot before.
 fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
@@ -165,6 +168,35 @@ fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
     })
 }
 
+/// The shortest decimal that is rounded to this float: 5.6, where the float itself is 5.599999904632568.
+fn decimal(v: f32) -> f64 {
+    v.to_string().parse().unwrap_or(f64::from(v))
+}
+
+/// The channels that are not `chosen` of `layer`, and the other layers: parts, by number where they have no name, and what stands before
+/// the dot in the names of channels.
+fn unread(layers: &[Layer], layer: &Layer, chosen: [&Channel; 3]) -> Vec<String> {
+    let mut found = Vec::new();
+    for (number, other) in layers.iter().enumerate() {
+        if !std::ptr::eq(other, layer) {
+            let name = other.attributes.layer_name.as_ref().map_or_else(|| format!("{}", number + 1), Text::to_string);
+            found.push(format!("layer {name}"));
+            continue;
+        }
+        for channel in other.channel_data.list.iter().filter(|c| !chosen.iter().any(|r| std::ptr::eq(*c, *r))) {
+            let name = channel.name.to_string();
+            let prefix = chosen[0].name.to_string().strip_suffix('R').map(str::to_owned).unwrap_or_default();
+            found.push(match (name.strip_prefix(&prefix), name.rsplit_once('.')) {
+                (Some("A"), _) => "alpha".to_owned(),
+                (_, Some((layer, _))) => format!("layer {layer}"),
+                _ => format!("channel {name}"),
+            });
+        }
+    }
+    found.dedup();
+    found
+}
+
 /// Channel `c` of a row, as floats, from the value `at` on.
 fn fill(row: &mut [[f32; 3]], c: usize, samples: &FlatSamples, at: usize) {
     match samples {
@@ -176,7 +208,8 @@ fn fill(row: &mut [[f32; 3]], c: usize, samples: &FlatSamples, at: usize) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{Channel, FlatSamples};
+    use crate::merge::RadianceMap;
     use ::exr::prelude::*;
 
     fn channel(name: &str, samples: FlatSamples) -> Channel {

@@ -3,10 +3,10 @@
 //! In: a file. Out: its radiance and what its header tells. Runs of the new and the old kind, flat pixels, and any of the eight
 //! orders of scanlines are read. Cost: 10 ns a pixel. Source: as for [`crate::write::hdr`]; `src/common/resolu.c` (orders).
 
-use super::Turn;
+use super::{Contents, Turn};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::limits::{self, Limits};
-use crate::merge::RadianceMap;
+use crate::merge::calibration::Factor;
 use crate::plane::Plane;
 use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
@@ -18,7 +18,7 @@ use crate::write::rgbe::{self, Rgbe};
 ///
 /// # Errors
 /// The reason for what is no such file, is damaged or cut short, or asks for more than `limits` allow.
-pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), String> {
+pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let mut rest = bytes;
     if !take_line(&mut rest).is_some_and(|l| l.starts_with("#?")) {
         return Err("it does not begin with #?RADIANCE; it is some other format".into());
@@ -37,11 +37,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
         let value = value.trim();
         match key {
             "EXPOSURE" => {
-                let factor: f64 = value.parse().unwrap_or(f64::NAN);
-                if !(factor.is_finite() && factor > 0.0) {
-                    return Err(format!("its EXPOSURE is `{value}`, not a positive number"));
-                }
-                metadata.exposure_scale *= factor;
+                let factor = value.parse().ok().and_then(Factor::new);
+                let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
+                metadata.exposure_scale =
+                    all.ok_or_else(|| format!("its EXPOSURE is `{value}`, which makes no factor from 1e-20 to 1e20"))?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,
             "LENS" => metadata.capture.lens = Some(value.into()),
@@ -82,13 +81,14 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RadianceMap, Metadata), S
     }
     if xyze {
         // XYZ is in cd/m2; BT.2020 holds nearly all that a camera sees.
-        metadata.exposure_scale *= WHITE_EFFICACY;
+        let scale = Factor::new(WHITE_EFFICACY).and_then(|white| metadata.exposure_scale.times(white));
+        metadata.exposure_scale = scale.ok_or("its EXPOSURE makes no factor from 1e-20 to 1e20")?;
         metadata.primaries = Primaries::BT2020;
         let neutral = NeutralXyz::of(&metadata.primaries);
         pixels.iter_mut().for_each(|p| *p = neutral.to_rgb(*p));
     }
     let pixels = scan.turn.upright(Plane::from_vec(scan.length, scan.lines, pixels));
-    Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+    Ok(Contents::new(pixels, metadata))
 }
 
 /// The next line, without its end; `None` where there is no whole line.
@@ -136,11 +136,12 @@ impl Scan {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::merge::RadianceMap;
     use crate::write::hdr::{Encoding, Writer};
     use crate::write::{Pending, commit, push_all};
 
     fn parsed(bytes: &[u8]) -> Result<(RadianceMap, Metadata), String> {
-        parse(bytes, &Limits::default())
+        parse(bytes, &Limits::default()).map(|Contents { map, metadata, .. }| (map, metadata))
     }
 
     fn written(picture: &Plane<[f32; 3]>, encoding: Encoding) -> Vec<u8> {
@@ -160,7 +161,7 @@ mod tests {
             bytes.extend([128 + 10 * x, 128 + 10 * y, 0, 136]);
         }
         let (map, metadata) = parsed(&bytes).unwrap();
-        assert_eq!(metadata.exposure_scale, 8.0, "a tab makes it another picture's");
+        assert_eq!(metadata.exposure_scale.get(), 8.0, "a tab makes it another picture's");
         map.pixels
     }
 
@@ -202,7 +203,7 @@ mod tests {
         let picture = Plane::filled(40, 3, [0.3, 1.2, 0.7]);
         let (map, metadata) = parsed(&written(&picture, Encoding::Xyze)).unwrap();
         let back = crate::bracket::colour::Conversion::between(&map.primaries, &Primaries::SRGB).unwrap();
-        assert!((metadata.exposure_scale - 1.0).abs() < 1e-9);
+        assert!((metadata.exposure_scale.get() - 1.0).abs() < 1e-9);
         for (a, b) in back.apply(map.pixels.at(39, 2)).iter().zip([0.3, 1.2, 0.7]) {
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
@@ -225,7 +226,9 @@ mod tests {
             parsed(&changed).map(|_| ()).unwrap_err()
         };
         assert!(with("#?RADIANCE", "PF").contains("#?RADIANCE"));
-        assert!(with("EXPOSURE=1e0", "EXPOSURE=0").contains("EXPOSURE"));
+        for beyond in ["0", "-1", "nan", "inf", "1e-300", "1e15\nEXPOSURE=1e15", "bright"] {
+            assert!(with("EXPOSURE=1e0", &format!("EXPOSURE={beyond}")).contains("EXPOSURE"), "{beyond}");
+        }
         assert!(with("rle_rgbe", "rle_spec").contains("rle_spec"));
         assert!(with("-Y 9", "-Z 9").contains("resolution"));
         assert!(with("-Y 9", "-Y 10").contains("row 9"));

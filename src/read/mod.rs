@@ -1,7 +1,7 @@
 //! Reading back: radiance maps as our own writers and other programs make them.
 //!
 //! In: an `.exr`, `.hdr` or floating-point `.tif`, known by its content and never by its name. Out: a [`RadianceMap`] as it was stored,
-//! and the [`Metadata`] that came along. Cost: see each format.
+//! and the [`Metadata`] that came along; with [`read_within`] also what else the file holds. Cost: see each format.
 //!
 //! What is stored is given as it is by [`read`], but for the scale that a header tells: `.hdr` is divided by its EXPOSURE, LogLuv
 //! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair`] makes of them what the later
@@ -11,9 +11,11 @@ pub mod exr;
 pub mod hdr;
 pub mod tiff;
 
+use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::Limits;
+use crate::merge::calibration::Factor;
 use crate::merge::gamut::{into_gamut, weights};
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::{BAND_ROWS, Plane};
@@ -28,15 +30,58 @@ use std::path::Path;
 /// # Errors
 /// Those of [`read_within`], with the limits that are by default.
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
-    read_within(path, &Limits::default())
+    read_within(path, &Limits::default()).map(|Contents { map, metadata, .. }| (map, metadata))
 }
 
-/// As [`read`], of a file that may ask for what `limits` allow.
+/// What a file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contents {
+    /// Its radiance.
+    pub map: RadianceMap,
+    /// What its headers tell.
+    pub metadata: Metadata,
+    /// What it holds beside that and is not read: `alpha`, `channel Z`, `layer left`.
+    pub unread: Vec<String>,
+    /// What was wrong with its headers and what was done about it, for people.
+    pub notes: Vec<String>,
+}
+
+impl Contents {
+    /// The radiance `pixels`, of which the headers told `metadata`, its primaries among it. Primaries that span no colour space are
+    /// replaced, with a note.
+    fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
+        let mut notes = Vec::new();
+        if metadata.primaries.to_xyz().is_none() {
+            metadata.primaries = Primaries::SRGB;
+            notes.push("its chromaticities span no colour space; those of BT.709 are assumed".to_owned());
+        }
+        let map = RadianceMap { pixels, primaries: metadata.primaries };
+        Contents { map, metadata, unread: Vec::new(), notes }
+    }
+
+    /// `luminance` as the unit of radiance in cd/m2, by the header `name`; radiance stays relative, with a note, where it is no [`Factor`].
+    fn set_unit(&mut self, name: &str, luminance: Option<f64>) {
+        self.metadata.cd_m2_per_unit = luminance.and_then(Factor::new);
+        if let (Some(luminance), None) = (luminance, self.metadata.cd_m2_per_unit) {
+            self.notes.push(format!(
+                "its {name} is {luminance}, no number from 1e-20 to 1e20; its radiance is taken for relative"
+            ));
+        }
+    }
+
+    /// The notes as warnings about the file `path`.
+    pub fn warnings(&self, path: &Path) -> Vec<Warning> {
+        let warning = |detail: &String| Warning::Metadata { path: path.to_owned(), detail: detail.clone() };
+        self.notes.iter().map(warning).collect()
+    }
+}
+
+/// All that is known of the file `path`, which may ask for what `limits` allow.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::Changed`]; [`Error::NotRadiance`] where the content is none of the formats; [`Error::Decode`] where it is
 /// damaged, cut short, of a kind that is not read, or asks for more than is allowed.
-pub fn read_within(path: &Path, limits: &Limits) -> Result<(RadianceMap, Metadata)> {
+pub fn read_within(path: &Path, limits: &Limits) -> Result<Contents> {
     let kind = Kind::of(path)?;
     let bytes = intake::whole(path, limits.most_bytes())?;
     // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
@@ -46,14 +91,13 @@ pub fn read_within(path: &Path, limits: &Limits) -> Result<(RadianceMap, Metadat
         Kind::Tiff => tiff::parse(bytes, limits),
     }));
     let parsed = parsed.unwrap_or_else(|_| Err("it is damaged beyond what its decoder can tell; copy it again".into()));
-    let (mut map, mut metadata) =
-        parsed.map_err(|reason| Error::Decode { path: path.to_owned(), format: kind.name(), reason })?;
-    if metadata.exposure_scale != 1.0 {
-        let factor = (1.0 / metadata.exposure_scale) as f32;
-        map.pixels.as_mut_slice().par_iter_mut().for_each(|p| *p = p.map(|v| v * factor));
-        metadata.exposure_scale = 1.0;
+    let mut contents = parsed.map_err(|reason| Error::Decode { path: path.to_owned(), format: kind.name(), reason })?;
+    let scale = std::mem::replace(&mut contents.metadata.exposure_scale, Factor::ONE);
+    if scale != Factor::ONE {
+        let factor = (1.0 / scale.get()) as f32;
+        contents.map.pixels.as_mut_slice().par_iter_mut().for_each(|p| *p = p.map(|v| v * factor));
     }
-    Ok((map, metadata))
+    Ok(contents)
 }
 
 /// Whether the first bytes of the file `path` are those of a radiance map.
@@ -211,7 +255,6 @@ pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bracket::colour::Primaries;
 
     #[test]
     fn what_no_stage_takes_is_mended_and_counted() {

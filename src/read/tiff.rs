@@ -4,12 +4,12 @@
 //! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
 //! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and [`crate::write::logluv`].
 
-use super::Turn;
+use super::{Contents, Turn};
 use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::limits::{self, Limits};
-use crate::merge::RadianceMap;
+use crate::merge::calibration::Factor;
 use crate::plane::Plane;
 use crate::write::{Metadata, luv};
 use std::io::Cursor;
@@ -51,7 +51,7 @@ type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 ///
 /// # Errors
 /// The reason for damaged files, those of integers, and those that ask for more than `limits` allow.
-pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<(RadianceMap, Metadata)> {
+pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     disguise_logluv(&mut bytes);
     let bytes = bytes.as_slice();
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
@@ -81,15 +81,11 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<(RadianceMap, Metada
     buffers.intermediate_buffer_size = buffers.intermediate_buffer_size.max(unpacked);
     decoder = decoder.with_limits(buffers);
     let mut metadata = metadata(&mut decoder);
-    let mut pixels = match compression {
-        34676 | 34677 => {
-            metadata.primaries = Primaries::BT2020;
-            let scale = metadata.cd_m2_per_unit.unwrap_or(1.0);
-            // With it the values are in cd/m2.
-            metadata.cd_m2_per_unit = metadata.cd_m2_per_unit.map(|_| 1.0);
-            logluv(&mut decoder, bytes, (width, height), compression == 34677, scale as f32)?
-        }
-        _ => floats(&mut decoder, width * height)?,
+    let mut pixels = if is_logluv {
+        metadata.primaries = Primaries::BT2020;
+        logluv(&mut decoder, bytes, (width, height), compression == 34677)?
+    } else {
+        floats(&mut decoder, width * height)?
     };
     if pixels.len() < width * height {
         return Err(format!("it holds {} of {} pixels; copy it again", pixels.len(), width * height));
@@ -97,7 +93,20 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<(RadianceMap, Metada
     pixels.truncate(width * height);
     let turn = turn(decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten().unwrap_or(1));
     let pixels = turn.upright(Plane::from_vec(width, height, pixels));
-    Ok((RadianceMap { pixels, primaries: metadata.primaries }, metadata))
+    let mut contents = Contents::new(pixels, metadata);
+    contents.set_unit("StoNits", number(&mut decoder, STONITS));
+    if let (true, Some(unit)) = (is_logluv, contents.metadata.cd_m2_per_unit) {
+        // With it the values are in cd/m2.
+        contents.metadata.cd_m2_per_unit = Some(Factor::ONE);
+        contents.metadata.exposure_scale = Factor::ONE.over(unit).unwrap_or(Factor::ONE);
+    }
+    if !is_logluv && matches!(samples, 2 | 4..) {
+        contents.unread.push("alpha".to_owned());
+    }
+    if decoder.more_images() {
+        contents.unread.push("further images".to_owned());
+    }
+    Ok(contents)
 }
 
 /// The crate reads no directory with LogLuv's photometric interpretation; RGB's or grey's is put in its place. The compression tells.
@@ -161,13 +170,7 @@ fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
 }
 
 /// Strips of LogLuv or, with one sample a pixel, of LogL.
-fn logluv(
-    decoder: &mut Bytes,
-    bytes: &[u8],
-    (width, height): (usize, usize),
-    packed: bool,
-    scale: f32,
-) -> Parsed<Vec<[f32; 3]>> {
+fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), packed: bool) -> Parsed<Vec<[f32; 3]>> {
     let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(said);
     if decoder.find_tag(Tag::TileWidth).map_err(said)?.is_some() {
         return Err("it is LogLuv by tiles; make it strips first, as with `tiffcp -s`".into());
@@ -193,13 +196,10 @@ fn logluv(
             } else {
                 luv::take_row(&mut strip, &mut row, if grey { 2 } else { 4 }).ok_or_else(cut)?;
             }
-            pixels.extend(row.iter().map(|&code| {
-                let rgb = match (grey, packed) {
-                    (true, _) => [luv::luminance16(code) as f32; 3],
-                    (false, true) => neutral.to_rgb(luv::decode24(code)),
-                    (false, false) => neutral.to_rgb(luv::decode32(code)),
-                };
-                rgb.map(|v| v * scale)
+            pixels.extend(row.iter().map(|&code| match (grey, packed) {
+                (true, _) => [luv::luminance16(code) as f32; 3],
+                (false, true) => neutral.to_rgb(luv::decode24(code)),
+                (false, false) => neutral.to_rgb(luv::decode32(code)),
             }));
         }
     }
@@ -214,7 +214,6 @@ fn metadata(decoder: &mut Bytes) -> Metadata {
     metadata.capture.model = text(Tag::Model);
     metadata.capture.date = text(Tag::DateTime);
     metadata.comments.extend(text(Tag::ImageDescription).filter(|t| !t.is_empty()));
-    metadata.cd_m2_per_unit = number(decoder, STONITS).filter(|v| *v > 0.0);
     let chromaticities = numbers(decoder, CHROMATICITIES).zip(numbers(decoder, WHITE_POINT));
     let stated = match chromaticities.as_ref().map(|(rgb, white)| (rgb.as_slice(), white.as_slice())) {
         Some((&[rx, ry, gx, gy, bx, by], &[wx, wy])) => {
@@ -226,7 +225,8 @@ fn metadata(decoder: &mut Bytes) -> Metadata {
         Found::Rgb(profile) => profile.primaries,
         _ => None,
     };
-    metadata.primaries = stated.filter(|p| p.to_xyz().is_some()).or_else(by_profile).unwrap_or(Primaries::SRGB);
+    let sound = stated.filter(|p| p.to_xyz().is_some());
+    metadata.primaries = sound.or_else(by_profile).or(stated).unwrap_or(Primaries::SRGB);
     if let Ok(pointer) = decoder.get_tag_u64(Tag::ExifDirectory) {
         exif(decoder, IfdPointer(pointer), &mut metadata);
     }
@@ -250,7 +250,7 @@ fn exif(decoder: &mut Bytes, pointer: IfdPointer, metadata: &mut Metadata) {
 
 /// The numbers of a tag, whatever their type.
 fn numbers(decoder: &mut Bytes, tag: Tag) -> Option<Vec<f64>> {
-    Some(fractions(decoder.find_tag(tag).ok()??)).filter(|v| v.iter().all(|v| v.is_finite()))
+    Some(fractions(decoder.find_tag(tag).ok()??))
 }
 
 fn number(decoder: &mut Bytes, tag: Tag) -> Option<f64> {
@@ -271,13 +271,14 @@ fn fractions(value: tiff::decoder::ifd::Value) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::merge::RadianceMap;
     use crate::write::tiff::Writer;
     use crate::write::{Pending, commit, push_all};
     use tiff::encoder::colortype::{Gray32Float, RGB8, RGB32Float, RGB64Float};
     use tiff::encoder::{Compression, DeflateLevel, TiffEncoder};
 
     fn parsed(bytes: Vec<u8>) -> Parsed<(RadianceMap, Metadata)> {
-        parse(bytes, &Limits::default())
+        parse(bytes, &Limits::default()).map(|contents| (contents.map, contents.metadata))
     }
 
     fn picture() -> Plane<[f32; 3]> {
@@ -297,7 +298,7 @@ mod tests {
             f_number: Some(5.6),
             iso: Some(400.0),
             primaries: Primaries::PROPHOTO,
-            cd_m2_per_unit: Some(1.0),
+            cd_m2_per_unit: Some(Factor::ONE),
             comments: vec!["by hand".into()],
             ..Metadata::default()
         };

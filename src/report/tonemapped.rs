@@ -4,7 +4,7 @@
 //! Cost: that of the statistics, one pass.
 
 use super::{ColourReport, Times, WarningReport};
-use crate::merge::calibration::Unit;
+use crate::merge::calibration::{Factor, Unit};
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 use crate::merge::{FLOOR, RadianceMap};
@@ -56,7 +56,7 @@ pub struct TonemapReport {
 impl TonemapReport {
     /// The report of `map`, every value of which is positive and finite, as read from `input`; the rest is for the caller to add.
     pub fn new(input: &Path, map: &RadianceMap, metadata: &Metadata) -> Self {
-        let unit = if metadata.cd_m2_per_unit == Some(1.0) { Unit::CdM2 } else { Unit::Relative };
+        let unit = if metadata.cd_m2_per_unit == Some(Factor::ONE) { Unit::CdM2 } else { Unit::Relative };
         TonemapReport {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
@@ -65,7 +65,7 @@ impl TonemapReport {
             height_px: map.pixels.height(),
             operator: Operator::default(),
             colour: map.primaries.into(),
-            cd_m2_per_unit: metadata.cd_m2_per_unit,
+            cd_m2_per_unit: metadata.cd_m2_per_unit.map(Factor::get),
             radiance: measured(map, unit),
             not_number_pixels: 0,
             infinite_pixels: 0,
@@ -106,7 +106,7 @@ mod tests {
     fn the_unit_is_told() {
         let map = RadianceMap { pixels: Plane::filled(4, 2, [0.5; 3]), primaries: Primaries::BT2020 };
         let json = |luminance| -> serde_json::Value {
-            let metadata = Metadata { cd_m2_per_unit: luminance, ..Metadata::default() };
+            let metadata = Metadata { cd_m2_per_unit: Option::and_then(luminance, Factor::new), ..Metadata::default() };
             serde_json::from_str(&TonemapReport::new(Path::new("a.exr"), &map, &metadata).to_json()).unwrap()
         };
         assert_eq!((&json(None)["radiance"]["unit"], &json(None)["cd_m2_per_unit"]), (&"relative".into(), &().into()));

@@ -10,6 +10,7 @@
 //!
 //! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
 
+use super::fit::RESIDUAL;
 use super::{CODES, ResponseCurve, csv, rsp, stops};
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
@@ -58,32 +59,55 @@ impl Format {
 pub struct Encoded {
     /// All of the file.
     pub text: String,
-    /// What the format could not hold of the curve: root mean square over codes 10 to 245, in stops; 0 where it is all there.
+    /// What radiance is off by, merged with the file in place of the curve: root mean square over the channels and the codes that
+    /// [decide](super::samples::deciding), in stops; 0 where it is all there.
     pub residual_stops: f64,
+    /// The channel that is farthest off at one of these codes, and how far, in stops.
+    pub worst: (&'static str, f64),
 }
 
 impl Encoded {
     /// What there is to say of the file `path` where it holds less than the curve.
     pub fn lossy(&self, path: &Path) -> Option<Warning> {
-        let detail = format!("its numbers miss the curve by {:.3} stops; .json holds all of it", self.residual_stops);
+        let (channel, most) = self.worst;
+        let detail = format!(
+            "radiance merged with it is off by {:.2} stops (root mean square over the photographs, {channel} by up to {most:.2}); .json holds all of the curve",
+            self.residual_stops
+        );
         (self.residual_stops > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail })
     }
 }
 
 /// Residual of a file that is not worth a word, in stops: what curves of two brackets of one camera differ by.
-const LOSS: f64 = 0.01;
+pub(super) const LOSS: f64 = 0.01;
 
 /// What nine decimals miss of a camera's curve is below this, and not told, in stops.
 const DECIMALS: f64 = 1e-3;
 
-/// Root mean square of what `read` misses of `curve` over codes 10 to 245 after one shift for the three channels, in stops.
-fn residual_stops(read: &ResponseCurve, curve: &ResponseCurve) -> f64 {
-    let miss = |c: usize, z: usize| stops(read.ln_exposure(c)[z] - curve.ln_exposure(c)[z]);
-    let all = || (0..3).flat_map(|c| (10..=245).map(move |z| miss(c, z)));
-    let count = all().count() as f64;
-    let mean = all().sum::<f64>() / count;
-    (all().map(|d| (d - mean) * (d - mean)).sum::<f64>() / count).sqrt()
+/// `text`, which is read as `read`, in place of `curve`: both are 1 at the middle code in the mean of the channels, as radiance is, so
+/// that nothing is shifted before it is compared. None where it is off by more than what no curve may [contradict](RESIDUAL) frames by.
+fn encoded(text: String, read: &ResponseCurve, curve: &ResponseCurve, deciding: &[[u64; CODES]; 3]) -> Option<Encoded> {
+    let (mut squares, mut count, mut worst) = (0.0, 0, ("red", 0.0));
+    for (c, channel) in ["red", "green", "blue"].into_iter().enumerate() {
+        for z in (0..CODES).filter(|&z| deciding[c][z] > 0) {
+            let miss = stops(read.ln_exposure(c)[z] - curve.ln_exposure(c)[z]).abs();
+            squares += deciding[c][z] as f64 * miss * miss;
+            count += deciding[c][z];
+            if miss > worst.1 {
+                worst = (channel, miss);
+            }
+        }
+    }
+    let residual_stops = (squares / count.max(1) as f64).sqrt();
+    (residual_stops <= RESIDUAL).then_some(Encoded { text, residual_stops, worst })
 }
+
+/// Of no photographs: all codes decide alike, but for the clipped ones.
+pub const ALL_CODES: [[u64; CODES]; 3] = {
+    let mut codes = [1; CODES];
+    (codes[0], codes[CODES - 1]) = (0, 0);
+    [codes; 3]
+};
 
 /// A curve and the camera whose it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -144,26 +168,33 @@ impl SavedResponse {
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
-    /// The curve as the text of the file `path`.
+    /// The curve as the text of the file `path`. What a format that does not hold all of it is off by counts by the codes that
+    /// `deciding` says (of each channel, [how many places](super::samples::deciding) each decides; or [`ALL_CODES`]).
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], and [`Error::ResponseFile`] where no polynomial that rises is near the curve.
-    pub fn encode(&self, path: &Path) -> Result<Encoded> {
+    /// [`Error::UnknownExtension`], and [`Error::ResponseFile`] where the format does not hold the curve, or nothing near it.
+    pub fn encode(&self, path: &Path, deciding: &[[u64; CODES]; 3]) -> Result<Encoded> {
+        let refused = |reason: &str| Error::ResponseFile { path: path.to_owned(), reason: reason.to_owned() };
+        let lossy = |text: String, read: std::result::Result<ResponseCurve, String>, reason: &str| {
+            let read = read.map_err(|_| refused(reason))?;
+            encoded(text, &read, &self.curve, deciding).ok_or_else(|| refused(reason))
+        };
         match Format::of(path)? {
-            Format::Json => Ok(Encoded { text: self.to_json(), residual_stops: 0.0 }),
+            Format::Json => Ok(Encoded { text: self.to_json(), residual_stops: 0.0, worst: ("red", 0.0) }),
             Format::Csv => {
                 let text = csv::write(&self.curve);
                 // What is a billionth of white or less is nothing in nine decimals.
-                let reason = "nine decimals do not hold a curve as steep as this; save it as .json".to_owned();
-                let read = csv::read(&text).map_err(|_| Error::ResponseFile { path: path.to_owned(), reason })?;
-                let residual = residual_stops(&read, &self.curve);
-                Ok(Encoded { text, residual_stops: if residual < DECIMALS { 0.0 } else { residual } })
+                let read = csv::read(&text);
+                let all = lossy(text, read, "nine decimals do not hold a curve as steep as this; save it as .json")?;
+                let residual_stops = if all.residual_stops < DECIMALS { 0.0 } else { all.residual_stops };
+                Ok(Encoded { residual_stops, ..all })
             }
             Format::Rsp => {
-                let reason = "no polynomial up to the fifth degree rises with this curve; save it as .json".to_owned();
-                let fitted = rsp::write(&self.curve);
-                let fitted = fitted.ok_or_else(|| Error::ResponseFile { path: path.to_owned(), reason })?;
-                Ok(Encoded { text: fitted.text, residual_stops: fitted.residual_stops })
+                let reason =
+                    "no polynomial up to the fifth degree is within half a stop of this curve; save it as .json";
+                let text = rsp::write(&self.curve).ok_or_else(|| refused(reason))?;
+                let read = rsp::read(&text);
+                lossy(text, read, reason)
             }
         }
     }
@@ -246,8 +277,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for (name, most) in [("c.json", 0.0), ("c.RSP", 0.06), ("c.csv", 0.0)] {
             let path = dir.path().join(name);
-            let encoded = saved().encode(&path).unwrap();
+            let encoded = saved().encode(&path, &ALL_CODES).unwrap();
             assert!(encoded.residual_stops <= most, "{name}: {}", encoded.residual_stops);
+            assert_eq!(encoded.lossy(&path).is_some(), most > 0.0);
             std::fs::write(&path, encoded.text).unwrap();
             let back = SavedResponse::read(&path).unwrap().curve;
             let apart = |z: usize| {
@@ -257,7 +289,7 @@ mod tests {
             // The polynomial misses single codes by more than its residual, here of 2.4 nepers.
             assert!((apart(80) - 1.0).abs() < 0.05, "{name}: {}", apart(80));
         }
-        assert!(matches!(saved().encode(Path::new("c.txt")), Err(Error::UnknownExtension { .. })));
+        assert!(matches!(saved().encode(Path::new("c.txt"), &ALL_CODES), Err(Error::UnknownExtension { .. })));
         let path = dir.path().join("photo.json");
         std::fs::write(&path, [0xFF, 0xD8, 0xFF, 0xE0]).unwrap();
         let message = SavedResponse::read(&path).unwrap_err().to_string();
@@ -272,11 +304,13 @@ mod tests {
             let g = std::array::from_fn(|z| ln_white * (z as f64 / 255.0 - 0.5));
             SavedResponse { make: None, model: None, curve: ResponseCurve::new([g; 3]).unwrap() }
         };
-        let refused = steep(40.0).encode(Path::new("c.csv")).unwrap_err().to_string();
+        let refused = steep(40.0).encode(Path::new("c.csv"), &ALL_CODES).unwrap_err().to_string();
         assert!(refused.contains("c.csv") && refused.contains(".json"), "{refused}");
-        let told = steep(11.0).encode(Path::new("c.csv")).unwrap();
-        assert!(told.residual_stops > LOSS && told.lossy(Path::new("c.csv")).is_some());
-        assert_eq!(steep(4.0).encode(Path::new("c.csv")).unwrap().residual_stops, 0.0);
+        assert!(steep(11.0).encode(Path::new("c.csv"), &ALL_CODES).is_err());
+        // Where no pixel is dark, the dark codes do not matter.
+        let bright = std::array::from_fn(|z| u64::from((128..255).contains(&z)));
+        assert_eq!(steep(11.0).encode(Path::new("c.csv"), &[bright; 3]).unwrap().residual_stops, 0.0);
+        assert_eq!(steep(4.0).encode(Path::new("c.csv"), &ALL_CODES).unwrap().residual_stops, 0.0);
     }
 
     #[test]

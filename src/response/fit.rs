@@ -23,7 +23,7 @@ const CONDITION: f64 = 1e5;
 /// Stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a print film scan 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
 /// Root mean square residual, in stops, above which the model does not hold.
-const RESIDUAL: f64 = 0.5;
+pub(super) const RESIDUAL: f64 = 0.5;
 
 /// A result, or why there is none, in words.
 pub type Told<T> = std::result::Result<T, String>;

@@ -233,6 +233,29 @@ pub fn recover(
     recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
+/// Residual of a saved curve over that of the photographs' own from which on they contradict it: it may be of another day, but as good a
+/// curve as theirs leaves about as much.
+const CONTRADICTED: f64 = 2.0;
+
+/// Where frames contradict `curve` by more than twice what they contradict a curve of their own by: both root mean square residuals, in
+/// stops. None where it fits as well, or where they do not tell a curve.
+///
+/// # Errors
+/// As [`recover`].
+pub fn contradiction(curve: &ResponseCurve, places: &Places) -> Result<Option<(f64, f64)>> {
+    let (_, report, _) = recover_from(&[places], &ResponseModel::default())?;
+    let Some(fits) = report.channels else { return Ok(None) };
+    let all = |each: [f64; 3]| (each.iter().map(|v| v * v).sum::<f64>() / 3.0).sqrt();
+    let own = all(fits.map(|fit| fit.residual_stops));
+    let samples = samples::draw(&[places], fits[0].samples).channels;
+    let found = all(std::array::from_fn(|c| {
+        let g = curve.ln_exposure(c);
+        stops(fit::residual(&samples[c], &fit::biweight(&samples[c], g), g))
+    }));
+    // Of a thousandth of a stop, as rendered frames leave it, twice is nothing.
+    Ok((found > CONTRADICTED * own + file::LOSS).then_some((found, own)))
+}
+
 /// The response of the camera that took all the brackets of which `places` are, by `model`: their samples are pooled, each bracket's
 /// exposures relative to its own reference.
 ///

@@ -6,6 +6,7 @@
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
 
+use super::{CODES, hat};
 use crate::align::resample::rows_under;
 use crate::align::warp::{Warp, map};
 use crate::align::{Alignment, Rect};
@@ -174,6 +175,20 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
         (all.channels[c], all.black[c]) = (samples, black);
     }
     all
+}
+
+/// For R, G and B, how many places of all the brackets each code decides: of the codes by which the frames see a place, that next to the
+/// middle, which has the greatest weight in a merge. Places that all frames clip decide nothing.
+pub fn deciding(brackets: &[&Places]) -> [[u64; CODES]; 3] {
+    let mut found = [[0; CODES]; 3];
+    for place in brackets.iter().flat_map(|bracket| &bracket.places) {
+        for (channel, found) in found.iter_mut().enumerate() {
+            let codes = place.patches.iter().flatten().map(|patch| patch[channel].mean);
+            let best = codes.max_by(|a, b| hat(*a).total_cmp(&hat(*b))).filter(|code| hat(*code) > 0.0);
+            best.into_iter().for_each(|code| found[code.round() as usize] += 1);
+        }
+    }
+    found
 }
 
 /// The range of frames that say something of a place: not those so short that a longer one is no brighter.

@@ -348,10 +348,15 @@ mod tests {
     use super::*;
     use crate::error::Warning;
     use crate::merge::RadianceMap;
+    use crate::merge::calibration::Factor;
     use crate::plane::Plane;
     use crate::read::read;
     use crate::write::commit;
     use ::exr::prelude::f16;
+
+    fn factor(value: f64) -> Factor {
+        Factor::new(value).unwrap()
+    }
 
     fn picture(width: usize, height: usize) -> Plane<[f32; 3]> {
         Plane::from_rows(width, height, |y, row| {
@@ -436,8 +441,8 @@ mod tests {
             time_s: Some(0.125),
             f_number: Some(8.0),
             iso: Some(100.0),
-            cd_m2_per_unit: Some(300.0),
-            exposure_scale: 2.0,
+            cd_m2_per_unit: Some(factor(300.0)),
+            exposure_scale: factor(2.0),
             comments: vec!["a".into(), "b".into()],
             ..Metadata::default()
         };
@@ -447,7 +452,7 @@ mod tests {
         metadata.capture.focal_length_mm = Some(50.0);
         let (bytes, _, _, back) = written(&picture(3, 3), &metadata, &Options::default(), 3);
         assert_eq!((back.time_s, back.f_number, back.iso), (Some(0.125), Some(8.0), Some(100.0)));
-        assert_eq!((back.cd_m2_per_unit, back.capture.date), (Some(150.0), metadata.capture.date));
+        assert_eq!((back.cd_m2_per_unit, back.capture.date), (Some(factor(150.0)), metadata.capture.date));
         assert_eq!(back.comments, ["a; b"]);
         let has = |text: &[u8]| bytes.windows(text.len()).any(|w| w == text);
         assert!(has(b"cameraMake\0string\0\x04\0\0\0Make") && has(b"lin_rec709_scene") && has(b"software\0string\0"));

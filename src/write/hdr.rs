@@ -46,8 +46,8 @@ impl ToStored {
         // Calibrated radiance is stored in its unit, so that programs that forget EXPOSURE are right too.
         let factor = match (metadata.cd_m2_per_unit, encoding) {
             (None, _) => 1.0,
-            (Some(luminance), Encoding::Rgbe) => luminance / WHITE_EFFICACY,
-            (Some(luminance), Encoding::Xyze) => luminance,
+            (Some(luminance), Encoding::Rgbe) => luminance.get() / WHITE_EFFICACY,
+            (Some(luminance), Encoding::Xyze) => luminance.get(),
         };
         let xyz = match encoding {
             Encoding::Rgbe => None,
@@ -162,8 +162,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
 /// What divides a stored value to give W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance 1 is taken for 1 W/sr/m2.
 fn exposure(metadata: &Metadata, encoding: Encoding) -> f64 {
     match (metadata.cd_m2_per_unit, encoding) {
-        (None, Encoding::Xyze) => metadata.exposure_scale / WHITE_EFFICACY,
-        _ => metadata.exposure_scale,
+        (None, Encoding::Xyze) => metadata.exposure_scale.get() / WHITE_EFFICACY,
+        _ => metadata.exposure_scale.get(),
     }
 }
 
@@ -173,10 +173,21 @@ mod tests {
     use crate::bracket::Capture;
     use crate::error::Warning;
     use crate::limits::Limits;
+    use crate::merge::RadianceMap;
+    use crate::merge::calibration::Factor;
     use crate::plane::Plane;
     use crate::read::hdr;
     use crate::write::rgbe;
     use crate::write::{commit, push_all};
+
+    fn parsed(bytes: &[u8]) -> (RadianceMap, Metadata) {
+        let contents = hdr::parse(bytes, &Limits::default()).unwrap();
+        (contents.map, contents.metadata)
+    }
+
+    fn factor(value: f64) -> Factor {
+        Factor::new(value).unwrap()
+    }
 
     fn picture(width: usize, height: usize) -> Plane<[f32; 3]> {
         Plane::from_rows(width, height, |y, row| {
@@ -211,7 +222,7 @@ mod tests {
                 date: Some("2009:07:11 12:34:56".into()),
                 ..Capture::default()
             },
-            exposure_scale: 0.5,
+            exposure_scale: factor(0.5),
             ..Metadata::default()
         };
         let golden = "#?RADIANCE\nSOFTWARE=hdralign 1.2.3\nCAMERA=Canon EOS 5D\nCAPDATE= 2009:07:11 12:34:56\nEXPOSURE=5e-1\n\
@@ -225,15 +236,15 @@ mod tests {
     #[test]
     fn calibrated_luminance_is_in_pixels_and_exposure() {
         let metadata = Metadata {
-            cd_m2_per_unit: Some(358.0),
-            exposure_scale: 4.0,
+            cd_m2_per_unit: Some(factor(358.0)),
+            exposure_scale: factor(4.0),
             comments: vec!["one\ntwo".into()],
             ..Metadata::default()
         };
         let white = Plane::filled(8, 1, [1.0; 3]);
         let (bytes, _) = written(&white, &metadata);
-        let (map, back) = hdr::parse(&bytes, &Limits::default()).unwrap();
-        assert_eq!(back.exposure_scale, 4.0);
+        let (map, back) = parsed(&bytes);
+        assert_eq!(back.exposure_scale, factor(4.0));
         // 2 W/sr/m2 stored, and half a step.
         assert_eq!(map.pixels.at(0, 0), [2.0 * 128.5 / 128.0; 3]);
         assert!(bytes.starts_with(b"#?RADIANCE\n# one two\nSOFTWARE="));
@@ -242,9 +253,9 @@ mod tests {
         assert_eq!(bytes[bytes.len() - 8..][..2], [136, 179], "358 = 179 / 256 * 2^9 in runs of 8");
         let relative = Metadata { cd_m2_per_unit: None, ..metadata };
         let (bytes, _) = encoded(&white, &relative, Encoding::Xyze);
-        let (map, back) = hdr::parse(&bytes, &Limits::default()).unwrap();
+        let (map, back) = parsed(&bytes);
         // Read back, both are in W/sr/m2.
-        assert!((back.exposure_scale - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
+        assert!((back.exposure_scale.get() - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
     }
 
     /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half: ours must be that and half a step of the pixel.
@@ -258,7 +269,7 @@ mod tests {
             let decoder = image::codecs::hdr::HdrDecoder::new(std::io::Cursor::new(&bytes)).unwrap();
             let mut theirs = vec![0; decoder.total_bytes() as usize];
             decoder.read_image(&mut theirs).unwrap();
-            let ours = hdr::parse(&bytes, &Limits::default()).unwrap().0.pixels;
+            let ours = parsed(&bytes).0.pixels;
             for ((p, q), t) in picture.as_slice().iter().zip(ours.as_slice()).zip(theirs.chunks_exact(12)) {
                 let (rgbe, _) = rgbe::encode(*p);
                 let step = libm::ldexpf(1.0, i32::from(rgbe[3]) - 136);

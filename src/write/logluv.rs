@@ -140,6 +140,7 @@ mod tests {
     use super::*;
     use crate::bracket::colour::{Conversion, Primaries};
     use crate::error::Warning;
+    use crate::merge::calibration::Factor;
     use crate::plane::Plane;
     use crate::write::{commit, push_all};
 
@@ -174,7 +175,7 @@ mod tests {
         for (depth, tolerance) in [(Depth::Bits24, 0.0056), (Depth::Bits32, 0.0014)] {
             for scale in [1.0, 300.0] {
                 let map = picture(scale);
-                let luminance = (scale != 1.0).then_some(1.0);
+                let luminance = (scale != 1.0).then_some(Factor::ONE);
                 let metadata = Metadata { cd_m2_per_unit: luminance, ..Metadata::default() };
                 let (back, read, warnings, _) = written(&map, &metadata, depth);
                 assert_eq!(warnings, []);

@@ -34,6 +34,7 @@ mod unnamed;
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
 use crate::error::{Error, Result, Warning};
+use crate::merge::calibration::Factor;
 use crate::plane::Plane;
 use std::path::Path;
 
@@ -104,9 +105,9 @@ pub struct Metadata {
     /// What red, green, blue and white of the pixels are.
     pub primaries: Primaries,
     /// The factor by which the pixels given were multiplied: a pixel divided by it is radiance. 1 where they are radiance as merged.
-    pub exposure_scale: f64,
+    pub exposure_scale: Factor,
     /// The luminance of radiance (1, 1, 1), before [`exposure_scale`](Self::exposure_scale), in cd/m2, where it is calibrated.
-    pub cd_m2_per_unit: Option<f64>,
+    pub cd_m2_per_unit: Option<Factor>,
     /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); none is taken for sRGB. Radiance formats record primaries.
     pub profile: Option<Profile>,
     /// Further lines for people.
@@ -122,7 +123,7 @@ impl Default for Metadata {
             f_number: None,
             iso: None,
             primaries: Primaries::SRGB,
-            exposure_scale: 1.0,
+            exposure_scale: Factor::ONE,
             cd_m2_per_unit: None,
             profile: None,
             comments: Vec::new(),
@@ -150,7 +151,7 @@ impl Metadata {
 
     /// The luminance of a stored (1, 1, 1) in cd/m2, where it is known.
     fn white_luminance(&self) -> Option<f64> {
-        self.cd_m2_per_unit.map(|l| l / self.exposure_scale)
+        Some(self.cd_m2_per_unit?.over(self.exposure_scale)?.get())
     }
 }
 

@@ -1,7 +1,7 @@
 //! TIFF: RGB of 8 or 16 bits (aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
 //!
 //! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Radiance has its
-//! primaries in the tags of TIFF 6.0, section 20, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
+//! primaries in the tags of TIFF 6.0, section 20, or where these are negative in an ICC profile, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
 //! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
 //! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4 (tag 34675).
 //!
@@ -12,6 +12,7 @@ use super::deflate::zlib;
 use super::ifd::{Directory, tag};
 use super::luv::Depth;
 use super::{Bands, Metadata, Pending, RowWriter, Written};
+use crate::bracket::colour::{Curve, Profile};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -179,7 +180,15 @@ impl<T: Sample> Writer<T> {
         directory.short(tag::SAMPLE_FORMAT, &[T::FORMAT; 3]);
         directory.capture(metadata);
         if T::FORMAT == 3 {
-            directory.primaries(&metadata.primaries);
+            if metadata.primaries.are_positive() {
+                directory.primaries(&metadata.primaries);
+            } else {
+                // The tag holds no negative chromaticity, as ACES2065-1 has one; a profile holds all.
+                let profile =
+                    Profile::of(&metadata.primaries, Curve::Power(1.0), "linear RGB of the file's own primaries");
+                let unknown = || io::Error::other("its primaries span no colour space");
+                directory.opaque(tag::ICC, &profile.ok_or_else(unknown).map_err(|e| strips.file.error(e))?.icc);
+            }
             if let Some(luminance) = metadata.white_luminance() {
                 directory.double(tag::STONITS, luminance);
             }
@@ -217,6 +226,7 @@ fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut
 mod tests {
     use super::*;
     use crate::bracket::colour::Profile;
+    use crate::merge::calibration::Factor;
     use crate::plane::Plane;
     use crate::write::{commit, push_all};
     use ::tiff::decoder::{Decoder, DecodingResult};
@@ -302,7 +312,7 @@ mod tests {
         metadata.capture.date = Some("2009:07:11 12:34:56".into());
         metadata.capture.lens = Some("EF 50".into());
         (metadata.time_s, metadata.f_number, metadata.iso) = (Some(1.0 / 60.0), Some(2.8), Some(200.0));
-        metadata.cd_m2_per_unit = Some(1.0);
+        metadata.cd_m2_per_unit = Some(Factor::ONE);
         let bytes = written(&picture(5, 5, |n| n as u8), &metadata, false);
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
         assert_eq!(decoder.get_tag_u8_vec(Tag::IccProfile).unwrap(), (0..=99).collect::<Vec<u8>>());

@@ -1,8 +1,7 @@
 //! Brackets that are none, or hardly: what becomes of each is stated in `docs/robustness.md`, and held here.
 
-use crate::support::{FRAMES, Folder, jpeg, small};
-use exif::experimental::Writer;
-use exif::{Field, In, Rational, Tag, Value as Exif};
+use crate::support::{FRAMES, Folder, jpeg, jpeg_with, ratio, small};
+use exif::Tag;
 use hdralign::read;
 use image::{Rgb, RgbImage};
 use img_parts::{Bytes, ImageEXIF};
@@ -62,18 +61,9 @@ fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
 
 /// `picture` as a JPEG whose EXIF has the time, and whether the flash fired.
 fn shot(picture: &RgbImage, (num, denom): (u32, u32), flash: bool) -> Vec<u8> {
-    let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
-    let time = field(Tag::ExposureTime, Exif::Rational(vec![Rational { num, denom }]));
     // 0x19: fired, in automatic mode; 0x18: did not fire.
-    let flash = field(Tag::Flash, Exif::Short(vec![0x18 + u16::from(flash)]));
-    let mut writer = Writer::new();
-    writer.push_field(&time);
-    writer.push_field(&flash);
-    let mut exif = Cursor::new(Vec::new());
-    writer.write(&mut exif, false).expect("EXIF");
-    let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");
-    file.set_exif(Some(exif.into_inner().into()));
-    file.encoder().bytes().to_vec()
+    let flash = Exif::Short(vec![0x18 + u16::from(flash)]);
+    jpeg_with(picture, &[(Tag::ExposureTime, ratio(num, denom)), (Tag::Flash, flash)])
 }
 
 /// `file`, a JPEG or a PNG, with the EXIF of frame `i`.

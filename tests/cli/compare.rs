@@ -3,6 +3,7 @@
 use crate::support::{Folder, Run};
 use hdralign::bracket::colour::Primaries;
 use hdralign::merge::RadianceMap;
+use hdralign::merge::calibration::Factor;
 use hdralign::plane::Plane;
 use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata, Options};
@@ -333,4 +334,95 @@ fn json_has_its_schema_and_stderr_the_words() {
     assert!(!run.stderr.contains('\u{1b}'), "stderr is no terminal");
     let quiet = folder.line("compare a.exr b.exr -q");
     assert_eq!((quiet.code, quiet.stdout.as_str(), quiet.stderr.as_str()), (1, "", ""));
+}
+
+/// `bytes` of an EXR that says whiteLuminance, with another value of it.
+fn with_white(bytes: &[u8], value: f32) -> Vec<u8> {
+    let name = b"whiteLuminance\0float\0\x04\0\0\0";
+    let at = bytes.windows(name.len()).position(|w| w == name).expect("whiteLuminance") + name.len();
+    [&bytes[..at], &value.to_le_bytes(), &bytes[at + 4..]].concat()
+}
+
+/// Found by a review: such a file became black as `.hdr`, and all black passed for the same.
+#[test]
+fn a_unit_that_is_no_number_is_not_believed_and_black_is_not_the_same() {
+    let folder = Folder::empty();
+    let put_in = |name: &str, unit: Option<f64>, pixels: Plane<[f32; 3]>| {
+        let map = RadianceMap { pixels, primaries: Primaries::SRGB };
+        let display = DisplayImage { pixels: Plane::filled(1, 1, [0; 3]) };
+        let metadata = Metadata { cd_m2_per_unit: unit.and_then(Factor::new), ..Metadata::default() };
+        let files = write::write(&[folder.at(name)], &map, &display, &metadata, &float()).expect("it is written");
+        write::commit(files.into_iter().map(|w| w.file).collect(), true).expect("it is named");
+    };
+    put_in("unit.exr", Some(2.0), scene());
+    put_in("a.exr", None, scene());
+    put_in("black.exr", None, changed(|_, _, _| [0.0; 3]));
+    folder.line("tonemap a.exr -o a.hdr -q").done();
+    let expected = hdralign::read::read(&folder.at("a.hdr")).unwrap().0;
+    let bytes = folder.bytes("unit.exr");
+    for value in [0.0, -1.0, f32::NAN, f32::INFINITY, f32::MIN_POSITIVE] {
+        folder.put("odd.exr", &with_white(&bytes, value));
+        let run = folder.line("tonemap odd.exr -o odd.hdr --force").done();
+        assert!(run.stderr.contains("whiteLuminance"), "{value}: {}", run.stderr);
+        assert!(hdralign::read::read(&folder.at("odd.hdr")).unwrap().0 == expected, "{value}");
+        let (run, json) = compare(&folder, "odd.exr black.exr --min-psnr 60");
+        assert!(run.code == 1 && json["warnings"].to_string().contains("whiteLuminance"), "{value}: {json}");
+        assert_eq!(code(&folder, "odd.exr a.exr --min-psnr 60"), 0);
+    }
+    // A unit that can be, in which all of the scene is below what PU21 sees.
+    folder.put("dim.exr", &with_white(&bytes, 1e-12));
+    let (run, json) = compare(&folder, "dim.exr black.exr --min-psnr 60");
+    let reason = json["reason"].as_str().unwrap_or_default();
+    assert!(run.code == 1 && reason.contains("not equal, and PU21-PSNR says nothing"), "{json}");
+}
+
+/// Alpha, depth and a second view, as renderers write them beside the colours.
+#[test]
+fn what_is_not_compared_of_an_exr_or_a_tiff_is_told() {
+    use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
+    let folder = Folder::empty();
+    let write = |name: &str, parts: &[(&str, &[&str])]| {
+        let layer = |(name, channels): &(&str, &[&str])| {
+            let channel = |name: &&str| AnyChannel::new(*name, FlatSamples::F32(vec![0.5; 64]));
+            let channels = AnyChannels::sort(channels.iter().map(channel).collect());
+            Layer::new((8, 8), LayerAttributes::named(*name), Encoding::UNCOMPRESSED, channels)
+        };
+        let layers: Vec<_> = parts.iter().map(layer).collect();
+        let attributes = exr::meta::header::ImageAttributes::with_size((8, 8));
+        Image::from_layers(attributes, layers).write().to_file(folder.at(name)).expect("an EXR");
+    };
+    let rgb: &[&str] = &["R", "G", "B"];
+    let warned = |name: &str| {
+        let (run, json) = compare(&folder, &format!("{name} plain.exr"));
+        assert_eq!(run.code, 0, "{name}: {json}");
+        json["warnings"].to_string()
+    };
+    write("plain.exr", &[("main", rgb)]);
+    assert_eq!(warned("plain.exr"), "[]");
+    write("alpha.exr", &[("main", &["R", "G", "B", "A"])]);
+    assert!(warned("alpha.exr").contains("its alpha is not compared"));
+    write("more.exr", &[("main", &["R", "G", "B", "A", "Z", "left.R", "left.G"]), ("right", rgb)]);
+    let said = warned("more.exr");
+    assert!(said.contains("alpha, channel Z, layer left and layer right are not compared"), "{said}");
+}
+
+/// OpenEXR keeps an f-number as a float, 5.599999904632568; a TIFF as a fraction, 56/10.
+#[test]
+fn numbers_of_headers_are_compared_as_finely_as_formats_keep_them() {
+    let folder = Folder::empty();
+    let metadata = |f_number| Metadata { f_number: Some(f_number), time_s: Some(1.0 / 30.0), ..Metadata::default() };
+    let put_as = |name: &str, f_number: f64| {
+        let map = RadianceMap { pixels: scene(), primaries: Primaries::SRGB };
+        let display = DisplayImage { pixels: Plane::filled(1, 1, [0; 3]) };
+        let files = write::write(&[folder.at(name)], &map, &display, &metadata(f_number), &float()).expect("files");
+        write::commit(files.into_iter().map(|w| w.file).collect(), true).expect("it is named");
+    };
+    put_as("a.exr", 5.6);
+    put_as("a.tif", 5.6);
+    put_as("b.exr", 6.3);
+    let (_, json) = compare(&folder, "a.exr a.tif");
+    let keys: Vec<_> = json["metadata"].as_array().unwrap().iter().map(|changed| changed["key"].clone()).collect();
+    assert!(!keys.contains(&"f_number".into()) && !keys.contains(&"time_s".into()), "{json}");
+    let (_, json) = compare(&folder, "a.exr b.exr");
+    assert_eq!(json["metadata"], serde_json::json!([{ "key": "f_number", "expected": "5.6", "actual": "6.3" }]));
 }

@@ -201,3 +201,38 @@ fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so()
         assert!((was + correction - is).abs() < 1e-9);
     }
 }
+
+/// A camera of which no polynomial of the fifth degree is near: what is lost is told where the pixels are, when it is saved and when it is used.
+#[test]
+fn a_response_that_misses_the_photographs_is_told_when_it_is_saved_and_when_it_is_used() {
+    let folder = Folder::with_bracket();
+    let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --align none --exposures as-given --json --force -o a.exr";
+    let report = |options: &str| json(&folder.line(&format!("{merge} {options}")).done().stdout);
+    let said = |report: &Value| report["warnings"].to_string();
+    // Merged with a curve that is found, saved and used again there is nothing to say.
+    report("--save-response own.json");
+    assert!(!said(&report("--response own.json")).contains("contradict"));
+    // A linear curve is not this camera's.
+    folder.put("other.rsp", "1 1 0\n".repeat(3).as_bytes());
+    let contradicted = said(&report("--response other.rsp"));
+    assert!(contradicted.contains("other.rsp") && contradicted.contains("contradict this response"), "{contradicted}");
+    let strict = folder.line(&format!("{merge} --response other.rsp --strict"));
+    assert_eq!(strict.code, 3, "{}", strict.stderr);
+    // What the file is off by is what radiance is off by.
+    let luminance = |options: &str| {
+        report(options);
+        let map = hdralign::read::read(&folder.at("a.exr")).expect("radiance").0;
+        map.pixels.as_slice().iter().map(|p| libm::log2(f64::from(p[1]))).collect::<Vec<f64>>()
+    };
+    let own = luminance("--response own.json --save-response own.rsp --exr-type float");
+    let saved = report("--response own.json --save-response own.rsp");
+    let (from, to) = ("is off by ", " stops");
+    let told = said(&saved);
+    let number = told.split(from).nth(1).and_then(|rest| rest.split(to).next()).expect("a residual");
+    let number: f64 = number.parse().expect("a number");
+    let other = luminance("--response own.rsp --exr-type float");
+    let squares = own.iter().zip(&other).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+    let off = (squares / own.len() as f64).sqrt();
+    // Of green alone, and of every pixel where the other is of flat places.
+    assert!(off < 2.0 * number + 0.02 && number < 2.0 * off + 0.02, "{off} stops for {number} told");
+}

@@ -1,8 +1,7 @@
 //! `.jpg`: a JPEG with a gain map, read by the rules of those who show it (libultrahdr's reader; ISO 21496-1, annex C; DC-007).
 
-use crate::support::{Folder, jpeg, small};
-use exif::experimental::Writer;
-use exif::{Field, In, Tag, Value};
+use crate::support::{Folder, jpeg_with, ratio, small};
+use exif::{In, Tag, Value};
 use hdralign::bracket::colour::{Primaries, srgb_to_linear};
 use hdralign::merge::RadianceMap;
 use hdralign::plane::Plane;
@@ -10,9 +9,6 @@ use hdralign::read::read;
 use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata};
 use image::RgbImage;
-use img_parts::ImageEXIF;
-use img_parts::jpeg::Jpeg;
-use std::io::Cursor;
 
 const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
 const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
@@ -273,7 +269,6 @@ fn a_merged_bracket_has_it_and_it_is_read_as_a_photograph() {
 fn exif_is_carried_over_and_put_right() {
     let folder = Folder::with_bracket();
     let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
-    let ratio = |num, denom| Value::Rational(vec![exif::Rational { num, denom }]);
     for (name, i, time) in [("a.jpg", 2, 100), ("b.jpg", 3, 25)] {
         let fields = [
             (Tag::Make, text("Maker")),
@@ -286,14 +281,7 @@ fn exif_is_carried_over_and_put_right() {
             (Tag::GPSLatitudeRef, text("N")),
             (Tag::GPSLatitude, Value::Rational(vec![exif::Rational { num: 48, denom: 1 }; 3])),
         ];
-        let fields = fields.map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value });
-        let mut writer = Writer::new();
-        fields.iter().for_each(|field| writer.push_field(field));
-        let mut block = Cursor::new(Vec::new());
-        writer.write(&mut block, true).expect("EXIF");
-        let mut file = Jpeg::from_bytes(jpeg(&small(i), None).into()).expect("a JPEG");
-        file.set_exif(Some(block.into_inner().into()));
-        folder.put(name, &file.encoder().bytes());
+        folder.put(name, &jpeg_with(&small(i), &fields));
     }
     let read = |options: &str| {
         folder.line(&format!("merge a.jpg b.jpg --align none -o r.jpg --force -q {options}")).done();

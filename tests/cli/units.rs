@@ -1,7 +1,9 @@
 //! Units and colour spaces of what `merge` writes, through the binary and the files.
 
-use crate::support::{FRAMES, Folder, small};
+use crate::support::{FRAMES, Folder, jpeg_with, ratio, small};
+use exif::{Tag, Value as Exif};
 use hdralign::bracket::colour::{Conversion, Primaries};
+use hdralign::merge::calibration::Factor;
 use hdralign::read::read;
 use serde_json::Value;
 
@@ -26,9 +28,9 @@ fn a_factor_makes_cd_m2_in_every_format() {
 
     let map = |name: &str| read(&folder.at(name)).unwrap();
     let (radiance, header) = map("a.exr");
-    assert_eq!(header.cd_m2_per_unit, Some(1.0));
+    assert_eq!(header.cd_m2_per_unit, Some(Factor::ONE));
     assert_eq!(map("r.exr").1.cd_m2_per_unit, None);
-    assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(1.0));
+    assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(Factor::ONE));
     assert!(map("a.tif").0.pixels == radiance.pixels);
     let luminance = |p: [f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
     // A mantissa is cut to 1/128 of the largest at most: half of that is what the middle is off by.
@@ -51,7 +53,7 @@ fn the_camera_tells_the_luminance_where_exif_does() {
     let frames = json["frames"].as_array().unwrap();
     let reference = frames.iter().find(|f| f["path"] == json["reference"]).unwrap();
     let of = |key: &str| reference[key].as_f64().unwrap();
-    let expected = 87.0 * of("f_number") * of("f_number") / (of("time_s") * of("iso"));
+    let expected = 87.0 / of("relative_exposure");
     let told = json["calibration"]["camera_top_code_cd_m2"].as_f64().unwrap();
     assert!((told / expected - 1.0).abs() < 1e-9, "{told} {expected}");
     let corrected = report(&folder, "--absolute --calibration-factor 1.1 -o a.exr");
@@ -71,6 +73,48 @@ fn the_camera_tells_the_luminance_where_exif_does() {
     let run = folder.line(&format!("{MERGE} --calibration-factor -3 -o b.exr"));
     assert!(run.code == 2 && run.stderr.contains("--calibration-factor"), "{run:?}");
     assert!(!folder.at("b.exr").exists());
+}
+
+/// A camera prints 1/30 s for 1/32 s, and its shutter is off by a tenth of a stop: whichever frame is the reference, the scene is as bright.
+#[test]
+fn luminance_is_the_same_whichever_frame_is_the_reference() {
+    let folder = Folder::empty();
+    let shot = |name: &str, i: usize, num: u32, denom: u32| {
+        let exif = [
+            (Tag::ExposureTime, ratio(num, denom)),
+            (Tag::FNumber, ratio(8, 1)),
+            (Tag::PhotographicSensitivity, Exif::Short(vec![100])),
+        ];
+        folder.put(name, &jpeg_with(&small(i), &exif));
+    };
+    // Printed numbers, which stand for 1/128, 1/32 and 1/8 s; and measured ones, of which the middle one is wrong.
+    for (i, printed, measured) in [(2, 125, 128_000), (3, 30, 34_300), (4, 8, 8_000)] {
+        shot(&format!("printed{i}.jpg"), i, 1, printed);
+        shot(&format!("measured{i}.jpg"), i, 1000, measured);
+    }
+    for set in ["printed", "measured"] {
+        for exposures in ["fine-tuned", "as-given"] {
+            let luminance = |reference: usize| {
+                let images = [2, 3, 4].map(|i| format!("{set}{i}.jpg")).join(" ");
+                let options = "--align none --response-model srgb --absolute --exr-type float --json -q --force";
+                let reference = format!("--reference {set}{reference}.jpg --exposures {exposures}");
+                folder.line(&format!("merge {images} {options} {reference} -o a.exr")).done();
+                let mut all: Vec<f32> =
+                    read(&folder.at("a.exr")).unwrap().0.pixels.as_slice().iter().map(|p| p[1]).collect();
+                all.sort_by(f32::total_cmp);
+                [0.2, 0.5, 0.8].map(|share| f64::from(all[(share * all.len() as f64) as usize]))
+            };
+            let first = luminance(2);
+            for reference in [3, 4] {
+                for (a, b) in first.iter().zip(luminance(reference)) {
+                    assert!(
+                        (b / a - 1.0).abs() < 0.005,
+                        "{set}, {exposures}, reference {reference}: {a} and {b} cd/m2"
+                    );
+                }
+            }
+        }
+    }
 }
 
 #[test]

@@ -4,12 +4,15 @@
 
 pub mod card;
 
+use exif::experimental::Writer;
+use exif::{Field, In, Rational, Tag, Value};
 use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use img_parts::jpeg::Jpeg;
 use img_parts::{Bytes, ImageEXIF};
 use std::ffi::OsStr;
 use std::fs;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
@@ -50,6 +53,24 @@ pub fn jpeg(picture: &RgbImage, exif_of: Option<usize>) -> Vec<u8> {
     let mut file = read(plain);
     file.set_exif(exif);
     file.encoder().bytes().to_vec()
+}
+
+/// `picture` as a JPEG whose EXIF has these fields and no others.
+pub fn jpeg_with(picture: &RgbImage, fields: &[(Tag, Value)]) -> Vec<u8> {
+    let field = |(tag, value): &(Tag, Value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() };
+    let fields: Vec<Field> = fields.iter().map(field).collect();
+    let mut writer = Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut exif = Cursor::new(Vec::new());
+    writer.write(&mut exif, false).expect("EXIF");
+    let mut file = Jpeg::from_bytes(Bytes::from(jpeg(picture, None))).expect("a JPEG");
+    file.set_exif(Some(exif.into_inner().into()));
+    file.encoder().bytes().to_vec()
+}
+
+/// A number of EXIF's.
+pub fn ratio(num: u32, denom: u32) -> Value {
+    Value::Rational(vec![Rational { num, denom }])
 }
 
 /// The small frames as JPEGs with EXIF, made once a test program.

@@ -4,7 +4,7 @@
 //! profile of matrix and curves: read once, kept with it. Cost: nothing to speak of.
 //! Source: ICC.1:2022, section 8.3 and annexes E and F: colorants are adapted to D50, by the `chad` tag or else by Bradford's transform.
 
-use super::{BRADFORD, D50, D65, Primaries};
+use super::{BRADFORD, Curve, D50, D65, Primaries};
 use nalgebra::{Matrix3, Vector3};
 
 /// The D50 of the profile connection space (ICC.1, 7.2.16).
@@ -64,17 +64,33 @@ impl Profile {
         profile.cicp = None;
         // The white of a display profile is that of the connection space (ICC.1, 9.2.36).
         profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
-        Profile::made(profile, 1999)
+        Profile::made(profile, D65, 1999)
     }
 
     /// What to embed for Adobe RGB (1998), where a camera says so by EXIF alone. The same bytes every time.
     pub fn adobe_rgb() -> Option<Profile> {
-        Profile::made(moxcms::ColorProfile::new_adobe_rgb(), 1998)
+        Profile::made(moxcms::ColorProfile::new_adobe_rgb(), D65, 1998)
     }
 
-    /// A profile for D65, dated by the year of its standard: a clock has no part in it.
-    fn made(mut profile: moxcms::ColorProfile, year: u16) -> Option<Profile> {
-        let to_d50 = from_d50(D65)?.try_inverse()?;
+    /// A profile of matrix and curve, for what a file says in numbers; none where the primaries span no space. The same bytes every time.
+    pub fn of(primaries: &Primaries, curve: Curve, description: &str) -> Option<Profile> {
+        let matrix = from_d50(primaries.white)?.try_inverse()? * primaries.to_xyz()?;
+        let colorant = |c: usize| moxcms::Xyzd { x: matrix[(0, c)], y: matrix[(1, c)], z: matrix[(2, c)] };
+        let mut profile = moxcms::ColorProfile::new_srgb();
+        profile.cicp = None;
+        profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
+        (profile.red_colorant, profile.green_colorant, profile.blue_colorant) = (colorant(0), colorant(1), colorant(2));
+        let curve = Some(curve.parametric());
+        (profile.red_trc, profile.green_trc, profile.blue_trc) = (curve.clone(), curve.clone(), curve);
+        let words = moxcms::LocalizableString::new("en".into(), "US".into(), description.to_owned());
+        profile.description = Some(moxcms::ProfileText::Localizable(vec![words]));
+        // The year of the standard that describes such profiles.
+        Profile::made(profile, primaries.white, 2022)
+    }
+
+    /// A profile for `white`, dated by the year of its standard: a clock has no part in it.
+    fn made(mut profile: moxcms::ColorProfile, white: [f64; 2], year: u16) -> Option<Profile> {
+        let to_d50 = from_d50(white)?.try_inverse()?;
         let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
         profile.chromatic_adaptation = Some(moxcms::Matrix3d { v: [row(0), row(1), row(2)] });
         let mut icc = profile.encode().ok()?;
@@ -268,6 +284,18 @@ mod tests {
         assert_close(profile.primaries.unwrap(), Primaries::SRGB);
         assert_eq!(profile.description, "sRGB IEC61966-2.1");
         assert!(profile.icc.len() < 700, "{}", profile.icc.len());
+    }
+
+    #[test]
+    fn a_profile_made_of_numbers_says_these_numbers() {
+        for primaries in [Primaries::ACES_AP0, Primaries::BT2020, Primaries::PROPHOTO] {
+            let profile = Profile::of(&primaries, Curve::Power(1.0), "numbers").unwrap();
+            // Colorants are in steps of 1/65536.
+            assert!(profile.primaries.unwrap().is_close(&primaries, 2e-4), "{:?}", profile.primaries);
+            assert_eq!(profile.description, "numbers");
+        }
+        let flat = Primaries { green: [0.64, 0.33], ..Primaries::SRGB };
+        assert_eq!(Profile::of(&flat, Curve::Srgb, "flat"), None);
     }
 
     #[test]

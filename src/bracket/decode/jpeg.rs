@@ -81,6 +81,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
         decoding,
         exif: layout.exif.map(|range| bytes[range].to_vec()),
         icc,
+        has_alpha: false,
+        notes: Vec::new(),
     })
 }
 

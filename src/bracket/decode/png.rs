@@ -1,7 +1,9 @@
 //! PNG: all of its kinds, at 8 or 16 bit.
 //!
 //! In: the file. Out: RGB at the file's depth; fewer than 8 bit and palettes become 8. Cost: that of the `png` crate.
-//! Source: W3C, Portable Network Graphics (third edition), with the eXIf and iCCP chunks.
+//! Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks.
+
+mod colour;
 
 use super::{Found, Reason, Stored, to_rgb};
 use crate::bracket::Samples;
@@ -53,13 +55,17 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     // A profile that could not be unpacked is passed over in silence; an empty one is told to be damaged.
     let begin = bytes.windows(4).position(|kind| kind == b"IDAT").unwrap_or(0);
     let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
+    let embedded = info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new));
+    let mut notes = Vec::new();
     Ok(Stored {
         width,
         height,
         samples,
         decoding: needed,
         exif: info.exif_metadata.as_ref().map(|e| e.to_vec()),
-        icc: info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new)),
+        icc: colour::profile(info, embedded, &mut notes),
+        has_alpha: matches!(channels, 2 | 4),
+        notes,
     })
 }
 

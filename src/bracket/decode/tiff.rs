@@ -73,6 +73,8 @@ pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason
         // kamadak-exif reads no BigTIFF.
         exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
         icc,
+        has_alpha: matches!(kind, ColorType::GrayA(_) | ColorType::RGBA(_) | ColorType::CMYKA(_)),
+        notes: Vec::new(),
     })
 }
 

@@ -31,6 +31,7 @@ use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
 use serde::Serialize;
 use std::ops::Range;
+use std::path::Path;
 
 /// Most cells of a picture, but that none is larger than `LARGEST`.
 const MOST_CELLS: usize = Budget::MOST_CELLS as usize;
@@ -78,7 +79,7 @@ impl Deghost {
 /// How far each frame may take part, over a region of the reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ghosts {
-    size: (usize, usize),
+    region: Rect,
     side: usize,
     strength: f64,
     /// One for each placed frame by rising exposure: its path, and for each cell the factor times 255; none for the reference.
@@ -159,7 +160,7 @@ pub fn find(
             }));
         }
     }
-    Ok(Ghosts { size: (region.width(), region.height()), side, strength: options.strength, frames })
+    Ok(Ghosts { region, side, strength: options.strength, frames })
 }
 
 /// The side of a cell in pixels.
@@ -196,6 +197,25 @@ fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<f32>
 }
 
 impl Ghosts {
+    /// Whether they are of this region and of these placed frames by rising exposure.
+    ///
+    /// # Errors
+    /// [`Error::Option`] with what they are of.
+    pub(super) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
+        let refused = |reason| Err(Error::Option { option: "--deghost", reason });
+        if self.region != region {
+            let Rect { x0, y0, x1, y1 } = self.region;
+            return refused(format!(
+                "its ghosts were found in columns {x0}..{x1} and rows {y0}..{y1}; find them in the region that is merged"
+            ));
+        }
+        let is_of = |((path, _), frame): (&(String, _), &&Path)| *path == frame.to_string_lossy();
+        if self.frames.len() != frames.len() || !self.frames.iter().zip(frames).all(is_of) {
+            return refused("its ghosts were found in other frames; find them in those that are merged".to_owned());
+        }
+        Ok(())
+    }
+
     /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
     pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
@@ -204,7 +224,7 @@ impl Ghosts {
         if map.rows(first..last + 1).iter().all(|&kept| kept == u8::MAX) {
             return Vec::new();
         }
-        let mut out = Vec::with_capacity(rows.len() * self.size.0);
+        let mut out = Vec::with_capacity(rows.len() * self.region.width());
         let mut line = vec![0.0f32; map.width()];
         for y in rows {
             let (above, below, f) = place(y, self.side, map.height());
@@ -212,7 +232,7 @@ impl Ghosts {
                 let (a, b) = (f32::from(*a), f32::from(*b));
                 *v = (a + f * (b - a)) * (1.0 / 255.0);
             }
-            out.extend((0..self.size.0).map(|x| {
+            out.extend((0..self.region.width()).map(|x| {
                 let (left, right, f) = place(x, self.side, map.width());
                 line[left] + f * (line[right] - line[left])
             }));
@@ -224,7 +244,7 @@ impl Ghosts {
     /// out, in proportion between.
     pub fn mask(&self) -> Plane<u8> {
         let others = self.frames.iter().filter(|(_, map)| map.is_some()).count().max(1) as f32;
-        Plane::from_rows(self.size.0, self.size.1, |y, row| {
+        Plane::from_rows(self.region.width(), self.region.height(), |y, row| {
             let mut left_out = vec![0.0f32; row.len()];
             for i in 0..self.frames.len() {
                 left_out.iter_mut().zip(self.kept(i, y..y + 1)).for_each(|(sum, kept)| *sum += 1.0 - kept);
