@@ -6,6 +6,7 @@
 //!
 //! Damage is an error, never a grey filler: what could not be decoded was never photographed.
 
+mod fields;
 mod jpeg;
 mod orient;
 mod png;
@@ -45,6 +46,8 @@ struct Stored {
     samples: Samples,
     /// EXIF from its TIFF header on; a TIFF file is its own.
     exif: Option<Vec<u8>>,
+    /// Which directory of that block is the picture's: 0, unless the first is a thumbnail's.
+    directory: u16,
     icc: Option<Vec<u8>>,
 }
 
@@ -76,7 +79,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
 
     let mut notes = Vec::new();
     let exif = stored.exif.and_then(|raw| {
-        let exif = parsed(raw);
+        let exif = fields::parsed(raw, stored.directory);
         if exif.is_none() {
             notes.push("its EXIF is damaged and was ignored".into());
         }
@@ -85,15 +88,6 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
     Ok(Decoded { width, height, samples, exif, icc: stored.icc, notes })
-}
-
-/// The fields of an EXIF block that can be read; `None` where it is no such block.
-fn parsed(raw: Vec<u8>) -> Option<Exif> {
-    // Many a writer leaves one bad entry; the others are still good.
-    let parsed = catch_unwind(|| {
-        exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
-    });
-    parsed.ok()?.ok()
 }
 
 fn orientation(exif: Option<&Exif>) -> u32 {
@@ -147,7 +141,7 @@ pub(super) fn head(path: &Path, wanted: &[Tag], limits: &Limits) -> Result<Head>
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
     .map_err(error)?;
     limits.check_size(found.width, found.height).map_err(error)?;
-    let exif = found.exif.and_then(parsed);
+    let exif = found.exif.and_then(|raw| fields::parsed(raw, 0));
     let (width, height) = match orientation(exif.as_ref()) {
         5..=8 => (found.height, found.width),
         _ => (found.width, found.height),

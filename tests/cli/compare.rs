@@ -8,6 +8,7 @@ use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata, Options};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
+use std::path::Path;
 
 /// A scene with edges and texture, over 12 stops, of three channels that are not alike.
 fn scene() -> Plane<[f32; 3]> {
@@ -318,4 +319,25 @@ fn json_has_its_schema_and_stderr_the_words() {
     assert!(!run.stderr.contains('\u{1b}'), "stderr is no terminal");
     let quiet = folder.line("compare a.exr b.exr -q");
     assert_eq!((quiet.code, quiet.stdout.as_str(), quiet.stderr.as_str()), (1, "", ""));
+}
+
+/// Kinds that decoders get wrong: tests/fixtures/README.md says how each was made of the same pixels.
+#[test]
+fn files_of_rare_kinds_are_the_picture_that_they_were_made_of() {
+    let folder = Folder::empty();
+    let ramp = RgbImage::from_fn(40, 44, |x, y| Rgb([6 * x as u8, 5 * y as u8, 120]));
+    ramp.save(folder.at("ramp.png")).expect("a picture");
+    for (name, psnr) in [
+        ("scans-420.jpg", 30),
+        ("scans-440.jpg", 30),
+        ("fine-chroma.jpg", 30),
+        ("planar-tiles.tif", 90),
+        ("lzw-tiles.tif", 90),
+        ("fill-order.tif", 90),
+    ] {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name);
+        std::fs::copy(fixture, folder.at(name)).expect("a copy");
+        let run = folder.line(&format!("compare ramp.png {name} --min-psnr {psnr}"));
+        assert!(run.code == 0 && !run.stderr.contains("panicked"), "{name}: {run:?}");
+    }
 }
