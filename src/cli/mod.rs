@@ -14,6 +14,7 @@ mod man;
 mod memory;
 mod merge;
 mod merging;
+mod panics;
 mod progress;
 mod radiance;
 mod recovery;
@@ -99,6 +100,10 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
+    panics::guarded(run_command)
+}
+
+fn run_command() -> ExitCode {
     let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
     let (command, matches) = match parsed {
         Ok(parsed) => parsed,
