@@ -17,6 +17,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
+    decoder.ignore_checksums(false);
     let header = decoder.read_header_info().map_err(damaged)?;
     let (width, height) = (header.width as usize, header.height as usize);
     allowed.check_size(width, height)?;

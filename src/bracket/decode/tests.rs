@@ -140,6 +140,15 @@ fn damaged_png_is_an_error() {
     let mut flipped = whole.clone();
     flipped[whole.len() / 2] ^= 0x10;
     assert!(is_damage(read(&flipped)));
+    // The checksum of the packed data, in an IDAT whose own is right.
+    let place = whole.windows(4).position(|kind| kind == b"IDAT").unwrap();
+    let length = u32::from_be_bytes(whole[place - 4..place].try_into().unwrap()) as usize;
+    let mut other = whole.clone();
+    other[place + 4 + length - 1] ^= 1;
+    let mut crc = flate2::Crc::new();
+    crc.update(&other[place..place + 4 + length]);
+    other[place + 4 + length..][..4].copy_from_slice(&crc.sum().to_be_bytes());
+    assert!(is_damage(read(&other)));
 }
 
 fn tiff_of<C: ::tiff::encoder::colortype::ColorType>(values: &[C::Inner], width: u32, height: u32) -> Vec<u8>
