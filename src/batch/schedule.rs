@@ -131,9 +131,11 @@ fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
 /// What `work` gives; should it panic, that is this step's failure alone. Where it found the disk full, `fill` is called.
 fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
-    let Ok(result) = outcome else {
-        return Err("the program failed in an unforeseen way; please report it with these photographs".to_owned());
-    };
+    let result = outcome.map_err(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+        let why = text.unwrap_or("for a reason unknown");
+        format!("the program failed in an unforeseen way ({why}); please report it with these photographs")
+    })?;
     result.map_err(|error| {
         if error.is_disk_full() {
             fill();

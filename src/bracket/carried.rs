@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 
 /// Of the first directory, those that speak of the photograph.
-const DESCRIPTIVE: [Tag; 9] = [
+pub(super) const DESCRIPTIVE: [Tag; 9] = [
     Tag::ImageDescription,
     Tag::Make,
     Tag::Model,

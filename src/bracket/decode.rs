@@ -6,6 +6,7 @@
 //!
 //! Damage is an error, never a grey filler: what could not be decoded was never photographed.
 
+mod fields;
 mod jpeg;
 mod orient;
 mod png;
@@ -50,6 +51,8 @@ struct Stored {
     decoding: u64,
     /// EXIF from its TIFF header on; a TIFF file is its own.
     exif: Option<Vec<u8>>,
+    /// Which directory of that block is the picture's: 0, unless the first is a thumbnail's.
+    directory: u16,
     icc: Option<Vec<u8>>,
     /// Whether there was more than colour.
     has_alpha: bool,
@@ -85,7 +88,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
 
     let mut notes = stored.notes;
     let exif = stored.exif.and_then(|raw| {
-        let exif = parsed(raw);
+        let exif = fields::parsed(raw, stored.directory);
         if exif.is_none() {
             notes.push("its EXIF is damaged and was ignored".into());
         }
@@ -103,15 +106,6 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
         has_alpha: stored.has_alpha,
         notes,
     })
-}
-
-/// The fields of an EXIF block that can be read; `None` where it is no such block.
-fn parsed(raw: Vec<u8>) -> Option<Exif> {
-    // Many a writer leaves one bad entry; the others are still good.
-    let parsed = catch_unwind(|| {
-        exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
-    });
-    parsed.ok()?.ok()
 }
 
 fn orientation(exif: Option<&Exif>) -> u32 {
@@ -166,7 +160,7 @@ pub(super) fn head(path: &Path, file: impl Read + Seek, wanted: &[Tag], limits: 
     .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
     .map_err(error)?;
     limits.check_size(found.width, found.height).map_err(error)?;
-    let exif = found.exif.and_then(parsed);
+    let exif = found.exif.and_then(|raw| fields::parsed(raw, 0));
     let (width, height) = match orientation(exif.as_ref()) {
         5..=8 => (found.height, found.width),
         _ => (found.width, found.height),

@@ -15,6 +15,7 @@ mod man;
 mod memory;
 mod merge;
 mod merging;
+mod panics;
 mod progress;
 mod radiance;
 mod recovery;
@@ -102,6 +103,10 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
+    panics::guarded(run_command)
+}
+
+fn run_command() -> ExitCode {
     if let Some(settings) = tone::settings_asked(Cli::command()) {
         return ended("", tell(&settings).map(|()| ExitCode::SUCCESS));
     }

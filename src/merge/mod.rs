@@ -263,6 +263,7 @@ pub fn merge(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::Status;
     use crate::align::warp::Warp;
     use crate::response::tests::still;
 

@@ -11,6 +11,7 @@ use crate::intake;
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;
 use crate::plane::Plane;
+use crate::tiff_file;
 use crate::write::{Metadata, luv};
 use std::io::Cursor;
 use std::path::Path;
@@ -28,8 +29,8 @@ const CHROMATICITIES: Tag = Tag::Unknown(319);
 /// [`Error::Read`]; [`Error::Decode`] where its directory is damaged.
 pub(super) fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     let mut bytes = intake::whole(path, limits.most_bytes())?;
-    disguise_logluv(&mut bytes);
-    let look = || -> Parsed<bool> {
+    let mut look = || -> Parsed<bool> {
+        prepare(&mut bytes)?;
         let mut decoder = Decoder::new(Cursor::new(bytes.as_slice())).map_err(said)?;
         let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?;
         let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(said)?.unwrap_or_default();
@@ -43,6 +44,15 @@ fn said(e: tiff::TiffError) -> String {
     format!("{e}; if it is cut short or damaged, copy it again")
 }
 
+/// Makes of `bytes` what the crate reads rightly.
+fn prepare(bytes: &mut [u8]) -> Parsed<()> {
+    let picture = tiff_file::picture(Cursor::new(&*bytes))?;
+    tiff_file::put_first(bytes, picture);
+    tiff_file::disguise_logluv(bytes);
+    tiff_file::order_bits(bytes);
+    Ok(())
+}
+
 type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
@@ -52,7 +62,7 @@ type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 /// # Errors
 /// The reason for damaged files, those of integers, and those that ask for more than `limits` allow.
 pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
-    disguise_logluv(&mut bytes);
+    prepare(&mut bytes)?;
     let bytes = bytes.as_slice();
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
     let (width, height) = decoder.dimensions().map_err(said)?;
@@ -109,32 +119,6 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     Ok(contents)
 }
 
-/// The crate reads no directory with LogLuv's photometric interpretation; RGB's or grey's is put in its place. The compression tells.
-/// Where the structure is not sound nothing is done, and the crate will say so.
-fn disguise_logluv(bytes: &mut [u8]) {
-    let little = bytes.starts_with(b"I");
-    let number = |bytes: &[u8], at: usize, length: usize| -> Option<u64> {
-        let field = bytes.get(at..at.checked_add(length)?)?;
-        let add = |sum: u64, b: &u8| sum << 8 | u64::from(*b);
-        Some(if little { field.iter().rev().fold(0, add) } else { field.iter().fold(0, add) })
-    };
-    let big = number(bytes, 2, 2) == Some(43);
-    // Where the first directory is; the lengths of an offset, of the count of entries, and of an entry.
-    let (at, word, count, entry) = if big { (8, 8, 8, 20) } else { (4, 4, 2, 12) };
-    let place = || {
-        let start = usize::try_from(number(bytes, at, word)?).ok()?;
-        let entries = number(bytes, start, count)?.min(4096) as usize;
-        let tag = (0..entries).map(|i| start + count + i * entry).find(|&e| number(bytes, e, 2) == Some(262))?;
-        let value = tag + entry - word;
-        let photometric = number(bytes, value, 2)?;
-        matches!(photometric, 32844 | 32845).then_some((value, photometric == 32845))
-    };
-    if let Some((value, colour)) = place() {
-        let code = if colour { 2u16 } else { 1 };
-        bytes[value..value + 2].copy_from_slice(&if little { code.to_le_bytes() } else { code.to_be_bytes() });
-    }
-}
-
 /// TIFF 6.0, section 8, Orientation: where the first row and the first column are.
 fn turn(orientation: u16) -> Turn {
     Turn {
@@ -145,10 +129,10 @@ fn turn(orientation: u16) -> Turn {
 }
 
 fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
-    if decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(said)?.unwrap_or(1) != 1 {
-        return Err("its colours are kept apart; bring them together first, as with `tiffcp -p contig`".into());
+    if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(said)? == Some(5) {
+        return Err("it is CMYK; convert it to RGB first".into());
     }
-    let values: Vec<f32> = match decoder.read_image().map_err(said)? {
+    let values: Vec<f32> = match tiff_file::samples(decoder, said)? {
         DecodingResult::F16(v) => v.into_iter().map(|v| v.to_f32()).collect(),
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
@@ -159,11 +143,7 @@ fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
         }
     };
     let samples = values.len() / count;
-    if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(said)? == Some(5) {
-        return Err("it is CMYK; convert it to RGB first".into());
-    }
     Ok(match samples {
-        0 => return Err("it is cut short; copy it again".into()),
         1 | 2 => values.chunks_exact(samples).map(|p| [p[0]; 3]).collect(),
         _ => values.chunks_exact(samples).map(|p| [p[0], p[1], p[2]]).collect(),
     })

@@ -54,7 +54,7 @@ fn png(picture: &RgbImage) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A JPEG whose EXIF has nothing but this exposure time, in s.
+/// A JPEG whose EXIF has this exposure time, in s, and that the flash did not fire.
 fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
     shot(picture, (num, denom), false)
 }
@@ -62,7 +62,7 @@ fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
 /// `picture` as a JPEG whose EXIF has the time, and whether the flash fired.
 fn shot(picture: &RgbImage, (num, denom): (u32, u32), flash: bool) -> Vec<u8> {
     // 0x19: fired, in automatic mode; 0x18: did not fire.
-    let flash = Exif::Short(vec![0x18 + u16::from(flash)]);
+    let flash = exif::Value::Short(vec![0x18 + u16::from(flash)]);
     jpeg_with(picture, &[(Tag::ExposureTime, ratio(num, denom)), (Tag::Flash, flash)])
 }
 

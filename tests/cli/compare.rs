@@ -9,6 +9,7 @@ use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata, Options};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
+use std::path::Path;
 
 /// A scene with edges and texture, over 12 stops, of three channels that are not alike.
 fn scene() -> Plane<[f32; 3]> {
@@ -425,4 +426,25 @@ fn numbers_of_headers_are_compared_as_finely_as_formats_keep_them() {
     assert!(!keys.contains(&"f_number".into()) && !keys.contains(&"time_s".into()), "{json}");
     let (_, json) = compare(&folder, "a.exr b.exr");
     assert_eq!(json["metadata"], serde_json::json!([{ "key": "f_number", "expected": "5.6", "actual": "6.3" }]));
+}
+
+/// Kinds that decoders get wrong: tests/fixtures/README.md says how each was made of the same pixels.
+#[test]
+fn files_of_rare_kinds_are_the_picture_that_they_were_made_of() {
+    let folder = Folder::empty();
+    let ramp = RgbImage::from_fn(40, 44, |x, y| Rgb([6 * x as u8, 5 * y as u8, 120]));
+    ramp.save(folder.at("ramp.png")).expect("a picture");
+    for (name, psnr) in [
+        ("scans-420.jpg", 30),
+        ("scans-440.jpg", 30),
+        ("fine-chroma.jpg", 30),
+        ("planar-tiles.tif", 90),
+        ("lzw-tiles.tif", 90),
+        ("fill-order.tif", 90),
+    ] {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name);
+        std::fs::copy(fixture, folder.at(name)).expect("a copy");
+        let run = folder.line(&format!("compare ramp.png {name} --min-psnr {psnr}"));
+        assert!(run.code == 0 && !run.stderr.contains("panicked"), "{name}: {run:?}");
+    }
 }

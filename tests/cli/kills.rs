@@ -8,6 +8,7 @@
 
 use crate::support::card::Card;
 use crate::support::{Folder, jpeg, program, shrink, window, without};
+use hdralign::write;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -223,4 +224,45 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
         }
     }
     println!("{tally:?}");
+}
+
+/// A run that is killed while it writes, which is seen by its temporary files; the system has no anonymous ones.
+#[test]
+#[ignore = "filters system calls; .ci/run runs it where the system allows that"]
+fn what_a_killed_process_left_is_swept_but_not_what_a_living_one_writes() {
+    let [python, script, lacks] = without("anonymous").expect("a filter of system calls");
+    let folder = Folder::with_bracket();
+    // They have the names of temporary files, and are the user's.
+    folder.put(".hdralign-notes.part", b"mine");
+    folder.put(".hdralign-aaaaaaaaaaaa-0.part", b"mine");
+    let unnamed = || files(folder.path()).keys().filter(|path| is_unnamed(path)).count();
+    let users = unnamed();
+    let inputs = folder.listing();
+    let mut was_killed = false;
+    // A run that is quicker than the look at its folder is done again.
+    for _ in 0..10 {
+        let mut run = Command::new(&python)
+            .args([script.as_str(), lacks.as_str()])
+            .arg(program())
+            .args(["merge", "w1.jpg", "w2.jpg", "w3.jpg", "-q", "--force", "-o", "a.exr", "-o", "a.png", "-o", "a.jpg"])
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .expect("the program starts");
+        while unnamed() == users && run.try_wait().expect("its state").is_none() {}
+        // Between a file's first moment and its lock, on a machine that has other things to do.
+        std::thread::sleep(Duration::from_millis(10));
+        assert_eq!(write::sweep(folder.path()), 0, "it lives");
+        run.kill().expect("an end");
+        was_killed = !run.wait().expect("its end").success();
+        if was_killed && unnamed() > users {
+            break;
+        }
+    }
+    let left = unnamed() - users;
+    assert!(was_killed && left > 0, "no run was caught writing");
+    assert_eq!((write::sweep(folder.path()), unnamed()), (left, users));
+    let names = |name: &&(String, u64)| !inputs.contains(name);
+    assert!(folder.listing().iter().filter(names).all(|(name, _)| name.starts_with("a.")));
 }

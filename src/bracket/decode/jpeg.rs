@@ -1,16 +1,19 @@
 //! JPEG: baseline and progressive, grey, YCbCr, RGB, CMYK and Adobe's YCCK.
 //!
 //! In: the file. Out: 8-bit RGB, by zune-jpeg, straight into its buffer. Cost: zune-jpeg's, and one look for 0xFF through the file.
+//! Sequential files of several scans, and those whose chroma is finer than luma, are decoded by jpeg-decoder: zune-jpeg 0.5.15 misplaces
+//! blocks of the former where chroma has fewer rows, and samples of the latter.
 //! Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
 //!
 //! Decoders fill what is missing with grey or with noise, each in its way, so the file is walked first: it must be whole up to the end of
 //! its first image. Further images behind it (MPF previews, gain maps) and trailing bytes are cut off. For a file that was cut and then
-//! closed with an end marker by a repair tool, sequential data is followed by ones, which are no Huffman code (T.81, annex C):
-//! a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
+//! closed with an end marker by a repair tool, the data of each sequential scan is followed by ones, which are no Huffman code (T.81,
+//! annex C): a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb};
 use crate::bracket::Samples;
 use crate::limits::{self, Limits};
+use jpeg_decoder::ColorTransform;
 use std::io::{BufRead, Read, Seek};
 use std::ops::Range;
 use zune_jpeg::JpegDecoder;
@@ -19,6 +22,9 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 const END: [u8; 2] = [0xFF, 0xD9];
+
+/// 64 ones of entropy-coded data, more than any code and its value have: each 0xFF is followed by a zero (T.81, F.1.2.3).
+const ONES: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
 
 /// Most scans of a picture: encoders make about ten, and each goes through the whole picture, however little it says.
 const MOST_SCANS: usize = 200;
@@ -32,22 +38,25 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
         layout = Layout::of(&bytes)?;
     }
     layout.check_complete()?;
-    if layout.scans > MOST_SCANS {
-        return Err(format!("it is of {} scans, and {MOST_SCANS} are read; save it as plain JPEG", layout.scans));
+    let scans = layout.scan_ends.len();
+    if scans > MOST_SCANS {
+        return Err(format!("it is of {scans} scans, and {MOST_SCANS} are read; save it as plain JPEG"));
     }
     let (width, height) = layout.size;
     limits.check_size(width, height)?;
     let pixels = width as u64 * height as u64;
     // A block of 64 pixels takes a bit, in any kind of scan; chroma may be finer than luma, but by four by four at most.
     limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
-    // RGB or CMYK, and of a progressive file all coefficients.
-    let coefficients = if layout.progressive { 2 * layout.components as u64 } else { 0 };
+    let is_odd = !layout.progressive && scans > 1 || !layout.is_luma_finest;
+    // RGB or CMYK; of a progressive file all coefficients, and of what jpeg-decoder reads all components.
+    let kept = if layout.progressive { 2 } else { 0 } + u64::from(is_odd);
     let rgb = if layout.components == 4 { 4 + 3 } else { 3 };
-    let decoding = pixels * (rgb + coefficients) + bytes.len() as u64;
+    let decoding = pixels * (rgb + kept * layout.components as u64) + bytes.len() as u64;
     limits.check_memory((width, height), decoding)?;
+    let exif = layout.exif.map(|range| bytes[range].to_vec());
     bytes.truncate(layout.end - END.len());
     if !layout.progressive {
-        bytes.extend([0xFF, 0x00].repeat(8));
+        bytes = with_ones(&bytes, &layout.scan_ends);
     }
     bytes.extend(END);
 
@@ -65,25 +74,66 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     decoder.decode_headers().map_err(damaged)?;
     let (width, height) = decoder.dimensions().ok_or("it has no size")?;
     limits.check_size(width, height)?;
-    let size = decoder.output_buffer_size().ok_or("it has no size")?;
+    let icc = decoder.icc_profile();
+    let pixels = if is_odd {
+        let space = decoder.input_colorspace().ok_or("it has no components")?;
+        odd(&bytes, space, plain_cmyk)?
+    } else {
+        let size = decoder.output_buffer_size().ok_or("it has no size")?;
+        let mut pixels = limits::room(size)?;
+        decoder.decode_into(&mut pixels).map_err(damaged)?;
+        pixels
+    };
     let channels = if plain_cmyk { 4 } else { 3 };
-    if size != channels * width * height {
+    if pixels.len() != channels * width * height {
         return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into());
     }
-    let mut pixels = limits::room(size)?;
-    decoder.decode_into(&mut pixels).map_err(damaged)?;
-    let icc = decoder.icc_profile();
     let samples = if plain_cmyk { cmyk_to_rgb(&pixels, 4, 255) } else { pixels };
     Ok(Stored {
         width,
         height,
         samples: Samples::Eight(samples),
         decoding,
-        exif: layout.exif.map(|range| bytes[range].to_vec()),
+        exif,
+        directory: 0,
         icc,
         has_alpha: false,
         notes: Vec::new(),
     })
+}
+
+/// The pixels of a file that zune-jpeg gets wrong: RGB, or the inks as they are where they are `plain_cmyk`. `space` is that of the file.
+fn odd(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<Vec<u8>, Reason> {
+    let transform = match space {
+        ColorSpace::YCbCr => ColorTransform::YCbCr,
+        ColorSpace::RGB => ColorTransform::RGB,
+        ColorSpace::YCCK => ColorTransform::YCCK,
+        ColorSpace::CMYK => ColorTransform::CMYK,
+        _ => return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into()),
+    };
+    let mut decoder = jpeg_decoder::Decoder::new(bytes);
+    decoder.set_color_transform(transform);
+    let damaged = |e: jpeg_decoder::Error| format!("{}; copy the file again", one_line(&e.to_string()));
+    let pixels = decoder.decode().map_err(damaged)?;
+    Ok(match space {
+        // It takes all inks to be inverted, as Adobe's are.
+        ColorSpace::CMYK | ColorSpace::YCCK if plain_cmyk => pixels.into_iter().map(|ink| 255 - ink).collect(),
+        ColorSpace::CMYK | ColorSpace::YCCK => cmyk_to_rgb(&pixels, 4, 255),
+        _ => pixels,
+    })
+}
+
+/// `bytes` with [`ONES`] before each of `ends`, which are in order.
+fn with_ones(bytes: &[u8], ends: &[usize]) -> Vec<u8> {
+    let mut filled = Vec::with_capacity(bytes.len() + (ends.len() + 1) * ONES.len());
+    let mut done = 0;
+    for &end in ends {
+        filled.extend_from_slice(&bytes[done..end]);
+        filled.extend_from_slice(&ONES);
+        done = end;
+    }
+    filled.extend_from_slice(&bytes[done..]);
+    filled
 }
 
 /// `bytes` without the ranges `junk`, which are in order. In one go: a damaged file may have a million of them.
@@ -158,12 +208,15 @@ struct Layout {
     /// Width and height, in pixels.
     size: (usize, usize),
     components: usize,
+    /// Whether no component is sampled more finely than the first.
+    is_luma_finest: bool,
     progressive: bool,
     /// Bytes between segments that belong to none.
     junk: Vec<Range<usize>>,
     /// By component identifier and coefficient: the bit down to which it was sent, plus one; 0 is "not at all".
     sent: Vec<(u8, [u8; 64])>,
-    scans: usize,
+    /// Just past the entropy-coded data of each scan.
+    scan_ends: Vec<usize>,
     /// Just past the end marker.
     end: usize,
 }
@@ -187,7 +240,7 @@ impl Layout {
             match bytes[marker] {
                 0xD9 => {
                     layout.end = at;
-                    return if layout.scans == 0 {
+                    return if layout.scan_ends.is_empty() {
                         Err("it holds no picture data; copy the file again".into())
                     } else {
                         Ok(layout)
@@ -205,6 +258,9 @@ impl Layout {
                     layout.segment(code, content, body)?;
                     if code == 0xDA {
                         at = scan_end(bytes, at).ok_or_else(truncated)?;
+                        // Before a marker there may be more of 0xFF.
+                        let fill = bytes[..at].iter().rev().take_while(|&&b| b == 0xFF).count();
+                        layout.scan_ends.push(at - fill);
                     }
                 }
             }
@@ -226,13 +282,15 @@ impl Layout {
                 let number = |at: usize| Some(u16::from_be_bytes([*content.get(at)?, *content.get(at + 1)?]).into());
                 self.size = (number(3).unwrap_or(0), number(1).unwrap_or(0));
                 self.components = content.get(5).copied().unwrap_or(0).into();
+                let finest = content.get(7).copied().unwrap_or(0);
+                let is_finer = |factors: u8| factors >> 4 > finest >> 4 || factors & 15 > finest & 15;
+                self.is_luma_finest = !content.iter().skip(7).step_by(3).any(|&factors| is_finer(factors));
                 self.sent = content[6.min(content.len())..].chunks_exact(3).map(|c| (c[0], [0; 64])).collect();
             }
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
                 return Err("it is lossless, hierarchical or arithmetic-coded JPEG, which is not supported; save it as plain JPEG".into());
             }
             0xDA => {
-                self.scans += 1;
                 let count = usize::from(content.first().copied().unwrap_or(0));
                 let (Some(of), Some(&[first, last, bits])) =
                     (content.get(1..1 + 2 * count), content.get(1 + 2 * count..4 + 2 * count))

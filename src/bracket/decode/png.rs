@@ -1,7 +1,8 @@
 //! PNG: all of its kinds, at 8 or 16 bit.
 //!
 //! In: the file. Out: RGB at the file's depth; fewer than 8 bit and palettes become 8. Cost: that of the `png` crate.
-//! Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks.
+//! Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks; ImageMagick, `coders/png.c`, and
+//! exiv2, `pngchunk_int.cpp`, for the "Raw profile type exif" that programs wrote before there was eXIf, and many still do.
 
 mod colour;
 
@@ -18,6 +19,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
+    decoder.ignore_checksums(false);
     let header = decoder.read_header_info().map_err(damaged)?;
     let (width, height) = (header.width as usize, header.height as usize);
     allowed.check_size(width, height)?;
@@ -57,12 +59,14 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
     let embedded = info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new));
     let mut notes = Vec::new();
+    let found = head(&mut BufReader::new(Cursor::new(bytes)))?;
     Ok(Stored {
         width,
         height,
         samples,
         decoding: needed,
-        exif: info.exif_metadata.as_ref().map(|e| e.to_vec()),
+        exif: found.exif,
+        directory: 0,
         icc: colour::profile(info, embedded, &mut notes),
         has_alpha: matches!(channels, 2 | 4),
         notes,
@@ -80,25 +84,29 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
     let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
     reader.seek_relative(8).map_err(damaged)?;
     let mut found: Option<Found> = None;
+    // Of eXIf and raw profiles the former counts, of several the first.
+    let mut raw_profile = None;
     loop {
         let mut head = [0; 8];
+        let read = reader.read_exact(&mut head);
         // EXIF may stand behind the picture, but one that is cut off in its data has its size all the same.
-        match (reader.read_exact(&mut head), found.take()) {
-            (Ok(()), so_far) => found = so_far,
-            (Err(_), Some(so_far)) => return Ok(so_far),
+        let is_end = read.is_err() || &head[4..] == b"IEND";
+        match (read, found.take()) {
+            (_, Some(so_far)) if is_end => return Ok(Found { exif: so_far.exif.or(raw_profile), ..so_far }),
             (Err(e), None) => return Err(damaged(e)),
+            (_, so_far) => found = so_far,
         }
         let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
         let is_wanted = match &head[4..] {
             b"IHDR" => length >= 13,
-            b"eXIf" | b"tEXt" => length <= MOST_EXIF,
+            b"eXIf" => length <= MOST_EXIF,
+            // Two digits to a byte, and the ends of the lines.
+            b"tEXt" | b"zTXt" | b"iTXt" => length <= 3 * MOST_EXIF,
             _ => false,
         };
         if !is_wanted {
-            match found {
-                Some(found) if &head[4..] == b"IEND" => return Ok(found),
-                Some(_) => {}
-                None => return Err("it does not begin as a PNG does; copy the file again".into()),
+            if found.is_none() {
+                return Err("it does not begin as a PNG does; copy the file again".into());
             }
             reader.seek_relative(i64::from(length) + 4).map_err(damaged)?;
             continue;
@@ -112,14 +120,53 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
                 let (width, height, depth) = (number(0), number(4), content[8].max(8));
                 found = Some(Found { width, height, depth, exif: None, software: None, refused: None });
             }
-            // Of several the decoder takes the first.
             (b"eXIf", Some(found)) => _ = found.exif.get_or_insert(content),
-            (_, Some(found)) => {
-                if let Some(text) = content.strip_prefix(b"Software\0") {
-                    found.software = Some(String::from_utf8_lossy(text).into_owned());
+            (kind, Some(found)) => match text(kind, &content) {
+                Some((b"Software", text)) if kind == b"tEXt" => {
+                    found.software = Some(String::from_utf8_lossy(&text).into_owned());
                 }
-            }
+                Some((b"Raw profile type exif" | b"Raw profile type APP1", text)) if raw_profile.is_none() => {
+                    raw_profile = exif_of_profile(&text);
+                }
+                _ => {}
+            },
             _ => return Err("it does not begin as a PNG does; copy the file again".into()),
         }
     }
+}
+
+/// The keyword and the text of a chunk of the given kind.
+fn text<'a>(kind: &[u8], content: &'a [u8]) -> Option<(&'a [u8], Vec<u8>)> {
+    let cut = |bytes: &'a [u8]| {
+        let end = bytes.iter().position(|&b| b == 0)?;
+        Some((&bytes[..end], &bytes[end + 1..]))
+    };
+    let (keyword, rest) = cut(content)?;
+    let (is_packed, packed) = match kind {
+        b"tEXt" => (false, rest),
+        b"zTXt" => (true, rest.get(1..)?),
+        _ => {
+            let (_language, rest_of) = cut(rest.get(2..)?)?;
+            let (_keyword, text) = cut(rest_of)?;
+            (rest[0] == 1, text)
+        }
+    };
+    let mut text = Vec::new();
+    if is_packed {
+        flate2::read::ZlibDecoder::new(packed).take(3 * u64::from(MOST_EXIF)).read_to_end(&mut text).ok()?;
+    } else {
+        text.extend_from_slice(packed);
+    }
+    Some((keyword, text))
+}
+
+/// The EXIF, from its TIFF header on, of a raw profile: its name, its length, and its bytes by two digits each, on lines of their own.
+fn exif_of_profile(text: &[u8]) -> Option<Vec<u8>> {
+    let text = std::str::from_utf8(text).ok()?;
+    let mut words = text.split_ascii_whitespace();
+    let (_name, length) = (words.next()?, words.next()?.parse::<usize>().ok()?);
+    let digits: Option<Vec<u8>> = words.flat_map(str::chars).map(|c| c.to_digit(16).map(|d| d as u8)).collect();
+    let bytes: Vec<u8> = digits?.chunks_exact(2).map(|pair| pair[0] << 4 | pair[1]).collect();
+    let bytes = bytes.get(..length)?;
+    Some(bytes.strip_prefix(b"Exif\0\0").unwrap_or(bytes).to_vec())
 }

@@ -4,9 +4,9 @@ use super::*;
 use image::{ExtendedColorType, ImageEncoder, codecs, metadata::Orientation};
 use std::io::Cursor;
 
-const LIMIT: u64 = 1 << 28;
+pub(super) const LIMIT: u64 = 1 << 28;
 
-fn at_most(max_pixels: u64) -> Limits {
+pub(super) fn at_most(max_pixels: u64) -> Limits {
     Limits { max_pixels, memory: None }
 }
 
@@ -93,7 +93,7 @@ fn png_of(values: &[u8], width: u32, height: u32, kind: ::png::ColorType, depth:
     out
 }
 
-fn eight(decoded: Result<Decoded>) -> Vec<u8> {
+pub(super) fn eight(decoded: Result<Decoded>) -> Vec<u8> {
     match decoded.unwrap().samples {
         Samples::Eight(v) => v,
         Samples::Sixteen(_) => panic!("8 bit was expected"),
@@ -136,6 +136,15 @@ fn damaged_png_is_an_error() {
     let mut flipped = whole.clone();
     flipped[whole.len() / 2] ^= 0x10;
     assert!(is_damage(read(&flipped)));
+    // The checksum of the packed data, in an IDAT whose own is right.
+    let place = whole.windows(4).position(|kind| kind == b"IDAT").unwrap();
+    let length = u32::from_be_bytes(whole[place - 4..place].try_into().unwrap()) as usize;
+    let mut other = whole.clone();
+    other[place + 4 + length - 1] ^= 1;
+    let mut crc = flate2::Crc::new();
+    crc.update(&other[place..place + 4 + length]);
+    other[place + 4 + length..][..4].copy_from_slice(&crc.sum().to_be_bytes());
+    assert!(is_damage(read(&other)));
 }
 
 fn tiff_of<C: ::tiff::encoder::colortype::ColorType>(values: &[C::Inner], width: u32, height: u32) -> Vec<u8>
@@ -212,6 +221,43 @@ fn progressive_jpeg() {
     let v = eight(Ok(decoded));
     let at = |x: usize| i32::from(v[3 * (48 * 16 + x) + 1]);
     assert!((at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8, "{} {}", at(4), at(40));
+}
+
+/// As fixtures: one scan for each component at 4:2:0, and one of luma and one of both chromas at 4:4:0.
+const BY_SCANS: [&[u8]; 2] =
+    [include_bytes!("../../../tests/fixtures/scans-420.jpg"), include_bytes!("../../../tests/fixtures/scans-440.jpg")];
+
+#[test]
+fn jpeg_of_several_sequential_scans_or_fine_chroma_has_its_pixels_in_their_places() {
+    let fine_chroma = &include_bytes!("../../../tests/fixtures/fine-chroma.jpg")[..];
+    for bytes in BY_SCANS.into_iter().chain([fine_chroma]) {
+        let decoded = read(bytes).unwrap();
+        assert_eq!((decoded.width, decoded.height), (40, 44));
+        for (i, p) in eight(Ok(decoded)).chunks_exact(3).enumerate() {
+            let wanted = [6 * (i % 40) as u8, 5 * (i / 40) as u8, 120];
+            // Chroma of half the resolution clips at the edges of the colour cube.
+            assert!(p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 12), "{},{}: {p:?}", i % 40, i / 40);
+        }
+    }
+}
+
+#[test]
+fn jpeg_of_several_sequential_scans_that_was_cut_is_an_error() {
+    for whole in BY_SCANS {
+        let at = |from: usize, is_it: fn(u8) -> bool| {
+            let pair = whole[from..].windows(2).position(|w| w[0] == 0xFF && is_it(w[1]));
+            pair.map(|i| from + i)
+        };
+        let mut end = 0;
+        while let Some(scan) = at(end, |code| code == 0xDA) {
+            end = at(scan + 2, |code| code != 0).expect("a marker behind the scan");
+            // The last bytes of the scan are missing, all that follows is there.
+            let mut cut = end - 5;
+            cut -= usize::from(whole[cut - 1] == 0xFF);
+            assert!(is_damage(read(&[&whole[..cut], &whole[end..]].concat())), "before {end} of {}", whole.len());
+        }
+        assert!(is_damage(read(&whole[..whole.len() - 40])));
+    }
 }
 
 #[test]

@@ -1,30 +1,37 @@
 //! TIFF: grey, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
 //!
-//! In: the file. Out: RGB at the file's depth; grey of fewer than 8 bit becomes 8. Cost: that of the `tiff` crate.
-//! Source: TIFF 6.0; TIFF/EP and DNG for the tags that tell a camera raw file.
+//! In: the file. Out: RGB at the file's depth, of its first picture that is no thumbnail; grey of fewer than 8 bit becomes 8.
+//! Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
 use crate::limits::{self, Limits as Allowed};
+use crate::tiff_file::{self, Picture};
 use exif::experimental::Writer;
 use exif::{Context, Field, In};
 use std::io::{Cursor, Read, Seek};
 use tiff::ColorType;
+use tiff::Directory;
 use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
+use tiff::tags::{IfdPointer, Tag};
 
-const DNG_VERSION: Tag = Tag::Unknown(50706);
+/// Bytes up to the first directory's offset, and of it.
+const HEADER: usize = 8;
+
 const ICC: Tag = Tag::Unknown(34675);
 
 const FLOATING_POINT: &str = "it holds floating-point values, which no camera writes and which are linear already; \
                               give the camera's own 8- or 16-bit pictures";
 
-/// Decodes the first picture of a TIFF file.
-pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
-    let damaged = |e: tiff::TiffError| format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF");
+/// Decodes the first picture of a TIFF file that is no thumbnail.
+pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
+    let picture = tiff_file::picture(Cursor::new(&bytes))?;
+    refuse_raw(picture)?;
+    let header = bytes[..HEADER].to_vec();
+    tiff_file::put_first(&mut bytes, picture);
+    tiff_file::order_bits(&mut bytes);
     let mut decoder = Decoder::new(Cursor::new(&bytes)).map_err(damaged)?;
-    refuse_raw(&mut decoder)?;
     let (width, height) = decoder.dimensions().map_err(damaged)?;
     let (width, height) = (width as usize, height as usize);
     allowed.check_size(width, height)?;
@@ -44,27 +51,15 @@ pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason
     let mut decoder = decoder.with_limits(limits);
     let icc = decoder.find_tag(ICC).ok().flatten().and_then(|v| v.into_u8_vec().ok());
 
-    let mut buffer = DecodingResult::U8(Vec::new());
-    let layout = decoder.read_image_to_buffer(&mut buffer).map_err(damaged)?;
-    let samples = match buffer {
-        DecodingResult::U8(v) if kind.bit_depth() < 8 => {
-            Samples::Eight(rgb(unpack(&v, width, kind.bit_depth()), kind, layout.planes)?)
-        }
-        DecodingResult::U8(v) => Samples::Eight(rgb(v, kind, layout.planes)?),
-        DecodingResult::U16(v) if kind.bit_depth() == 16 => Samples::Sixteen(rgb(v, kind, layout.planes)?),
-        DecodingResult::F16(_) | DecodingResult::F32(_) | DecodingResult::F64(_) => {
-            return Err(FLOATING_POINT.into());
-        }
-        _ => {
-            return Err(format!(
-                "its samples are of {} bit, which is not supported; save it with 8 or 16 bit",
-                kind.bit_depth()
-            ));
-        }
+    let samples = match tiff_file::samples(&mut decoder, damaged)? {
+        DecodingResult::U8(v) => Samples::Eight(rgb(v, kind)?),
+        DecodingResult::U16(v) => Samples::Sixteen(rgb(v, kind)?),
+        _ => return Err(FLOATING_POINT.into()),
     };
     if samples.len() != 3 * width * height {
         return Err("its picture data is not of its size; copy the file again".into());
     }
+    bytes[..HEADER].copy_from_slice(&header);
     Ok(Stored {
         width,
         height,
@@ -72,50 +67,27 @@ pub(super) fn decode(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason
         decoding: needed,
         // kamadak-exif reads no BigTIFF.
         exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
+        directory: picture.index as u16,
         icc,
         has_alpha: matches!(kind, ColorType::GrayA(_) | ColorType::RGBA(_) | ColorType::CMYKA(_)),
         notes: Vec::new(),
     })
 }
 
-/// Camera raws are TIFF files whose first picture is a thumbnail or a sensor's mosaic: they must not pass for photographs.
-fn refuse_raw<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> Result<(), Reason> {
-    let mut number = |tag| decoder.find_tag_unsigned::<u32>(tag).ok().flatten();
-    let thumbnail = number(Tag::NewSubfileType).is_some_and(|kind| kind & 1 != 0);
-    let mosaic = number(Tag::PhotometricInterpretation).is_some_and(|p| p == 32803 || p == 34892);
-    if thumbnail || mosaic || decoder.find_tag(DNG_VERSION).ok().flatten().is_some() {
+fn damaged(e: tiff::TiffError) -> Reason {
+    format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF")
+}
+
+/// Camera raws are TIFF files that hold a thumbnail or a sensor's mosaic: they must not pass for photographs.
+fn refuse_raw(picture: Picture) -> Result<(), Reason> {
+    if picture.is_raw {
         return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, all frames alike".into());
     }
     Ok(())
 }
 
-/// Samples of fewer than 8 bit, rows filled up to whole bytes, as bytes of the full range.
-fn unpack(packed: &[u8], width: usize, depth: u8) -> Vec<u8> {
-    let depth = usize::from(depth.max(1));
-    let max = (1u16 << depth) - 1;
-    let row = (width * depth).div_ceil(8).max(1);
-    packed
-        .chunks_exact(row)
-        .flat_map(|bytes| {
-            (0..width).map(move |x| {
-                let bit = x * depth;
-                // Two bytes hold every sample, also one that straddles a boundary.
-                let next = bytes.get(bit / 8 + 1).copied().unwrap_or(0);
-                let word = u16::from_be_bytes([bytes[bit / 8], next]);
-                let value = (word >> (16 - depth - bit % 8)) & max;
-                (value * 255 / max) as u8
-            })
-        })
-        .collect()
-}
-
-/// Interleaved RGB of a TIFF's samples, in one plane or one for each channel.
-fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(
-    values: Vec<T>,
-    kind: ColorType,
-    planes: usize,
-) -> Result<Vec<T>, Reason> {
-    let values = if planes > 1 { interleave(&values, planes) } else { values };
+/// Interleaved RGB of a TIFF's samples.
+fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(values: Vec<T>, kind: ColorType) -> Result<Vec<T>, Reason> {
     Ok(match kind {
         ColorType::Gray(_) => to_rgb(values, 1),
         ColorType::GrayA(8 | 16) => to_rgb(values, 2),
@@ -127,11 +99,6 @@ fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(
             return Err(format!("its samples are of a kind that is not supported ({other:?}); save it as RGB"));
         }
     })
-}
-
-fn interleave<T: Copy>(values: &[T], planes: usize) -> Vec<T> {
-    let size = values.len() / planes;
-    (0..size).flat_map(|i| (0..planes).map(move |p| values[p * size + i])).collect()
 }
 
 /// The largest code value of a sample type.
@@ -147,11 +114,15 @@ impl Bounded for u16 {
     const MAX: u32 = 65535;
 }
 
-/// The size and the EXIF of the first picture, by seeking to its directories. What `decode` refuses for its kind is told beside them.
-pub(super) fn head<R: Read + Seek>(reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
-    let damaged = |e: tiff::TiffError| format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF");
+/// The size and the EXIF of the first picture that is no thumbnail, by seeking to its directories. What `decode` refuses for its kind is
+/// told beside them.
+pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
+    let picture = tiff_file::picture(&mut reader)?;
+    let mut refused = refuse_raw(picture).err();
+    reader.rewind().map_err(|e| e.to_string())?;
     let mut decoder = Decoder::new(reader).map_err(damaged)?;
-    let mut refused = refuse_raw(&mut decoder).err();
+    let first = decoder.ifd_pointer().filter(|_| picture.index > 0);
+    decoder.seek_to_image(picture.index).map_err(damaged)?;
     let (width, height) = decoder.dimensions().map_err(damaged)?;
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).ok().flatten().unwrap_or_default();
     let kinds = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).ok().flatten().unwrap_or_default();
@@ -162,7 +133,7 @@ pub(super) fn head<R: Read + Seek>(reader: R, wanted: &[exif::Tag]) -> Result<Fo
     let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
     // Of a BigTIFF as well, which has no EXIF here.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
-    let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, wanted) };
+    let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, first, wanted) };
     Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
 }
 
@@ -173,19 +144,32 @@ fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
     reader.rewind().and_then(|()| reader.read_exact(&mut head)).is_ok() && head[2..].contains(&43)
 }
 
-/// The `wanted` fields of the picture and of its EXIF directory, as a TIFF block of their own.
-fn fields<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: &[exif::Tag]) -> Option<Vec<u8>> {
-    let pointer = decoder.find_tag(Tag::ExifDirectory).ok().flatten().and_then(|v| v.into_ifd_pointer().ok());
-    let directory = pointer.and_then(|at| decoder.read_directory(at).ok());
+/// The `wanted` fields of the picture, else of the `first` one: each of the directory where EXIF has it, else of the picture's own. As a TIFF
+/// block of their own.
+fn fields<R: Read + Seek>(
+    decoder: &mut Decoder<R>,
+    first: Option<IfdPointer>,
+    wanted: &[exif::Tag],
+) -> Option<Vec<u8>> {
+    let mut sources: Vec<(Directory, Option<Directory>)> = Vec::new();
+    for pointer in decoder.ifd_pointer().into_iter().chain(first) {
+        let Ok(own) = decoder.read_directory(pointer) else { continue };
+        let below = decoder.read_directory_tags(&own).find_tag(Tag::ExifDirectory).ok().flatten();
+        let below = below.and_then(|value| value.into_ifd_pointer().ok());
+        sources.push((own, below.and_then(|at| decoder.read_directory(at).ok())));
+    }
     let mut fields = Vec::new();
     for &tag in wanted {
+        let count = if tag == exif::Tag::Orientation { 1 } else { sources.len() };
+        let places = sources.iter().take(count).flat_map(|(own, below)| {
+            let below = below.as_ref().filter(|_| tag.context() == Context::Exif);
+            below.into_iter().chain([own])
+        });
         let number = Tag::from_u16_exhaustive(tag.number());
-        let value = match (tag.context(), &directory) {
-            (Context::Tiff, _) => decoder.find_tag(number),
-            (_, Some(directory)) => decoder.read_directory_tags(directory).find_tag(number),
-            _ => continue,
-        };
-        if let Some(value) = value.ok().flatten().and_then(exif_value) {
+        let mut found = places.filter_map(|directory| {
+            decoder.read_directory_tags(directory).find_tag(number).ok().flatten().and_then(exif_value)
+        });
+        if let Some(value) = found.next() {
             fields.push(Field { tag, ifd_num: In::PRIMARY, value });
         }
     }

@@ -61,6 +61,18 @@ fn a_pipe_is_a_photograph_when_somebody_writes_it() {
     fails(&folder, script, 143, &["nothing half-written was left"]);
 }
 
+/// tests/fixtures/README.md: with overflow checks the exr crate panics on it.
+#[test]
+fn a_panic_of_a_decoder_is_not_printed() {
+    let folder = bracket();
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/damaged-b44.exr");
+    fs::copy(fixture, folder.at("damaged.exr")).expect("a copy");
+    let run = shell(&folder, "RUST_BACKTRACE=1 $H tonemap damaged.exr -o a.png");
+    assert!(!run.stderr.contains("panicked") && !run.stderr.contains(".rs:"), "{run:?}");
+    // Without the checks its blocks are read, as damaged as they are.
+    assert!(run.code == 0 || run.code == 1 && run.stderr.contains("damaged.exr: "), "{run:?}");
+}
+
 /// /proc/self/mem opens like a file and fails when it is read, as a damaged card does.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /proc/self/mem")]

@@ -6,9 +6,30 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 22] = [
-    "error", "limits", "intake", "simd", "plane", "scratch", "budget", "pyramid", "bracket", "align", "response",
-    "merge", "tonemap", "write", "read", "report", "inspect", "compare", "page", "pipeline", "batch", "cli",
+const LAYERS: [&str; 23] = [
+    "error",
+    "limits",
+    "intake",
+    "tiff_file",
+    "simd",
+    "plane",
+    "scratch",
+    "budget",
+    "pyramid",
+    "bracket",
+    "align",
+    "response",
+    "merge",
+    "tonemap",
+    "write",
+    "read",
+    "report",
+    "inspect",
+    "compare",
+    "page",
+    "pipeline",
+    "batch",
+    "cli",
 ];
 
 /// Ways to do one thing, which know nothing of each other.
