@@ -2,7 +2,7 @@
 //!
 //! In: a [`Window`] of a frame and a [`Warp`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
 //! Cost: 36 multiply-adds a value at most; fewer where the warp is near a shift; a copy where nothing moves.
-//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends [Lanczos' kernel](super::lanczos) for
+//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos' kernel (`lanczos`) for
 //! photographs.
 //!
 //! The sum is taken down the columns first, then across them. Work goes by tiles: what a tile sees of the frame is made floats once, the

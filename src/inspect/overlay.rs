@@ -2,7 +2,7 @@
 //! be looked at one over the other.
 //!
 //! In: two frames and a warp. Out: an [`Overlay`]: above the whole picture, below it, where the photographs are large enough, a row of places at
-//! twice their size, where half a pixel is seen. Cost: that of the drawing of [`edges`](super::edges), in whose colours it is.
+//! twice their size, where half a pixel is seen. Cost: that of the drawing of `edges`, in whose colours it is.
 
 use super::edges::{
     BOX, Couple, DETAIL_GAP, Detail, FAINT_DETAIL, Grey, LEAST_FULL, MAGNIFIED, details, laid, two_colours,

@@ -1,6 +1,6 @@
 //! Gradient domain compression: steep gradients are made less steep at every scale, gentle ones are left, and the picture is put together again.
 //!
-//! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most [`CELLS`](super::log_range::CELLS): 0.2 s.
+//! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most `CELLS`: 0.2 s.
 //! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the way,
 //! and section 4 for the attenuation.
 

@@ -1,7 +1,7 @@
 //! Contrast processing: the contrasts between neighbours at every scale, as strong as the eye sees them, are made weaker, and the picture is found
 //! that has them.
 //!
-//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most [`CELLS`](super::log_range::CELLS): 0.4 s.
+//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s.
 //! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
 //! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2 (contrast equalisation).
 

@@ -1,7 +1,7 @@
 //! Display adaptive tone mapping: the tone curve by which a display shows the contrasts that the eye would see in the scene, as well as it can.
 //!
 //! In: a scene, and what the display and the room are like. Out: its tones, by one curve for all pixels. Cost: 60 ns a cell, of which there
-//! are at most [`CELLS`], and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping"
+//! are at most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping"
 //! (2008): section 3 (the problem, as a quadratic program that is solved again and again), 4 (the eye), 5 (the display), 6 (contrasts
 //! counted by luminance).
 

@@ -165,7 +165,7 @@ impl Scene {
         f64::from(quantile(&self.sample, p))
     }
 
-    /// Whether it is of one tone: all that is lit within [`ONE_TONE`].
+    /// Whether it is of one tone: all that is lit within `ONE_TONE`.
     pub fn is_plain(&self) -> bool {
         let cells = self.logs.as_slice().iter();
         let (least, most) =

@@ -1,6 +1,6 @@
 //! Tones: what an operator has settled, so that rows can be mapped to codes as they come.
 //!
-//! In: a [`Guide`] from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of codes. Colour is
+//! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of codes. Colour is
 //! the same for all operators: hue is kept, saturation is corrected for the contrast that the curve takes away, and colours that the
 //! display lacks are drawn to grey. Cost: 8 ns a pixel and core.
 //! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.

@@ -4,8 +4,8 @@
 //! in none. The same whatever the order of the folders, of their entries and of the threads. Cost: a header a photograph ([`Header`]), and
 //! some 50 us to place it.
 //!
-//! Photographs are taken apart into streams, in which a bracket's frames follow each other ([`streams`]), and each stream is divided where
-//! that costs least ([`segment`]). docs/batch.md says it to those who use it.
+//! Photographs are taken apart into streams, in which a bracket's frames follow each other (`streams`), and each stream is divided where
+//! that costs least (`segment`). docs/batch.md says it to those who use it.
 
 mod rhythm;
 mod segment;
