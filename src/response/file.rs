@@ -249,12 +249,14 @@ impl SavedResponse {
 
 #[cfg(test)]
 mod tests {
+    use super::super::MID;
     use super::*;
 
     fn saved() -> SavedResponse {
         let srgb = *ResponseCurve::srgb().ln_exposure(0);
         // Digits that no short decimal has.
-        let g = [0.0, 1.0 / 3.0, 1.0 / 7.0].map(|d| srgb.map(|v| v * (1.0 + d / 100.0) + d));
+        let mean = (1.0 / 3.0 + 1.0 / 7.0) / 3.0;
+        let g = [0.0, 1.0 / 3.0, 1.0 / 7.0].map(|d| srgb.map(|v| v * (1.0 + d / 100.0) + d - mean));
         SavedResponse {
             make: Some("A \"Camera\"".to_owned()),
             model: None,
@@ -275,7 +277,8 @@ mod tests {
     #[test]
     fn the_extension_decides_and_says_what_is_lost() {
         let dir = tempfile::tempdir().unwrap();
-        for (name, most) in [("c.json", 0.0), ("c.RSP", 0.06), ("c.csv", 0.0)] {
+        // Of all codes; of codes 10 to 245 alone the polynomials miss 0.06 stops.
+        for (name, most) in [("c.json", 0.0), ("c.RSP", 0.1), ("c.csv", 0.0)] {
             let path = dir.path().join(name);
             let encoded = saved().encode(&path, &ALL_CODES).unwrap();
             assert!(encoded.residual_stops <= most, "{name}: {}", encoded.residual_stops);
@@ -301,7 +304,7 @@ mod tests {
     fn what_no_decimals_hold_is_not_saved_in_them() {
         let steep = |decades: f64| {
             let ln_white = decades * std::f64::consts::LN_10;
-            let g = std::array::from_fn(|z| ln_white * (z as f64 / 255.0 - 0.5));
+            let g = std::array::from_fn(|z| ln_white * (z as f64 - MID as f64) / 255.0);
             SavedResponse { make: None, model: None, curve: ResponseCurve::new([g; 3]).unwrap() }
         };
         let refused = steep(40.0).encode(Path::new("c.csv"), &ALL_CODES).unwrap_err().to_string();
