@@ -1,6 +1,6 @@
 //! Exposure steps from the pixels, for frames whose EXIF says nothing, or says what cannot be.
 //!
-//! In: the code values of all frames. Out: exposures in EV up to a common term, and a verdict on exposures that were written down.
+//! In: the code values of all frames. Out: exposures in EV up to a common term; and whether exposures that were written down can be right.
 //! Cost: one histogram per frame over a quarter of its pixels, then 256-entry tables.
 //!
 //! Two frames of a still scene rank its points alike, so equal ranks in their histograms are equal radiances, wherever they lie in the
@@ -11,16 +11,21 @@
 //! The curve is sRGB's of u = (1 + q) x^n / (1 + q x^n) for an exposure x: with q = 0 and n = 1 it is sRGB itself, as of rendered pictures; the
 //! larger q, the longer the shoulder of a camera's highlights (Naka & Rushton's law). q is that under which all codes tell the same step. Of n the same
 //! paper shows that it cannot be known from histograms, which give log exposures up to a factor; but cameras have shoulder and contrast
-//! together. n = 1 + 0.65 q / (q + 1.5) was fitted to five brackets of cameras whose steps are known; over eight others it is right to 12 %, over
-//! renderings under the sRGB curve to 1 %. Where the steps are even, they are a whole number of EV, if one is within what is open.
+//! together. n = 1 + 0.65 q / (q + 1.5) was fitted to five brackets of cameras whose steps are known (renderings under the sRGB curve are right to 1 %).
+//! Where the steps are even, they are a whole number of EV, if one is within what is open. Over nine other brackets of cameras five are right to 5 %, eight
+//! to 13 %, and one is off by 47 %; film curves, which are no cameras', by up to 90 %.
+
+mod contradiction;
 
 use super::Samples;
 use super::colour::srgb_to_linear;
 use std::f64::consts::LN_2;
 
+pub use contradiction::{at_odds, contradiction};
+
 /// The shoulders q that are tried; see above.
 const SHOULDERS: [f64; 9] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
-/// Standard deviations of the steps, as shares of them: of cameras, and where the curve is sRGB's to the rounding of codes, or steps are whole.
+/// Standard deviations of the steps, as shares of them: of cameras, and where the curve is sRGB's to the rounding of codes.
 const CAMERAS: f64 = 0.12;
 const CERTAIN: f64 = 0.03;
 /// Mean square misfit of a curve that is right, in units of a code: rounding of both codes, and some noise.
@@ -33,10 +38,6 @@ const EXPOSED: (usize, usize) = (2, 252);
 const TAIL: u64 = 32;
 /// A step below this, in EV, is none at all.
 const STEP: f64 = 0.2;
-/// Exposures that are written down and differ by no more, in EV, are one.
-const ALIKE: f64 = 0.05;
-/// A step that is off by this, in EV, is off by no weather: a slip of the pen, or a tag that counts otherwise.
-const FAR_OFF: f64 = 3.0;
 
 /// The histogram of a frame's green channel, at 8 bit.
 #[derive(Debug, Clone)]
@@ -209,7 +210,7 @@ fn steps(pairs: &[Vec<Match>]) -> Steps {
     let uncertainty = if shoulder == 0.0 && misfit < ROUNDING { CERTAIN } else { CAMERAS };
     let evs: Vec<f64> = fits.iter().map(|f| f.0 / contrast).collect();
     match whole(&evs, uncertainty) {
-        Some(factor) => Steps { evs: evs.iter().map(|step| factor * step).collect(), uncertainty: CERTAIN },
+        Some(factor) => Steps { evs: evs.iter().map(|step| factor * step).collect(), uncertainty },
         None => Steps { evs, uncertainty },
     }
 }
@@ -280,80 +281,6 @@ pub fn all_alike(evs: &[f64]) -> bool {
     spread(evs) < STEP
 }
 
-/// Why `written`, the exposures in EV that the files give, cannot be those of `frames`; `None` where they may well be.
-///
-/// Plain contradictions only, since the estimate is rough and light may change between frames: all written alike although the pictures
-/// differ by more than 0.6 EV; a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more; or a step
-/// that is at least twice, and at least 3 EV more, or as much less, than the pictures have.
-pub fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
-    if spread(written) <= ALIKE {
-        let seen = spread(&estimate(frames)?.evs);
-        return (seen > 0.6).then(|| format!("all say the same, but the pictures differ by about {seen:.1} EV"));
-    }
-    let mut order: Vec<usize> = (0..frames.len()).collect();
-    order.sort_by(|&a, &b| written[a].total_cmp(&written[b]));
-    order.windows(2).find_map(|pair| {
-        let said = written[pair[1]] - written[pair[0]];
-        let seen = step(&frames[pair[0]], &frames[pair[1]])?;
-        if said >= 0.3 && seen <= -0.5 {
-            let darker = -seen;
-            return Some(format!(
-                "one frame should be {said:.1} EV brighter than the next, but is {darker:.1} EV darker"
-            ));
-        }
-        let (less, more) = if said < seen { (said, seen) } else { (seen, said) };
-        (more - less >= FAR_OFF && more >= 2.0 * less).then(|| {
-            format!("one frame should be {said:.1} EV brighter than the next, but is brighter by about {seen:.1} EV")
-        })
-    })
-}
-
-/// Which of `frames` contradict the others where most agree with what was `written`: the fewest, and fewer than half, without which there is no
-/// [`contradiction`] and all steps can be seen. Of as many, those without which the steps are nearest to those written. `None` where there
-/// are no such.
-pub fn at_odds(written: &[f64], frames: &[Brightness]) -> Option<Vec<usize>> {
-    let count = frames.len();
-    let most = if count <= MANY { (count.max(1) - 1) / 2 } else { 1 };
-    (1..=most).find_map(|some| {
-        let mut best: Option<(f64, Vec<usize>)> = None;
-        let mut odd: Vec<usize> = (0..some).collect();
-        loop {
-            if let Some(misfit) = without(written, frames, &odd)
-                && best.as_ref().is_none_or(|(least, _)| misfit < *least)
-            {
-                best = Some((misfit, odd.clone()));
-            }
-            // The next of the combinations, in order.
-            let Some(last) = (0..some).rev().find(|&i| odd[i] < count - some + i) else { break };
-            let next = odd[last] + 1;
-            odd.truncate(last);
-            odd.extend(next..next + some - last);
-        }
-        best.map(|(_, odd)| odd)
-    })
-}
-
-/// Of more frames than these only one is looked for that contradicts the others.
-const MANY: usize = 12;
-
-/// How far the steps of the frames but those of `odd` are from those written, at most, 1 being what the contrasts of cameras leave open;
-/// `None` where they contradict each other, or one cannot be seen.
-fn without(written: &[f64], frames: &[Brightness], odd: &[usize]) -> Option<f64> {
-    let mut order: Vec<usize> = (0..frames.len()).filter(|i| !odd.contains(i)).collect();
-    order.sort_by(|&a, &b| written[a].total_cmp(&written[b]));
-    let mut misfit: f64 = 0.0;
-    for pair in order.windows(2) {
-        let said = written[pair[1]] - written[pair[0]];
-        let seen = step(&frames[pair[0]], &frames[pair[1]])?;
-        misfit = misfit.max((said - seen).abs() / (STEP + 2.0 * CAMERAS * said));
-    }
-    let rest: Vec<f64> = order.iter().map(|&i| written[i]).collect();
-    let shown: Vec<Brightness> = order.iter().map(|&i| frames[i].clone()).collect();
-    // That all say the same is no agreement where they are not as alike.
-    let is_open = contradiction(&rest, &shown).is_some() || (spread(&rest) <= ALIKE && misfit > 1.0);
-    (!is_open).then_some(misfit)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -388,7 +315,7 @@ mod tests {
             for (i, ev) in evs.iter().enumerate() {
                 assert!((ev - step * i as f64).abs() < 0.12 * step, "{step} EV under {curve:?}: {evs:?}");
             }
-            assert_eq!(uncertainty, CERTAIN);
+            assert_eq!(uncertainty, CAMERAS);
         }
     }
 
@@ -398,7 +325,8 @@ mod tests {
             for base in [-3.0, -1.0, 0.5] {
                 let Estimate { evs, uncertainty } =
                     estimate(&[seen(base, (0.0, 1.0), 0), seen(base + step, (0.0, 1.0), 5)]).unwrap();
-                assert!((evs[1] / step - 1.0).abs() < 0.05, "{step} from {base}: {evs:?}");
+                // A tone is known to half a code: of the dark frame, of which the brightest tones are of code 60, that is 0.04 EV.
+                assert!((evs[1] - step).abs() < (0.05 * step).max(0.04), "{step} from {base}: {evs:?}");
                 assert_eq!(uncertainty, CERTAIN);
             }
         }

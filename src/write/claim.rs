@@ -147,6 +147,11 @@ mod tests {
     use super::*;
 
     #[test]
+    fn signature_is_that_of_the_tests_through_the_binary() {
+        assert_eq!(SIGNATURE, include_bytes!("../../tests/support/claim.txt"));
+    }
+
+    #[test]
     fn sweep_removes_what_no_living_process_claims_and_nothing_else() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);

@@ -118,7 +118,8 @@ fn fusion_decodes_by_the_curve_of_the_profile() {
                 *p = light.map(|v| (65535.0 * libm::pow(f64::from(v), 1.0 / 1.8) + 0.5) as u16);
             }
         });
-        let metadata = Metadata { profile: Some(profile.clone()), ..Metadata::default() };
+        let software = "a raw converter".to_owned();
+        let metadata = Metadata { profile: Some(profile.clone()), software, ..Metadata::default() };
         let pending = write::Pending::create(&folder.at(format!("w{i}.tif"))).expect("a file");
         let writer = Box::new(tiff::Writer::<u16>::new(pending, (width, height), &metadata).expect("a TIFF"));
         write::commit(vec![write::push_all(writer, &codes).expect("a TIFF").file], false).expect("a TIFF");

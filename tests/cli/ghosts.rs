@@ -12,7 +12,7 @@ fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
     }
     folder.put("w4.jpg", &jpeg(&painted, Some(4)));
     let line = "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr --deghost --ghost-mask m.png --report r.json";
-    assert_eq!(folder.line(line).done().stdout, "a.exr\nm.png\n");
+    assert_eq!(folder.line(line).done().stdout, "a.exr\nm.png\nr.json\n");
     let mask = image::open(folder.at("m.png")).expect("a picture");
     assert_eq!((mask.color(), mask.width(), mask.height()), (image::ColorType::L8, 300, 200));
     let mask = mask.to_luma8();

@@ -43,7 +43,8 @@ fn transforms_of_other_photographs_are_refused() {
     let before = folder.listing();
     for (file, changed, says) in [
         ("t.json", text.replace("\"width_px\": 300", "\"width_px\": 301"), "301x200"),
-        ("t.json", text.replace("w3.jpg", "other.jpg"), "--reference"),
+        ("t.json", text.replace("w3.jpg", "other.jpg"), "other photographs"),
+        ("t.json", text.replace("w3.jpg", "w2.jpg"), "--reference w2.jpg"),
         ("t.json", text.replace("w2.jpg", "x.jpg").replace("w4.jpg", "y.jpg"), "none of these"),
         ("t.json", "nonsense".into(), "no JSON"),
     ] {

@@ -254,7 +254,7 @@ fn tips_and_usage_are_of_what_was_typed() {
     for (line, tip) in [
         ("merge --refrence 1", "tip: a similar argument exists: '--reference'"),
         ("merg w2.jpg", "tip: a similar subcommand exists: 'merge'"),
-        ("merge w2.jpg --align mbt", "tip: a similar value exists: 'mtb'"),
+        ("merge w2.jpg --align sit", "tip: a similar value exists: 'sift'"),
     ] {
         refused(&folder, line, 2, &[tip]);
     }

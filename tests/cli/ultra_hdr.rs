@@ -260,8 +260,13 @@ fn a_merged_bracket_has_it_and_it_is_read_as_a_photograph() {
         Image::parse(&folder.bytes("q.jpg")).bytes.len()
     };
     assert!(quality(40) * 2 < quality(95));
-    // As a frame of another bracket.
-    folder.line("merge a.jpg w1.jpg -e=0,-2 --align none --crop none -o again.exr -q").done();
+    // As a frame of another bracket, from a phone: by another program.
+    let mut phone = bytes;
+    while let Some(at) = phone.windows(9).position(|name| name == b"hdralign ") {
+        phone[at..at + 9].copy_from_slice(b"darkroom ");
+    }
+    folder.put("phone.jpg", &phone);
+    folder.line("merge phone.jpg w1.jpg -e=0,-2 --align none --crop none -o again.exr -q").done();
 }
 
 /// A photograph with EXIF of all kinds: kept is what is true of the result, and the place only where it is asked for.

@@ -174,7 +174,8 @@ fn what_was_interrupted_is_ended() {
     folder.line("batch in -d out -q").done();
     let first = results(&folder);
     fs::remove_file(folder.at(name("png"))).unwrap();
-    fs::write(folder.at("out/a/.hdralign-dead.part"), b"x").unwrap();
+    fs::write(folder.at("out/a/.hdralign-killedkilled-0.part"), b"x").unwrap();
+    fs::write(folder.at("out/a/.hdralign-killedkilled.lock"), include_bytes!("../../support/claim.txt")).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
     assert!(results(&folder) == first, "the rest of the killed run is taken away");
