@@ -25,7 +25,7 @@ fn radiance(data: &[u8]) {
     let kind = read::holds_radiance(&path, &Limits::default());
     let limits = Limits { max_pixels: MOST_PIXELS, ..Limits::default() };
     let map = match read::read_within(&path, &limits) {
-        Ok(read) => read,
+        Ok(read) => read.map,
         Err(e) => return check_error(&e, "r.any"),
     };
     assert!(matches!(kind, Ok(true)), "it was read, and is said to hold no radiance: {kind:?}");
