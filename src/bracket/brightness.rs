@@ -32,8 +32,10 @@ const CERTAIN: f64 = 0.03;
 const ROUNDING: f64 = 1.0;
 /// Codes that are off by more than this many count as this many: something moved.
 const MOVED: f64 = 4.0;
-/// Codes between which a code is neither clipped nor lost in black.
-const EXPOSED: (usize, usize) = (2, 252);
+/// Codes between which a code is neither clipped nor lost in the noise and flare of shadows.
+const EXPOSED: (usize, usize) = (24, 252);
+/// The same where the former leaves nothing to compare.
+const BARELY_EXPOSED: (usize, usize) = (2, 252);
 /// Fewer pixels than these beyond a code say nothing about it.
 const TAIL: u64 = 32;
 /// A step below this, in EV, is none at all.
@@ -143,9 +145,12 @@ impl Tone {
     }
 }
 
-/// The codes that are well exposed in both; `None` where there are too few.
+/// The codes that are exposed in both, well if there are such; `None` where there are too few.
 fn matches(dark: &Brightness, bright: &Brightness) -> Option<Vec<Match>> {
-    let (low, high) = EXPOSED;
+    matches_within(dark, bright, EXPOSED).or_else(|| matches_within(dark, bright, BARELY_EXPOSED))
+}
+
+fn matches_within(dark: &Brightness, bright: &Brightness, (low, high): (usize, usize)) -> Option<Vec<Match>> {
     let scale = bright.total() as f64 / dark.total().max(1) as f64;
     let (mut matches, mut tones) = (Vec::new(), 0);
     for k in low..high {
@@ -286,7 +291,12 @@ mod tests {
     use super::*;
 
     /// A scene of five decades, `ev` stops over the base, under the curve with the shoulder q and the exponent n; `shift` pixels to the side.
-    fn seen(ev: f64, (q, n): (f64, f64), shift: usize) -> Brightness {
+    fn seen(ev: f64, curve: (f64, f64), shift: usize) -> Brightness {
+        seen_above(0, ev, curve, shift)
+    }
+
+    /// The same where nothing is below the code `floor`, under which a scanner or flare hides it.
+    fn seen_above(floor: u8, ev: f64, (q, n): (f64, f64), shift: usize) -> Brightness {
         let (width, height) = (160, 120);
         let mut samples = Vec::new();
         for y in 0..height {
@@ -296,7 +306,8 @@ mod tests {
                 let power = 2f64.powf(2.2 * scene + ev - 2.5).min(1.0).powf(n);
                 let light = (1.0 + q) * power / (1.0 + q * power);
                 let v = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
-                samples.extend([0, (v.min(1.0) * 255.0).round() as u8, 0]);
+                let noise = if floor > 0 { ((x * 7 + y * 13) % 5) as u8 } else { 0 };
+                samples.extend([0, ((v.min(1.0) * 255.0).round() as u8).max(floor + noise), 0]);
             }
         }
         Brightness::of(&Samples::Eight(samples), width)
@@ -338,6 +349,13 @@ mod tests {
             assert!((evs[1] / 1.7 - 1.0).abs() < 2.0 * uncertainty, "{curve:?}: {evs:?}");
             assert_eq!(uncertainty, CAMERAS);
         }
+    }
+
+    #[test]
+    fn shadows_that_are_alike_in_all_frames_hide_no_step() {
+        let frames: Vec<_> = (0..3).map(|i| seen_above(8, f64::from(i) - 4.0, (8.0, 1.5), 0)).collect();
+        let Estimate { evs, .. } = estimate(&frames).unwrap();
+        assert!(evs.windows(2).all(|pair| (pair[1] - pair[0] - 1.0).abs() < 0.2), "{evs:?}");
     }
 
     #[test]
