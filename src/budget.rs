@@ -82,7 +82,7 @@ impl Budget {
     }
 
     /// Bytes that all frames take in memory with what is made of them, where that fits with so many `threads`. Of the pyramids, the cells of
-    /// deghosting and the radiance each is gone before the next is there.
+    /// deghosting and the radiance each is gone before the next is there. Features, which frames in doubt alone need, are not counted.
     pub fn in_memory(&self, threads: usize) -> Option<u64> {
         let held = self.frames * self.frame + self.pyramids().max(12 * self.pixels).max(self.cells());
         (held.saturating_add(self.thread() * threads as u64) <= self.available).then_some(held)
