@@ -276,8 +276,14 @@ fn line(case: &Case) {
     let outcome = match pipeline::develop(&frames, &options, &|_| ()) {
         Ok(outcome) => outcome,
         Err(e) => {
-            let is_ours =
-                matches!(e, Error::NoExposure { .. } | Error::NothingAligned { .. } | Error::Option { .. } | Error::NoResponse { .. });
+            let is_ours = matches!(
+                e,
+                Error::NoExposure { .. }
+                    | Error::NothingAligned { .. }
+                    | Error::NoOverlap { .. }
+                    | Error::Option { .. }
+                    | Error::NoResponse { .. }
+            );
             assert!(is_ours && !e.to_string().is_empty(), "{e}");
             return;
         }
