@@ -1,6 +1,6 @@
 //! Unnamed: files that are being written, or are complete but not yet named, and what becomes of them when a run ends too early.
 //!
-//! In: the target of a file. Out: an [`Unnamed`], later a [`Kept`], in the target's folder: an [anonymous](super::anonymous) file where the
+//! In: the target of a file. Out: an [`Unnamed`], later a [`Kept`], in the target's folder: an [anonymous] file where the
 //! system has them, else one with a temporary name that a [claim](super::claim) protects. A process that is told to end removes its own
 //! ([`abandon`]). Cost: that of the files; of complete ones none is open but anonymous ones, and of those no more than
 //! [`most`](anonymous::most).
