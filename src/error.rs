@@ -266,6 +266,14 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// The format asked for does not hold the response curve.
+    #[error("{}: the response cannot be saved in this format: {reason}; save it as .json", path.display())]
+    ResponseFormat {
+        /// The file.
+        path: PathBuf,
+        /// What would be lost.
+        reason: String,
+    },
 }
 
 impl Error {

@@ -5,6 +5,7 @@
 
 mod asked;
 pub mod camera;
+mod curves;
 mod fusion;
 mod line;
 mod names;
@@ -235,12 +236,13 @@ fn merged(
             let (bracket, alignment) = line.align(bracket, options)?;
             check_placed(&bracket, &alignment)?;
             let (bracket, curve, recovered) = line.response(bracket, &alignment, saved, options)?;
+            let curve_file = line.curve_file(&bracket, &alignment, &curve, options)?;
             let region = options.crop.rect(&bracket, &alignment);
             let calibration = options.calibration.settle(bracket.reference(), &curve)?;
             let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
             let (radiance, statistics) = line.units(radiance, &calibration, options)?;
             let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
-            let mut files = line.others(&bracket, &alignment, region, Some(&curve), options)?;
+            let mut files = line.others(&bracket, &alignment, region, options)?;
             let metadata = line::metadata(bracket.reference(), options);
             let merging = MergeOptions { weight: options.weight, region };
             let developed = Developed { curve: &curve, merging, ghosts: radiance.ghosts.as_ref() };
@@ -258,7 +260,7 @@ fn merged(
             report.flare = flare;
             report.ghosts = ghosts.as_ref().map(Ghosts::report);
             let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
-            files.splice(0..0, results);
+            files.splice(0..0, results.into_iter().chain(curve_file));
             if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
                 files.push(write::mask::write(path, &ghosts.mask())?);
             }
@@ -287,7 +289,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
             let mut report = Report::new(&bracket, &alignment, region);
             report.options = Some(asked::report(options, false));
             report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-            let files = line.others(&bracket, &alignment, region, None, options)?;
+            let files = line.others(&bracket, &alignment, region, options)?;
             let files = line.report(&mut report, files, options)?;
             write::commit(files, options.write.overwrite)?;
             Ok(report)

@@ -18,7 +18,7 @@ use hdralign::pipeline::{self, Options, TonemapOptions};
 use hdralign::plane::Plane;
 use hdralign::read;
 use hdralign::response::ResponseCurve;
-use hdralign::response::file::{ALL_CODES, SavedResponse};
+use hdralign::response::file::SavedResponse;
 use hdralign::write::{exr as write_exr, hdr, tiff as write_tiff};
 use image::{DynamicImage, ExtendedColorType, GrayImage, ImageBuffer, Rgb, RgbImage};
 use std::borrow::Cow;
@@ -251,7 +251,7 @@ fn responses(give: &dyn Fn(&str, &[u8])) {
         let curve = curve.with_black([0.0, 1.5, 7.0]).expect("black codes");
         let saved = SavedResponse { make: Some("Canon".into()), model: Some("EOS 5D".into()), curve };
         for (kind, extension) in ["json", "rsp", "csv"].iter().enumerate() {
-            if let Ok(encoded) = saved.encode(Path::new(&format!("c.{extension}")), &ALL_CODES) {
+            if let Ok(encoded) = saved.encode(Path::new(&format!("c.{extension}"))) {
                 give(&format!("{name}-{extension}"), &[&[kind as u8], encoded.text.as_bytes()].concat());
             }
         }

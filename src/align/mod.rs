@@ -28,6 +28,7 @@ mod lanczos;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;
+pub mod nearest;
 mod normal;
 mod overlap;
 mod patch;

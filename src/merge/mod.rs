@@ -31,6 +31,7 @@ pub mod flare;
 pub mod gamut;
 mod layer;
 mod mean;
+pub mod miniature;
 mod noise;
 pub mod normalisation;
 pub mod share;

@@ -8,6 +8,7 @@
 mod folders;
 mod seen;
 
+use super::curves;
 use super::line::Line;
 use super::{Prepared, Progress, in_pool};
 use crate::bracket::ReferenceChoice;
@@ -149,12 +150,9 @@ pub fn prepare(
             write::check_targets(&target, &photographs, options.line.write.overwrite)?;
             curves.push(path);
         }
-        let deciding = samples::deciding(&places(&seen));
+        let miniatures: Vec<_> = seen.iter().filter_map(|bracket| bracket.miniature.as_ref()).collect();
         for path in &curves {
-            let encoded = saved.encode(path, &deciding)?;
-            let mut written = write::text(path, &encoded.text)?;
-            written.warnings.extend(encoded.lossy(path));
-            files.push(written);
+            files.push(curves::written(&saved, path, &miniatures)?);
         }
         if !options.plots.is_empty() {
             files.extend(plots(&saved, &recovered, &seen, &options.plots)?);

@@ -2,6 +2,7 @@
 //!
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
+use super::curves;
 use super::fusion;
 use super::referred;
 use super::slabs::{Room, Slabs};
@@ -18,10 +19,10 @@ use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
-use crate::response::file::{ALL_CODES, SavedResponse};
+use crate::response::file::SavedResponse;
 use crate::response::ratios::{self, Exposures};
-use crate::response::samples::{self, Places};
-use crate::response::{self, CODES, ResponseCurve, ResponseReport};
+use crate::response::samples::Places;
+use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
@@ -113,22 +114,13 @@ pub(super) struct Line<'a> {
     pub began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
-    /// Which codes decide what is merged, for response files that hold less than a curve.
-    deciding: [[u64; CODES]; 3],
     /// The page, where one is asked for.
     page: Option<Page>,
 }
 
 impl<'a> Line<'a> {
     pub fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
-        Line {
-            watch,
-            began: Instant::now(),
-            times: Times::default(),
-            warnings: Vec::new(),
-            deciding: ALL_CODES,
-            page: None,
-        }
+        Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new(), page: None }
     }
 
     /// With a page, where the report is to be one.
@@ -215,10 +207,9 @@ impl<'a> Line<'a> {
                     (curve, report)
                 }
             };
-            Ok((bracket, curve, report, warnings, samples::deciding(&[&places])))
+            Ok((bracket, curve, report, warnings))
         });
-        let (bracket, curve, report, warnings, deciding) = done?;
-        self.deciding = deciding;
+        let (bracket, curve, report, warnings) = done?;
         self.times.response = time;
         self.warnings.extend(warnings);
         Ok((bracket, curve, report))
@@ -383,25 +374,32 @@ impl<'a> Line<'a> {
         written
     }
 
-    /// All files but those of the results and the report, whole but not yet named.
+    /// The file of the curve where one is asked for, whole but not yet named.
+    pub fn curve_file(
+        &mut self,
+        bracket: &Bracket,
+        alignment: &Alignment,
+        curve: &ResponseCurve,
+        options: &Options,
+    ) -> Result<Option<Written>> {
+        let Some(path) = &options.save_response else { return Ok(None) };
+        let Capture { make, model, .. } = bracket.reference().capture.clone();
+        let saved = SavedResponse { make, model, curve: curve.clone() };
+        let miniature = curves::miniature(std::slice::from_ref(path), bracket, alignment, 1)?;
+        curves::written(&saved, path, &Vec::from_iter(&miniature)).map(Some)
+    }
+
+    /// All files but those of the results, the curve and the report, whole but not yet named.
     pub fn others(
         &mut self,
         bracket: &Bracket,
         alignment: &Alignment,
         region: Rect,
-        curve: Option<&ResponseCurve>,
         options: &Options,
     ) -> Result<Vec<Written>> {
         let reference = bracket.reference();
         let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
             let mut files = Vec::new();
-            if let (Some(path), Some(curve)) = (&options.save_response, curve) {
-                let (make, model) = (reference.capture.make.clone(), reference.capture.model.clone());
-                let encoded = SavedResponse { make, model, curve: curve.clone() }.encode(path, &self.deciding)?;
-                let mut written = write::text(path, &encoded.text)?;
-                written.warnings.extend(encoded.lossy(path));
-                files.push(written);
-            }
             if let Some(path) = &options.transforms {
                 files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
             }

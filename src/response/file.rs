@@ -11,7 +11,7 @@
 //! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
 
 use super::fit::RESIDUAL;
-use super::{CODES, ResponseCurve, csv, rsp, stops};
+use super::{CODES, ResponseCurve, csv, rsp};
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use crate::intake;
@@ -59,55 +59,44 @@ impl Format {
 pub struct Encoded {
     /// All of the file.
     pub text: String,
-    /// What radiance is off by, merged with the file in place of the curve: root mean square over the channels and the codes that
-    /// [decide](super::samples::deciding), in stops; 0 where it is all there.
-    pub residual_stops: f64,
-    /// The channel that is farthest off at one of these codes, and how far, in stops.
-    pub worst: (&'static str, f64),
+    /// What is read from it: the curve, or as much of it as the format holds.
+    pub curve: ResponseCurve,
 }
 
-impl Encoded {
-    /// What there is to say of the file `path` where it holds less than the curve.
-    pub fn lossy(&self, path: &Path) -> Option<Warning> {
-        let (channel, most) = self.worst;
-        let detail = format!(
-            "radiance merged with it is off by {:.2} stops (root mean square over the photographs, {channel} by up to {most:.2}); .json holds all of the curve",
-            self.residual_stops
+/// What radiance is off by, merged with one curve in place of another: root mean squares over the pixels, in stops.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loss {
+    /// Of the luminance.
+    pub luminance_stops: f64,
+    /// Of R, G and B.
+    pub channel_stops: [f64; 3],
+}
+
+impl Loss {
+    /// What there is to say of the file `path` by which this is lost.
+    ///
+    /// # Errors
+    /// [`Error::ResponseFormat`] where more is lost than what no curve may [contradict](RESIDUAL) frames by.
+    pub fn judged(&self, path: &Path) -> Result<Option<Warning>> {
+        let [red, green, blue] = self.channel_stops;
+        let off = format!(
+            "off by {:.2} stops (root mean square of the luminance; red {red:.2}, green {green:.2}, blue {blue:.2})",
+            self.luminance_stops
         );
-        (self.residual_stops > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail })
-    }
-}
-
-/// Residual of a file that is not worth a word, in stops: what curves of two brackets of one camera differ by.
-pub(super) const LOSS: f64 = 0.01;
-
-/// What nine decimals miss of a camera's curve is below this, and not told, in stops.
-const DECIMALS: f64 = 1e-3;
-
-/// `text`, which is read as `read`, in place of `curve`: both are 1 at the middle code in the mean of the channels, as radiance is, so
-/// that nothing is shifted before it is compared. None where it is off by more than what no curve may [contradict](RESIDUAL) frames by.
-fn encoded(text: String, read: &ResponseCurve, curve: &ResponseCurve, deciding: &[[u64; CODES]; 3]) -> Option<Encoded> {
-    let (mut squares, mut count, mut worst) = (0.0, 0, ("red", 0.0));
-    for (c, channel) in ["red", "green", "blue"].into_iter().enumerate() {
-        for z in (0..CODES).filter(|&z| deciding[c][z] > 0) {
-            let miss = stops(read.ln_exposure(c)[z] - curve.ln_exposure(c)[z]).abs();
-            squares += deciding[c][z] as f64 * miss * miss;
-            count += deciding[c][z];
-            if miss > worst.1 {
-                worst = (channel, miss);
-            }
+        let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
+        if most > RESIDUAL {
+            let reason = format!(
+                "the format does not hold this curve: radiance merged with it would be {off}; save it as .json"
+            );
+            return Err(Error::ResponseFile { path: path.to_owned(), reason });
         }
+        let detail = format!("radiance merged with it is {off}; .json holds all of the curve");
+        Ok((most > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail }))
     }
-    let residual_stops = (squares / count.max(1) as f64).sqrt();
-    (residual_stops <= RESIDUAL).then_some(Encoded { text, residual_stops, worst })
 }
 
-/// Of no photographs: all codes decide alike, but for the clipped ones.
-pub const ALL_CODES: [[u64; CODES]; 3] = {
-    let mut codes = [1; CODES];
-    (codes[0], codes[CODES - 1]) = (0, 0);
-    [codes; 3]
-};
+/// Loss that is not worth a word, in stops: what curves of two brackets of one camera differ by.
+pub(super) const LOSS: f64 = 0.01;
 
 /// A curve and the camera whose it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -168,33 +157,26 @@ impl SavedResponse {
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
-    /// The curve as the text of the file `path`. What a format that does not hold all of it is off by counts by the codes that
-    /// `deciding` says (of each channel, [how many places](super::samples::deciding) each decides; or [`ALL_CODES`]).
+    /// The curve as the text of the file `path`.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], and [`Error::ResponseFile`] where the format does not hold the curve, or nothing near it.
-    pub fn encode(&self, path: &Path, deciding: &[[u64; CODES]; 3]) -> Result<Encoded> {
-        let refused = |reason: &str| Error::ResponseFile { path: path.to_owned(), reason: reason.to_owned() };
-        let lossy = |text: String, read: std::result::Result<ResponseCurve, String>, reason: &str| {
-            let read = read.map_err(|_| refused(reason))?;
-            encoded(text, &read, &self.curve, deciding).ok_or_else(|| refused(reason))
-        };
+    /// [`Error::UnknownExtension`], and [`Error::ResponseFormat`] where the format holds nothing like the curve.
+    pub fn encode(&self, path: &Path) -> Result<Encoded> {
+        let refused = |reason: &str| Error::ResponseFormat { path: path.to_owned(), reason: reason.to_owned() };
         match Format::of(path)? {
-            Format::Json => Ok(Encoded { text: self.to_json(), residual_stops: 0.0, worst: ("red", 0.0) }),
+            Format::Json => Ok(Encoded { text: self.to_json(), curve: self.curve.clone() }),
             Format::Csv => {
                 let text = csv::write(&self.curve);
                 // What is a billionth of white or less is nothing in nine decimals.
-                let read = csv::read(&text);
-                let all = lossy(text, read, "nine decimals do not hold a curve as steep as this; save it as .json")?;
-                let residual_stops = if all.residual_stops < DECIMALS { 0.0 } else { all.residual_stops };
-                Ok(Encoded { residual_stops, ..all })
+                let steep = |_| refused("nine decimals do not hold a curve as steep as this");
+                let curve = csv::read(&text).map_err(steep)?;
+                Ok(Encoded { text, curve })
             }
             Format::Rsp => {
-                let reason =
-                    "no polynomial up to the fifth degree is within half a stop of this curve; save it as .json";
-                let text = rsp::write(&self.curve).ok_or_else(|| refused(reason))?;
-                let read = rsp::read(&text);
-                lossy(text, read, reason)
+                let none = || refused("no polynomial up to the fifth degree rises with this curve");
+                let text = rsp::write(&self.curve).ok_or_else(none)?;
+                let curve = rsp::read(&text).map_err(|_| none())?;
+                Ok(Encoded { text, curve })
             }
         }
     }
@@ -275,28 +257,34 @@ mod tests {
     }
 
     #[test]
-    fn the_extension_decides_and_says_what_is_lost() {
+    fn the_extension_decides_and_the_curve_is_the_one_that_is_read_again() {
         let dir = tempfile::tempdir().unwrap();
-        // Of all codes; of codes 10 to 245 alone the polynomials miss 0.06 stops.
-        for (name, most) in [("c.json", 0.0), ("c.RSP", 0.1), ("c.csv", 0.0)] {
+        for (name, most) in [("c.json", 0.0), ("c.RSP", 0.1), ("c.csv", 1e-4)] {
             let path = dir.path().join(name);
-            let encoded = saved().encode(&path, &ALL_CODES).unwrap();
-            assert!(encoded.residual_stops <= most, "{name}: {}", encoded.residual_stops);
-            assert_eq!(encoded.lossy(&path).is_some(), most > 0.0);
+            let encoded = saved().encode(&path).unwrap();
             std::fs::write(&path, encoded.text).unwrap();
-            let back = SavedResponse::read(&path).unwrap().curve;
-            let apart = |z: usize| {
-                (back.ln_exposure(1)[200] - back.ln_exposure(1)[z])
-                    / (saved().curve.ln_exposure(1)[200] - saved().curve.ln_exposure(1)[z])
-            };
-            // The polynomial misses single codes by more than its residual, here of 2.4 nepers.
-            assert!((apart(80) - 1.0).abs() < 0.05, "{name}: {}", apart(80));
+            assert_eq!(SavedResponse::read(&path).unwrap().curve, encoded.curve, "{name}");
+            let off = |z: usize| (encoded.curve.ln_exposure(1)[z] - saved().curve.ln_exposure(1)[z]).abs();
+            let worst = (10..=245).map(off).fold(0.0, f64::max);
+            assert!(worst <= most, "{name}: {worst}");
         }
-        assert!(matches!(saved().encode(Path::new("c.txt"), &ALL_CODES), Err(Error::UnknownExtension { .. })));
+        assert!(matches!(saved().encode(Path::new("c.txt")), Err(Error::UnknownExtension { .. })));
         let path = dir.path().join("photo.json");
         std::fs::write(&path, [0xFF, 0xD8, 0xFF, 0xE0]).unwrap();
         let message = SavedResponse::read(&path).unwrap_err().to_string();
         assert!(message.contains("photo.json") && message.contains("no text") && message.contains("hdralign response"));
+    }
+
+    #[test]
+    fn what_is_lost_is_told_from_a_hundredth_of_a_stop_and_refused_from_half_a_stop() {
+        let judged = |luminance_stops: f64, blue: f64| {
+            Loss { luminance_stops, channel_stops: [0.001, 0.001, blue] }.judged(Path::new("c.rsp"))
+        };
+        assert_eq!(judged(0.004, 0.009).unwrap(), None);
+        let told = judged(0.012, 0.34).unwrap().unwrap().to_string();
+        assert!(told.contains("c.rsp") && told.contains("off by 0.01 stops") && told.contains("blue 0.34"), "{told}");
+        let refused = judged(0.1, 0.6).unwrap_err().to_string();
+        assert!(refused.contains("c.rsp") && refused.contains("blue 0.60") && refused.contains(".json"), "{refused}");
     }
 
     /// Found by reading for the fuzzer: a curve of forty decades was written as zeros, and was none when it was read again.
@@ -307,13 +295,9 @@ mod tests {
             let g = std::array::from_fn(|z| ln_white * (z as f64 - MID as f64) / 255.0);
             SavedResponse { make: None, model: None, curve: ResponseCurve::new([g; 3]).unwrap() }
         };
-        let refused = steep(40.0).encode(Path::new("c.csv"), &ALL_CODES).unwrap_err().to_string();
+        let refused = steep(40.0).encode(Path::new("c.csv")).unwrap_err().to_string();
         assert!(refused.contains("c.csv") && refused.contains(".json"), "{refused}");
-        assert!(steep(11.0).encode(Path::new("c.csv"), &ALL_CODES).is_err());
-        // Where no pixel is dark, the dark codes do not matter.
-        let bright = std::array::from_fn(|z| u64::from((128..255).contains(&z)));
-        assert_eq!(steep(11.0).encode(Path::new("c.csv"), &[bright; 3]).unwrap().residual_stops, 0.0);
-        assert_eq!(steep(4.0).encode(Path::new("c.csv"), &ALL_CODES).unwrap().residual_stops, 0.0);
+        assert!(steep(4.0).encode(Path::new("c.csv")).is_ok());
     }
 
     #[test]

@@ -6,13 +6,10 @@
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
 
-use super::{CODES, hat};
-use crate::align::resample::rows_under;
-use crate::align::warp::{Warp, map};
+use crate::align::nearest::{Strip, placed};
 use crate::align::{Alignment, Rect};
-use crate::bracket::{Bracket, Codes, Frame, Window};
+use crate::bracket::{Bracket, Codes};
 use crate::error::Result;
-use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::f64::consts::LN_2;
 use std::ops::Range;
@@ -51,31 +48,6 @@ pub struct View {
 pub struct Sample {
     /// None is clipped.
     pub views: Vec<View>,
-}
-
-/// A frame that was placed.
-struct Placed<'a> {
-    frame: &'a Frame,
-    /// Among the bracket's.
-    index: usize,
-    warp: Warp,
-    /// Reference pixel -> frame pixel; none where it is the same.
-    matrix: Option<Matrix3<f64>>,
-}
-
-impl Placed<'_> {
-    /// What is needed of it for patches of the reference's `columns` and `rows`.
-    fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
-        let size = (self.frame.width(), self.frame.height());
-        let window = self.frame.window(rows_under(&self.warp, size, columns, rows))?;
-        Ok(Strip { window, matrix: self.matrix })
-    }
-}
-
-/// Some rows of it.
-struct Strip<'a> {
-    window: Window<'a>,
-    matrix: Option<Matrix3<f64>>,
 }
 
 /// One channel of a patch.
@@ -177,20 +149,6 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// For R, G and B, how many places of all the brackets each code decides: of the codes by which the frames see a place, that next to the
-/// middle, which has the greatest weight in a merge. Places that all frames clip decide nothing.
-pub fn deciding(brackets: &[&Places]) -> [[u64; CODES]; 3] {
-    let mut found = [[0; CODES]; 3];
-    for place in brackets.iter().flat_map(|bracket| &bracket.places) {
-        for (channel, found) in found.iter_mut().enumerate() {
-            let codes = place.patches.iter().flatten().map(|patch| patch[channel].mean);
-            let best = codes.max_by(|a, b| hat(*a).total_cmp(&hat(*b))).filter(|code| hat(*code) > 0.0);
-            best.into_iter().for_each(|code| found[code.round() as usize] += 1);
-        }
-    }
-    found
-}
-
 /// The range of frames that say something of a place: not those so short that a longer one is no brighter.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     let views = place.patches.iter().zip(frames).enumerate();
@@ -217,16 +175,6 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
         few if few < BLACK.0 => 0.0,
         many => codes[((many as f64 * BLACK.1) as usize).min(many - 1)],
     }
-}
-
-/// The frames that take part.
-fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
-    let matrix = |frame: &Frame, warp: Warp| match warp {
-        Warp::Identity => None,
-        warp => Some(warp.matrix(frame.width(), frame.height())),
-    };
-    let placed = alignment.placed(bracket);
-    placed.map(|(index, frame, warp)| Placed { frame, index, warp, matrix: matrix(frame, warp) }).collect()
 }
 
 /// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
@@ -261,26 +209,11 @@ fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
 /// The patch of a frame that lies on (x, y) of the reference. A flat patch bears being moved by part of a pixel, so that the
 /// nearest whole pixel does.
 fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
-    let (width, height) = (strip.window.width(), strip.window.height());
-    let (x, y) = match &strip.matrix {
-        None => (x, y),
-        Some(h) => {
-            let half = (PATCH / 2) as f64;
-            let (u, v) = map(h, x as f64 + half, y as f64 + half);
-            let (u, v) = ((u + 0.5).floor() - half, (v + 0.5).floor() - half);
-            if !(u >= 0.0 && v >= 0.0) {
-                return None;
-            }
-            (u as usize, v as usize)
-        }
-    };
-    if x.saturating_add(PATCH) > width || y.saturating_add(PATCH) > height {
-        return None;
-    }
-    let start = 3 * ((y - strip.window.rows().start) * width + x);
+    let start = strip.start(x, y, PATCH)?;
+    let stride = 3 * strip.window.width();
     Some(match strip.window.codes() {
-        Codes::Eight(codes) => measure(&codes[start..], 3 * width, 1.0),
-        Codes::Sixteen(codes) => measure(&codes[start..], 3 * width, 257.0),
+        Codes::Eight(codes) => measure(&codes[start..], stride, 1.0),
+        Codes::Sixteen(codes) => measure(&codes[start..], stride, 257.0),
     })
 }
 
@@ -344,6 +277,7 @@ fn sample(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Sample 
 mod tests {
     use super::super::tests::still;
     use super::*;
+    use crate::bracket::Frame;
 
     /// Tiles of 20 pixels, over ten stops.
     fn tiles(x: usize, y: usize) -> [f64; 3] {
@@ -394,17 +328,6 @@ mod tests {
         let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
         assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
         assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
-    }
-
-    #[test]
-    fn a_place_is_found_where_the_warp_puts_it() {
-        let (bracket, alignment) = still((60, 60), &[0.5, 1.0], |x, y| [0.002 * (x + 3 * y) as f64; 3]);
-        let frames = placed(&bracket, &alignment);
-        let mut strip = frames[0].strip(&(0..60), &(0..60)).unwrap();
-        let expected = read(&strip, 17, 24).unwrap()[0].mean;
-        strip.matrix = Some(Warp::Rigid { dx: 7.0, dy: 4.0, angle: 0.0 }.matrix(60, 60));
-        assert_eq!(read(&strip, 10, 20).unwrap()[0].mean, expected);
-        assert!(read(&strip, 50, 20).is_none());
     }
 
     #[test]

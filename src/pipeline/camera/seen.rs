@@ -3,12 +3,14 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
+use super::super::curves;
 use super::super::line::Line;
 use super::super::{check_placed, in_pool};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::given::Given;
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
+use crate::merge::miniature::Miniature;
 use crate::report::Report;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
@@ -20,6 +22,8 @@ pub(super) struct Seen {
     pub path: PathBuf,
     pub capture: Capture,
     pub places: Places,
+    /// For the files that do not hold all of a curve.
+    pub miniature: Option<Miniature>,
     pub report: BracketReport,
 }
 
@@ -35,7 +39,7 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line)
     let mut left_out = Vec::new();
     for paths in brackets {
         let warned = line.warnings.len();
-        match one(paths, brackets.len() > 1, options, line) {
+        match one(paths, brackets.len(), options, line) {
             Ok((mut bracket, given)) => {
                 bracket.places.thin(most);
                 found_given += given;
@@ -66,11 +70,11 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line)
     Ok(seen)
 }
 
-/// The bracket `paths`, and how many of the places that the user gave are of its frames.
-fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Line) -> Result<(Seen, usize)> {
+/// The bracket `paths` of `brackets`, and how many of the places that the user gave are of its frames.
+fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -> Result<(Seen, usize)> {
     let mut own = options.line.clone();
     let bracket = line.load(paths, &own)?;
-    if is_one_of_many {
+    if brackets > 1 {
         own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
     }
     let (mut bracket, alignment, mut places) = in_pool(bracket.threads(false), || {
@@ -84,10 +88,11 @@ fn one(paths: &[PathBuf], is_one_of_many: bool, options: &Options, line: &mut Li
         line.warnings.extend(warnings);
         bracket = tuned;
     }
+    let miniature = curves::miniature(&options.curves, &bracket, &alignment, brackets)?;
     let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
     let first = bracket.reference();
     let (path, capture) = (first.path().to_owned(), first.capture.clone());
-    let seen = Seen { path, capture, places, report: BracketReport { reference, frames } };
+    let seen = Seen { path, capture, places, miniature, report: BracketReport { reference, frames } };
     Ok((seen, own.align.given.len()))
 }
 
