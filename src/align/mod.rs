@@ -482,6 +482,11 @@ fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });
             }
+            Status::Flash => warnings.push(Warning::FlashFired { path, is_used: false }),
+            // The user says where it lies.
+            Status::Unmoved | Status::Aligned if frame.excluded.is_some() => {
+                warnings.push(Warning::FlashFired { path, is_used: true });
+            }
             _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
                 warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
             }
