@@ -36,7 +36,8 @@
 //!
 //! # The layers
 //!
-//! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`], [`plane`], [`scratch`], [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
+//! [`plane`], [`scratch`], `budget`, [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
 //! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes

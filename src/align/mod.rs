@@ -44,6 +44,7 @@ mod search;
 pub mod sift;
 pub mod threshold;
 mod tile_fit;
+mod warnings;
 pub mod warp;
 
 use crate::bracket::{Bracket, Frame, Window};
@@ -328,12 +329,6 @@ fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
     given.iter().enumerate().map(verdict).collect()
 }
 
-/// A place with less confidence is told to the user.
-const DOUBT: f64 = 0.5;
-/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`] each way along the long side) leave 0.7.
-const LEAST_OVERLAP: f64 = 0.5;
-
 /// Places every frame of `bracket`.
 ///
 /// # Errors
@@ -348,34 +343,10 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
         AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
         AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
-    let mut warnings = warn(bracket, &verdicts);
-    let (overlap, small) = common_overlap(bracket, &verdicts)?;
+    let mut warnings = warnings::of_frames(bracket, &verdicts);
+    let (overlap, small) = warnings::common_overlap(bracket, &verdicts)?;
     warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
-}
-
-/// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
-fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
-    let (width, height) = (bracket.width(), bracket.height());
-    let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
-    let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();
-    let common = overlap::largest(&warps, width, height);
-    let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
-    // The frame that overlaps least by itself, and by how much; of equals the first.
-    let least = || {
-        let shares = placed.iter().map(|&(i, warp)| (i, overlap::largest(&[warp], width, height).map_or(0.0, share)));
-        let (i, share) =
-            shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
-        (bracket.frames()[i].path().to_path_buf(), share)
-    };
-    match common {
-        Some(rect) if share(rect) >= LEAST_OVERLAP => Ok((rect, None)),
-        Some(rect) => {
-            let (path, overlap) = least();
-            Ok((rect, Some(Warning::SmallOverlap { path, overlap, common: share(rect) })))
-        }
-        None => Err(Error::NoOverlap { path: least().0, reference: bracket.reference().path().to_path_buf() }),
-    }
 }
 
 /// What `find` makes of the bracket, where nothing is `given`.
@@ -470,27 +441,6 @@ const BLANK: u8 = 7;
 const LEAST_STOPS: u32 = 2;
 /// ... and beyond which there is only noise.
 const MOST_STOPS: u32 = 6;
-
-fn warn(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
-    let mut warnings = Vec::new();
-    let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
-    warnings
-        .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
-    for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
-        let path = frame.path().to_path_buf();
-        match verdict.status {
-            Status::Rejected => {
-                let reason = verdict.reason.clone().unwrap_or_default();
-                warnings.push(Warning::FrameRejected { path, reason });
-            }
-            _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
-                warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
-            }
-            _ => {}
-        }
-    }
-    warnings
-}
 
 #[cfg(test)]
 mod tests;

@@ -1,7 +1,7 @@
 //! What a step takes, before it is done: memory and time.
 //!
 //! In: how many photographs, and of what size. Out: bytes and seconds of one core. Cost: none.
-//! Source: measured, `docs/batch.md` says how; memory is meant to be enough, time to be about right on a core of a server of 2023.
+//! Source: measured, see the tests; memory is meant to be enough, time to be about right on a core of a server of 2023.
 
 use crate::scratch::MemoryLimit;
 

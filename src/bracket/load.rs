@@ -358,7 +358,8 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
     Ok(())
 }
 
-/// Excludes the frames that were lit by the flash, where at least two others were not; but not the reference that the user chose.
+/// Excludes the frames that were lit by the flash, where at least two others were not; but not the reference that the user chose. Gives what there is
+/// to say of those that stay; of the others the user may still say where they lie.
 fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Result<Vec<Warning>> {
     let unlit = pictures.iter().filter(|p| !p.tags.flash).count();
     if unlit == 0 || unlit == pictures.len() {
@@ -368,9 +369,11 @@ fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Resul
     let chosen = reference::chosen(&paths, reference)?;
     let mut warnings = Vec::new();
     for picture in pictures.iter_mut().filter(|p| p.tags.flash) {
-        let is_used = unlit < 2 || chosen.as_ref() == Some(&picture.path);
-        picture.excluded = (!is_used).then(|| "the flash fired, unlike in the other frames".to_owned());
-        warnings.push(Warning::FlashFired { path: picture.path.clone(), is_used });
+        if unlit < 2 || chosen.as_ref() == Some(&picture.path) {
+            warnings.push(Warning::FlashFired { path: picture.path.clone(), is_used: true });
+        } else {
+            picture.excluded = Some("the flash fired, unlike in the other frames".to_owned());
+        }
     }
     warnings.sort_by_key(ToString::to_string);
     Ok(warnings)

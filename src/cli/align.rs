@@ -11,7 +11,7 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Examples:
   hdralign align *.jpg --transforms transforms.json   written; `merge --transforms` takes them
-  hdralign align *.jpg --save-aligned aligned/        aligned/IMG_0001.tif, ...
+  hdralign align *.jpg --save-aligned aligned_        aligned_IMG_0001.tif, ...
   hdralign align --align mtb --max-rotation 10 *.jpg --json";
 
 #[derive(Debug, clap::Args)]

@@ -116,7 +116,7 @@ struct Finding {
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
 
-    /// The longest pause within a bracket, in seconds, from the end of an exposure to the begin of the next [default: by the rhythm]
+    /// The longest pause within a bracket, in seconds, from the end of an exposure to the begin of the next [default: 120]
     #[arg(long, value_name = "SECONDS")]
     gap: Option<f64>,
 

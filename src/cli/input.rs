@@ -52,7 +52,7 @@ pub struct Work {
     #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
-    /// Exit with 3 when a frame was left out or doubtful, or an exposure or the response guessed
+    /// Exit with 3 when a frame was left out or doubtful, the frames overlap by less than half, or an exposure or the response was guessed
     #[arg(long)]
     pub strict: bool,
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Photographs of one folder are one bracket; a folder stands for the photographs in it (.jpg .jpeg .png .tif .tiff).
+Photographs of one folder are one bracket; a folder stands for the JPEG, PNG and TIFF files in it.
 The more brackets of still scenes, and the wider, the better the curve is known.
 
 Examples:

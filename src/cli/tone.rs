@@ -36,7 +36,7 @@ pub enum OperatorArg {
     Mantiuk06,
     /// Display-adaptive: Mantiuk et al. 2008, the curve by which a display shows most of the contrasts seen
     Mantiuk08,
-    /// Fusion of the aligned frames, without radiance: Mertens et al. 2007
+    /// Fusion of the aligned frames, without radiance, and so not in `tonemap`: Mertens et al. 2007
     Mertens,
 }
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Reads .exr (half, float), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program, known by content.
+Reads .exr (half, float, uint), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program, known by content.
 Values that are no numbers are shown black, infinite ones as the brightest other, negative ones are
 drawn to grey until none is; a warning counts them.
 

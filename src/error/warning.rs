@@ -74,12 +74,12 @@ pub enum Warning {
     #[error(
         "{}: the flash fired, unlike in the other frames; {}",
         path.display(),
-        if *is_used { "it is merged all the same, look at the result" } else { "it is excluded, give -e or name it as the --reference to use it" }
+        if *is_used { "it is merged all the same, look at the result" } else { "it is excluded; to use it give -e, or name it by --reference or --unmoved" }
     )]
     FlashFired {
         /// The frame.
         path: PathBuf,
-        /// Whether it is used: too few were left without it, or it is the reference of the user's choice.
+        /// Whether it is used: too few were left without it, it is the reference of the user's choice, or the user says where it lies.
         is_used: bool,
     },
     /// The pixels contradict the exposures that the user gave; these were used.

@@ -96,7 +96,7 @@ impl Loss {
 }
 
 /// Loss that is not worth a word, in stops: what curves of two brackets of one camera differ by.
-pub(super) const LOSS: f64 = 0.01;
+const LOSS: f64 = 0.01;
 
 /// A curve and the camera whose it is.
 #[derive(Debug, Clone, PartialEq)]

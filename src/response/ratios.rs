@@ -175,7 +175,7 @@ fn spline(code: f64) -> (usize, [f64; 4]) {
     (x as usize, b.map(|v| v / 6.0))
 }
 
-/// One channel's normal equations in its spline and the corrections, each ln E eliminated (see `debevec.rs`).
+/// One channel's normal equations in its spline and the corrections, each ln E eliminated: from its rows their weighted mean is subtracted.
 struct Sums {
     matrix: DMatrix<f64>,
     right: DVector<f64>,

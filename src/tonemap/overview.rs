@@ -9,7 +9,7 @@ use crate::plane::Plane;
 use crate::simd::{Loops, log2, vectorised};
 use rayon::prelude::*;
 
-/// Cells that are enough: smaller pictures have a cell for each pixel, and every operator sees them as they are.
+/// Cells that are enough: smaller pictures have a cell for each pixel. Operators may take fewer.
 pub const MOST_CELLS: usize = 1 << 20;
 
 /// Samples that are enough: percentiles within a tenth of a percent.

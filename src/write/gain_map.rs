@@ -6,7 +6,7 @@
 //!
 //! The HDR rendition is the radiance itself, linear and in sRGB's primaries, with a white so that it agrees with the picture in the
 //! mid-tones: what is there keeps its brightness on any display, highlights rise above white as they did in the scene, up to
-//! 6 stops, and shadows fall as deep as they were. A display that reaches less high applies the map in part.
+//! 6 stops, and shadows fall as deep as they were, by up to 10. A display that reaches less high applies the map in part.
 //!
 //! One range serves the three channels: readers of the older metadata know no other (libultrahdr refuses to write one), and grey
 //! stays grey when the map is compressed.

@@ -189,8 +189,9 @@ fn a_bad_bracket_stops_nothing() {
 fn one_response_is_recovered_for_a_camera() {
     let folder = Folder::empty();
     card(&folder, 3);
-    folder.line("batch in -d out --shared-response --formats exr").done();
+    let run = folder.line("batch in -d out --shared-response --formats exr").done();
     assert_eq!(counts(&folder), [4, 0, 0, 0]);
+    assert!(run.stderr.contains("steps      4 done of 4"), "{}", run.stderr);
     let response = "out/response-hdralign_Card_One.response.json";
     assert!(folder.at(response).is_file());
     let report: Value = serde_json::from_slice(&folder.bytes("out/b/IMG_0007-IMG_0009.json")).unwrap();

@@ -8,6 +8,7 @@ mod batch;
 mod cards;
 mod colours;
 mod compare;
+mod documents;
 mod faults;
 mod ghosts;
 mod golden;

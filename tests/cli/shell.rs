@@ -3,7 +3,7 @@
 use crate::support::Folder;
 use std::collections::BTreeSet;
 
-const COMMANDS: [&str; 9] =
+pub const COMMANDS: [&str; 9] =
     ["merge", "batch", "align", "response", "inspect", "tonemap", "compare", "completions", "man"];
 
 #[test]

@@ -58,7 +58,7 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
             shots.len(),
             shots[0].reason
         ),
-        None => "there are no photographs (.jpg, .png, .tif)".to_owned(),
+        None => "there are no photographs (JPEG, PNG, TIFF)".to_owned(),
     };
     Error::NoBracket { path: folders.first().cloned().unwrap_or_default(), reason: why }
 }

@@ -10,7 +10,7 @@ use super::super::terminal::Terminal;
 use super::found::{left_over, many, unreadable, unused};
 use super::{Args, exit_code};
 use hdralign::batch::find::{self, Found};
-use hdralign::batch::plan::Step;
+use hdralign::batch::plan::{Kind, Step};
 use hdralign::batch::schedule::{self, Ending, Event, Limits};
 use hdralign::batch::step::Brief;
 use hdralign::batch::summary::{self, Row, Status, Summary, Verdict};
@@ -257,7 +257,10 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
         (counts.degraded, "in doubt"),
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-    let mut lines = vec![format!("{:<11}{} of {}", "brackets", words.join(", "), counts.steps)];
+    // A response is a step, too.
+    let is_of_brackets = summary.steps.iter().all(|row| row.kind == Kind::Merge);
+    let steps = if is_of_brackets { "brackets" } else { "steps" };
+    let mut lines = vec![format!("{steps:<11}{} of {}", words.join(", "), counts.steps)];
     let with = |is: &dyn Fn(&&Row) -> bool| summary.steps.iter().filter(is).collect::<Vec<&Row>>();
     let failed = with(&|row| row.status == Status::Failed);
     let why = |row: &&Row| format!("{}: {}", row.id, row.error.as_deref().unwrap_or_default());
@@ -278,7 +281,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
     }
     if let Some(time) = summary.time_s {
         let rate = if counts.done > 0 && time > 0.0 {
-            format!(", {:.0} brackets an hour", counts.done as f64 / time * 3600.0)
+            format!(", {:.0} {steps} an hour", counts.done as f64 / time * 3600.0)
         } else {
             String::new()
         };

@@ -49,7 +49,7 @@ fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     if paths.len() < 2 {
         let found = paths.len();
         let reason =
-            format!("{} holds {found} photographs (.jpg, .png, .tif), and a bracket needs two", folder.display());
+            format!("{} holds {found} photographs (JPEG, PNG, TIFF), and a bracket needs two", folder.display());
         return Err(Error::Option { option: "IMAGES", reason });
     }
     Ok(paths)

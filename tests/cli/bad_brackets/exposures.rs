@@ -245,6 +245,11 @@ fn flash_frame_is_merged_where_the_user_insists_or_too_few_are_left() {
         "{:?}",
         reference.warnings()
     );
+    let unmoved = merged(&folder, &format!("{names} --unmoved flash.jpg"));
+    assert_eq!(unmoved.status("flash.jpg"), "unmoved");
+    assert!(unmoved.warns(true, &["flash.jpg: the flash fired", "merged all the same"]), "{:?}", unmoved.warnings());
+    let left_out = merged(&folder, &format!("{names} --leave-out flash.jpg"));
+    assert!(left_out.warnings().is_empty(), "{:?}", left_out.warnings());
     let two = merged(&folder, "f2.jpg flash.jpg --align none");
     assert!(two.status("flash.jpg") != "rejected");
     assert!(two.warns(true, &["flash.jpg: the flash fired", "merged all the same"]), "{:?}", two.warnings());

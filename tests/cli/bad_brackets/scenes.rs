@@ -45,7 +45,7 @@ fn a_frame_of_another_zoom_is_left_out() {
     stray_is_left_out(&imageops::crop_imm(&large, 225, 150, 300, 200).to_image(), 4);
 }
 
-/// A fifth closer is what a hand or a lens that breathes may do: aligned.
+/// 15 % closer is what a hand or a lens that breathes may do: aligned.
 #[test]
 fn a_frame_a_little_closer_is_aligned() {
     let folder = Folder::empty();

@@ -100,6 +100,15 @@ fn every_file_uses_only_the_layers_before_its_own() {
     assert_none(sources.iter().flat_map(against_layers).collect(), "against the layers");
 }
 
+#[test]
+fn documented_layers_are_the_layers() {
+    let text = include_str!("../../../src/lib.rs");
+    let (_, list) = text.split_once("A module uses only those before it:").expect("the list");
+    let (list, _) = list.split_once("the program's").expect("its end");
+    let named: Vec<&str> = list.split('`').skip(1).step_by(2).map(|name| name.trim_start_matches("mod@")).collect();
+    assert_eq!(named, LAYERS[..LAYERS.len() - 1], "src/lib.rs");
+}
+
 /// For each module with children, which child uses which other, and where first.
 type Edges = BTreeMap<String, BTreeMap<(String, String), String>>;
 

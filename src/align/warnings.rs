@@ -1,0 +1,67 @@
+//! What there is to say of an alignment: frames that were left out or are doubtful, and how little all of them show.
+//!
+//! In: a bracket, and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all placed frames cover. Cost: that of the
+//! [overlap](overlap::largest).
+
+use super::overlap;
+use super::warp::Warp;
+use super::{Rect, Status, Verdict};
+use crate::bracket::Bracket;
+use crate::error::{Error, Result, Warning};
+
+/// A place with less confidence is told to the user.
+const DOUBT: f64 = 0.5;
+/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// ([`MtbOptions::max_shift`](super::mtb::MtbOptions::max_shift) each way along the long side) leave 0.7.
+const LEAST_OVERLAP: f64 = 0.5;
+
+/// What there is to say of single frames.
+pub(super) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
+    warnings
+        .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
+    for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
+        let path = frame.path().to_path_buf();
+        // The user says where it lies.
+        if frame.excluded.is_some() && verdict.warp.is_some() {
+            warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
+        }
+        match verdict.status {
+            Status::Rejected => {
+                let reason = verdict.reason.clone().unwrap_or_default();
+                warnings.push(Warning::FrameRejected { path, reason });
+            }
+            Status::Flash => warnings.push(Warning::FlashFired { path, is_used: false }),
+            _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
+                warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
+            }
+            _ => {}
+        }
+    }
+    warnings
+}
+
+/// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
+pub(super) fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
+    let (width, height) = (bracket.width(), bracket.height());
+    let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
+    let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();
+    let common = overlap::largest(&warps, width, height);
+    let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
+    // The frame that overlaps least by itself, and by how much; of equals the first.
+    let least = || {
+        let shares = placed.iter().map(|&(i, warp)| (i, overlap::largest(&[warp], width, height).map_or(0.0, share)));
+        let (i, share) =
+            shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
+        (bracket.frames()[i].path().to_path_buf(), share)
+    };
+    match common {
+        Some(rect) if share(rect) >= LEAST_OVERLAP => Ok((rect, None)),
+        Some(rect) => {
+            let (path, overlap) = least();
+            Ok((rect, Some(Warning::SmallOverlap { path, overlap, common: share(rect) })))
+        }
+        None => Err(Error::NoOverlap { path: least().0, reference: bracket.reference().path().to_path_buf() }),
+    }
+}
