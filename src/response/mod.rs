@@ -234,7 +234,7 @@ pub fn recover(
 }
 
 /// What frames contradict a saved curve by beyond a curve of their own, in stops, from which on it is not their camera's: of one camera's
-/// curves, each from another scene, it is 0.03 to 0.08 (14 pairs; Canon 600D and 5D, Samsung A52s), and a linear one's is 0.2 to 0.5.
+/// curves, each from another scene, it is 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s), and a linear one's is 0.2 to 0.5.
 const CONTRADICTED: f64 = 0.1;
 
 /// Where frames contradict `curve` by a tenth of a stop beyond what they contradict a curve of their own by, as independent errors add up:
