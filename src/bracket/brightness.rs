@@ -20,7 +20,7 @@ mod overlap;
 mod steps;
 
 use super::Samples;
-use curve::Match;
+use curve::Pair;
 use histogram::Histogram;
 use overlap::{View, overlap};
 use steps::Steps;
@@ -58,7 +58,7 @@ impl Brightness {
 }
 
 /// The codes of both that are of one radiance; `None` where there are too few.
-fn matches(dark: &Brightness, bright: &Brightness) -> Option<Vec<Match>> {
+fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     let shared = overlap(&dark.view, &bright.view).map(|shared| shared.map(Histogram::from));
     let shared = shared.and_then(|[dark, bright]| histogram::matches(&dark, &bright));
     shared.or_else(|| histogram::matches(&dark.histogram, &bright.histogram))
@@ -66,7 +66,7 @@ fn matches(dark: &Brightness, bright: &Brightness) -> Option<Vec<Match>> {
 
 /// The step from `dark` to `bright` in EV; `None` where nothing is well exposed in both.
 fn step(dark: &Brightness, bright: &Brightness) -> Option<f64> {
-    steps::settle(&curve::fits(&[matches(dark, bright)?]))?.means.first().copied()
+    steps::of(&[matches(dark, bright)?])?.means.first().copied()
 }
 
 /// Exposures from the pixels.
@@ -101,9 +101,9 @@ impl Estimate {
 /// Ties go by index, so hand frames over in an order of their own.
 pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     let order = by_brightness(frames);
-    let pairs: Vec<Vec<Match>> =
+    let pairs: Vec<Pair> =
         order.windows(2).map(|pair| matches(frames[pair[0]], frames[pair[1]])).collect::<Option<_>>()?;
-    let steps = steps::settle(&curve::fits(&pairs))?;
+    let steps = steps::of(&pairs)?;
     let (mut evs, mut places) = (vec![0.0; frames.len()], vec![0; frames.len()]);
     for (place, (pair, step)) in order.windows(2).zip(&steps.means).enumerate() {
         evs[pair[1]] = evs[pair[0]] + step;

@@ -22,6 +22,13 @@ pub(super) struct Match {
     pub(super) weight: f64,
 }
 
+/// Two frames.
+pub(super) struct Pair {
+    pub(super) matches: Vec<Match>,
+    /// The share of pixels whose codes match.
+    pub(super) share: f64,
+}
+
 /// Curves that are alike: the share of photographs, the mean of the terms, and the lower triangle of their covariance.
 struct Kind {
     share: f64,
@@ -153,7 +160,7 @@ pub(super) struct Fit {
 }
 
 /// The steps of `pairs` under the curves of each kind.
-pub(super) fn fits(pairs: &[Vec<Match>]) -> Vec<Fit> {
+pub(super) fn fits(pairs: &[Pair]) -> Vec<Fit> {
     let any = fit(pairs, &ANY, &vec![USUAL; pairs.len()]);
     let codes: Vec<f64> = any.iter().flat_map(|fit| &fit.codes).map(|code| code.max(ROUNDING)).collect();
     KINDS.iter().filter_map(|kind| fit(pairs, kind, &codes)).collect()
@@ -217,13 +224,14 @@ fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
 }
 
 /// The best curve of `kind` for `pairs`, and the steps; `None` where they allow for no number.
-fn fit(pairs: &[Vec<Match>], kind: &Kind, codes: &[f64]) -> Option<Fit> {
+fn fit(pairs: &[Pair], kind: &Kind, codes: &[f64]) -> Option<Fit> {
     let (mean, covariance) = (Vector4::from(kind.mean), symmetric(&kind.covariance));
     let prior = covariance.cholesky()?.inverse();
     let mut terms = mean;
     for round in 0.. {
         let curve = Curve::new(&terms);
-        let shares: Vec<Share> = pairs.iter().zip(codes).map(|(pair, code)| share(pair, &curve, *code)).collect();
+        let shares: Vec<Share> =
+            pairs.iter().zip(codes).map(|(pair, code)| share(&pair.matches, &curve, *code)).collect();
         let off = terms - mean;
         let normal = shares.iter().fold(prior, |sum, share| sum + share.normal);
         let decomposed = normal.cholesky()?;

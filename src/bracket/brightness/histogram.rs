@@ -2,7 +2,7 @@
 //!
 //! In: code values. Out: matches of codes. Cost: one pass over a quarter of the pixels, then 256-entry tables.
 
-use super::curve::Match;
+use super::curve::{Match, Pair};
 use crate::bracket::Samples;
 
 /// Codes between which a code is neither clipped nor lost in the noise and flare of shadows. Lower ones of a scan are of no exposure.
@@ -89,11 +89,11 @@ fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, co
 }
 
 /// The codes that are exposed in both, well if there are such; `None` where there are too few.
-pub(super) fn matches(dark: &Histogram, bright: &Histogram) -> Option<Vec<Match>> {
+pub(super) fn matches(dark: &Histogram, bright: &Histogram) -> Option<Pair> {
     matches_within(dark, bright, EXPOSED).or_else(|| matches_within(dark, bright, BARELY_EXPOSED))
 }
 
-fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usize)) -> Option<Vec<Match>> {
+fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usize)) -> Option<Pair> {
     let scale = bright.total() as f64 / dark.total().max(1) as f64;
     let (mut matches, mut tones) = (Vec::new(), 0);
     for k in low..high {
@@ -109,5 +109,10 @@ fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usi
         }
     }
     // Fewer codes than these are a chance match. A drawing of two tones is all gap: between them rank says nothing.
-    (matches.len() >= 8 && tones >= 4).then_some(matches)
+    if matches.len() < 8 || tones < 4 {
+        return None;
+    }
+    let (first, last) = (matches.first()?.from as usize, matches.last()?.from as usize);
+    let share = (dark.below[last + 1] - dark.below[first]) as f64 / dark.total() as f64;
+    Some(Pair { matches, share })
 }

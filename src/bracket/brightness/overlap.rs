@@ -139,3 +139,33 @@ impl Ranks {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A part of a large scene that repeats nowhere, from a column and a row of it on, `brighter` times as bright.
+    fn view(column: usize, row: usize, brighter: f64) -> View {
+        View::of(300, 200, |y, x| {
+            let (x, y) = ((x + column) as f64, (y + row) as f64);
+            let light = 60.0 + 30.0 * (x / 31.0 + y / 83.0).sin() + 25.0 * (y / 37.0 - (x / 47.0).cos()).cos();
+            (light * brighter).min(255.0) as u8
+        })
+    }
+
+    #[test]
+    fn frames_that_are_shifted_overlap_where_both_show_the_same() {
+        let shared = overlap(&view(40, 40, 1.0), &view(58, 30, 1.0)).expect("a shift");
+        assert_eq!(shared[0], shared[1]);
+        assert_eq!(shared[0].iter().sum::<u64>(), (300 - 18) * (200 - 10));
+        let (right, down) = shift(&view(40, 40, 1.0), &view(30, 60, 1.6));
+        assert!((right + 10).abs() <= 2 && (down - 20).abs() <= 2, "{right}, {down}");
+    }
+
+    #[test]
+    fn frames_that_are_not_shifted_or_not_of_one_size_have_no_overlap_to_look_at() {
+        assert_eq!(overlap(&view(40, 40, 1.0), &view(40, 40, 2.5)), None);
+        assert_eq!(overlap(&view(40, 40, 1.0), &View::of(200, 300, |_, _| 0)), None);
+        assert_eq!(overlap(&View::of(1, 1, |_, _| 7), &View::of(1, 1, |_, _| 9)), None);
+    }
+}

@@ -7,7 +7,7 @@
 //! between all frames. So each factor is weighed by how many steps it brings to such numbers. Densities are those of the log of a step:
 //! they are the same whichever kind of curve it comes from.
 
-use super::curve::Fit;
+use super::curve::{self, Fit, Pair};
 use std::f64::consts::PI;
 
 /// Steps in EV.
@@ -37,11 +37,13 @@ const OTHER: f64 = 0.4;
 const ANY: f64 = 0.3;
 /// The chance of a bracket of three frames or more to have even steps, and then of a step to be another one. Guesses, as above.
 const EVEN: f64 = 0.6;
-const ODD: f64 = 0.1;
-/// A step under the true curve is off by a share and by some EV, one standard deviation: light, shutters and what moves. Measured on brackets
-/// of cameras whose exposures are known.
-const SHARE_OFF: f64 = 0.03;
-const EV_OFF: f64 = 0.05;
+const ODD: f64 = 0.2;
+/// A step under the true curve is off by a share, one standard deviation, as shutters are; and by some EV, the more the fewer pixels show it:
+/// what flickers or moves counts. Half of the pixels give the latter divided by 0.7; and no more than `MOST_OFF` it is. Measured on brackets of
+/// cameras whose exposures are known.
+const SHARE_OFF: f64 = 0.02;
+const EV_OFF: f64 = 0.04;
+const MOST_OFF: f64 = 0.2;
 /// Below this a step, in EV, tells nothing of what all are multiplied by.
 const NO_STEP: f64 = 0.15;
 /// Factors that are tried, as logs.
@@ -57,18 +59,20 @@ struct Way {
     variances: Vec<f64>,
 }
 
-/// Takes what all kinds of curves say together.
-pub(super) fn settle(fits: &[Fit]) -> Option<Steps> {
+/// The steps of `pairs` of frames of one camera, by all kinds of curves together.
+pub(super) fn of(pairs: &[Pair]) -> Option<Steps> {
+    let fits = curve::fits(pairs);
+    let off: Vec<f64> = pairs.iter().map(|pair| (EV_OFF / pair.share.sqrt()).min(MOST_OFF)).collect();
     let likeliest = fits.iter().map(|fit| fit.likelihood).max_by(f64::total_cmp)?;
     let mut ways = Vec::new();
     for fit in fits.iter().filter(|fit| fit.likelihood > likeliest - NEVER) {
         let scale = fit.scale.max(FACTOR);
         for factor in -FACTORS..=FACTORS {
             let factor = f64::from(factor) * FACTOR;
-            let off = factor * factor / (scale * scale) / 2.0;
-            if off < NEVER {
-                let log = fit.likelihood - likeliest - off - libm::log(scale);
-                add_ways(log, fit, libm::exp(factor), &mut ways);
+            let unlikely = factor * factor / (scale * scale) / 2.0;
+            if unlikely < NEVER {
+                let log = fit.likelihood - likeliest - unlikely - libm::log(scale);
+                add_ways(log, fit, &off, libm::exp(factor), &mut ways);
             }
         }
     }
@@ -95,7 +99,8 @@ pub(super) fn settle(fits: &[Fit]) -> Option<Steps> {
 }
 
 /// Adds what the steps of `fit` may be if all are multiplied by `factor`: each any or one that is set, or all the same.
-fn add_ways(log: f64, fit: &Fit, factor: f64, ways: &mut Vec<Way>) {
+/// `off`: standard deviations of the steps themselves.
+fn add_ways(log: f64, fit: &Fit, off: &[f64], factor: f64, ways: &mut Vec<Way>) {
     let nominal = |third: usize| third as f64 / 3.0;
     let chance = |third: usize| if third % 3 == 0 { WHOLE / 6.0 } else { THIRD / 12.0 };
     // Of each step its value, its variance, and the densities at the steps that are set; none of what is no step.
@@ -103,18 +108,19 @@ fn add_ways(log: f64, fit: &Fit, factor: f64, ways: &mut Vec<Way>) {
         .steps
         .iter()
         .zip(&fit.variances)
-        .map(|(&step, &variance)| {
-            let error = (variance + (SHARE_OFF * step) * (SHARE_OFF * step) + EV_OFF * EV_OFF).sqrt();
+        .zip(off)
+        .map(|((&step, &variance), off)| {
+            let error = (variance + (SHARE_OFF * step) * (SHARE_OFF * step) + off * off).sqrt();
             let value = factor * step;
             if step < NO_STEP {
                 return (value, (factor * error) * (factor * error), Vec::new());
             }
-            let relative = error / step;
+            let error = factor * error;
             let densities = (1..=THIRDS).map(|third| {
-                let off = libm::log(value / nominal(third)) / relative;
-                libm::exp(-off * off / 2.0) / (relative * (2.0 * PI).sqrt())
+                let off = (value - nominal(third)) / error;
+                libm::exp(-off * off / 2.0) * value / (error * (2.0 * PI).sqrt())
             });
-            (value, (factor * error) * (factor * error), densities.collect())
+            (value, error * error, densities.collect())
         })
         .collect();
 

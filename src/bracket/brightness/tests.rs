@@ -1,6 +1,7 @@
 //! Steps of a rendered scene, under curves of renderings and cameras.
 
 use super::*;
+use crate::bracket::colour::linear_to_srgb;
 
 fn estimate(frames: &[Brightness]) -> Option<Estimate> {
     super::estimate(&frames.iter().collect::<Vec<_>>())
@@ -21,17 +22,23 @@ fn seen(ev: f64, curve: (f64, f64), shift: usize) -> Brightness {
 
 /// The same where nothing is below the code `floor`, under which a scanner or flare hides it.
 fn seen_above(floor: u8, ev: f64, (q, n): (f64, f64), shift: usize) -> Brightness {
+    let shoulder = |light: f64| linear_to_srgb((1.0 + q) * light.powf(n) / (1.0 + q * light.powf(n)));
+    taken(|x, y| five_decades(x + shift, y), ev, floor, shoulder)
+}
+
+fn five_decades(x: usize, y: usize) -> f64 {
+    2.2 * ((x as f64 / 23.0).sin() + (y as f64 / 17.0).cos() + 0.3 * ((x * y) as f64 / 90.0).sin())
+}
+
+/// A `scene` in EV, `ev` over the base, under a `curve` from light to code values.
+fn taken(scene: impl Fn(usize, usize) -> f64, ev: f64, floor: u8, curve: impl Fn(f64) -> f64) -> Brightness {
     let (width, height) = (160, 120);
     let mut samples = Vec::new();
     for y in 0..height {
         for x in 0..width {
-            let scene =
-                ((x + shift) as f64 / 23.0).sin() + (y as f64 / 17.0).cos() + 0.3 * ((x * y) as f64 / 90.0).sin();
-            let power = 2f64.powf(2.2 * scene + ev - 2.5).min(1.0).powf(n);
-            let light = (1.0 + q) * power / (1.0 + q * power);
-            let v = if light <= 0.0031308 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
+            let code = curve(2f64.powf(scene(x, y) + ev - 2.5).min(1.0));
             let noise = if floor > 0 { ((x * 7 + y * 13) % 5) as u8 } else { 0 };
-            samples.extend([0, ((v.min(1.0) * 255.0).round() as u8).max(floor + noise), 0]);
+            samples.extend([0, ((code.min(1.0) * 255.0).round() as u8).max(floor + noise), 0]);
         }
     }
     Brightness::of(&Samples::Eight(samples), width)
@@ -73,6 +80,45 @@ fn steps_of_a_camera_are_within_the_uncertainty_that_is_told() {
         let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
         assert!((ev - 1.7).abs() < 2.0 * deviation, "{curve:?}: {ev} +- {deviation}");
     }
+}
+
+#[test]
+fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_told() {
+    for contrast in [0.2, 0.5, 0.8] {
+        let curve = |light: f64| {
+            let code = linear_to_srgb(light);
+            code + contrast * (code * code * (3.0 - 2.0 * code) - code)
+        };
+        for step in [0.72, 1.35, 2.2] {
+            let frames = [-1.5, step - 1.5].map(|ev| taken(five_decades, ev, 0, curve));
+            let estimate = estimate(&frames).unwrap();
+            let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
+            assert!((ev / step - 1.0).abs() < 0.15, "{contrast}: {ev} of {step}");
+            assert!((ev - step).abs() < 2.0 * deviation, "{contrast}: {ev} +- {deviation} of {step}");
+        }
+    }
+}
+
+#[test]
+fn a_step_is_that_of_what_both_frames_show() {
+    // A window at the left, a sixth of the frame, which the other frame does not show.
+    let window = |x: usize, y: usize| if x < 26 { 1.0 + 2.0 * (y as f64 / 9.0).sin() } else { five_decades(x, y) };
+    let frames = [taken(window, -1.5, 0, linear_to_srgb), taken(|x, y| window(x + 26, y), 0.0, 0, linear_to_srgb)];
+    let shared = estimate(&frames).unwrap().evs[1];
+    let whole = histogram::matches(&frames[0].histogram, &frames[1].histogram).unwrap();
+    let whole = steps::of(&[whole]).unwrap().means[0];
+    assert!((shared - 1.5).abs() < 0.05 && (whole - 1.5).abs() > 0.1, "{shared}, of whole frames {whole}");
+}
+
+#[test]
+fn few_pixels_tell_a_step_less_surely_than_many() {
+    let few = |x: usize, y: usize| if x < 80 && y < 12 { five_decades(2 * x, 10 * y) } else { -20.0 };
+    let deviation = |scene: &dyn Fn(usize, usize) -> f64| {
+        let frames = [-1.5, 0.2].map(|ev| taken(scene, ev, 0, linear_to_srgb));
+        estimate(&frames).unwrap().deviation(0, 1)
+    };
+    let (few, many) = (deviation(&few), deviation(&five_decades));
+    assert!(few > 1.5 * many, "{few}, {many}");
 }
 
 #[test]
