@@ -28,14 +28,15 @@ impl Steps {
 
 /// Steps that are set on a camera: thirds of an EV, up to 6 EV.
 const THIRDS: usize = 18;
-/// The chance of a step to be a whole number of EV, another third, or any other, as they are set by hand and by programs. Guesses; half of or
-/// twice the chance of the former two change few results by 1 %.
+/// The chance of a step to be a whole number of EV, another third, or any other, as they are set by hand and by programs. Guesses: with 0.2,
+/// 0.4, 0.4 or 0.6, 0.1, 0.3 the mean error of fourteen brackets of cameras is 4 % or 3 %, and 3 % with these.
 const WHOLE: f64 = 0.45;
 const THIRD: f64 = 0.15;
 const OTHER: f64 = 0.4;
 /// Density of other steps, by the log: alike from 0.2 to 6 EV.
 const ANY: f64 = 0.3;
-/// The chance of a bracket of three frames or more to have even steps, and then of a step to be another one. Guesses, as above.
+/// The chance of a bracket of three frames or more to have even steps, and then of a step to be another one. Guesses: 0.3 and 0.8,
+/// and 0.1, are as good.
 const EVEN: f64 = 0.6;
 const ODD: f64 = 0.2;
 /// A step under the true curve is off by a share, one standard deviation, as shutters are; and by some EV, the more the fewer pixels show it:
@@ -102,7 +103,7 @@ pub(super) fn of(pairs: &[Pair]) -> Option<Steps> {
 /// `off`: standard deviations of the steps themselves.
 fn add_ways(log: f64, fit: &Fit, off: &[f64], factor: f64, ways: &mut Vec<Way>) {
     let nominal = |third: usize| third as f64 / 3.0;
-    let chance = |third: usize| if third % 3 == 0 { WHOLE / 6.0 } else { THIRD / 12.0 };
+    let chance = |third: usize| if third.is_multiple_of(3) { WHOLE / 6.0 } else { THIRD / 12.0 };
     // Of each step its value, its variance, and the densities at the steps that are set; none of what is no step.
     let seen: Vec<(f64, f64, Vec<f64>)> = fit
         .steps
