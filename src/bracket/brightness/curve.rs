@@ -159,10 +159,10 @@ pub(super) struct Fit {
     codes: Vec<f64>,
 }
 
-/// The steps of `pairs` under the curves of each kind.
+/// The steps of `pairs` under the curves of each kind that allows for any.
 pub(super) fn fits(pairs: &[Pair]) -> Vec<Fit> {
-    let any = fit(pairs, &ANY, &vec![USUAL; pairs.len()]);
-    let codes: Vec<f64> = any.iter().flat_map(|fit| &fit.codes).map(|code| code.max(ROUNDING)).collect();
+    let Some(any) = fit(pairs, &ANY, &vec![USUAL; pairs.len()]) else { return Vec::new() };
+    let codes: Vec<f64> = any.codes.iter().map(|code| code.max(ROUNDING)).collect();
     KINDS.iter().filter_map(|kind| fit(pairs, kind, &codes)).collect()
 }
 
