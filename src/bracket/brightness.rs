@@ -11,8 +11,8 @@
 //! from how cameras are set ([`steps`]).
 //!
 //! Measured: of 14 brackets of cameras, each estimated by curves fitted without it, the whole span is right to 1 % (median); two are off by more
-//! than 5 %, by 7 and 17 %. Renderings under sRGB's curve are right to 0.2 % (median), and to 5 % where no frame is moved. Those under curves of
-//! negative film are right to 5 % (median), some only to 30 %; slides, twice as contrasty, are taken for cameras'.
+//! than 5 %, by 7 and 17 %. Renderings under sRGB's curve are right to 0.2 % (median), and to 5 % where no frame is moved. Pairs under curves of
+//! negative film are right to between 1 and 30 %, by curve; slides, twice as contrasty, are taken for cameras'.
 
 mod contradiction;
 mod curve;
