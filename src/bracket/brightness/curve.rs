@@ -48,7 +48,7 @@ const KINDS: [Kind; 5] = [
         mean: [-0.113, 0.204, 0.245, 0.039],
         covariance: [0.0100, -0.0120, 0.0194, -0.0086, 0.0137, 0.0140, -0.0038, 0.0055, 0.0039, 0.0034],
     },
-    // JPEGs of six cameras of 2002 to 2021, from brackets whose exposures are known.
+    // JPEGs of five cameras of 2002 to 2021, from brackets whose exposures are known.
     Kind {
         share: 0.4,
         mean: [-0.077, 0.698, 0.401, 0.026],
