@@ -381,7 +381,7 @@ fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Resul
 
 /// What the pixels say against the exposures that the user gives; these are taken all the same.
 fn doubtful(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
-    let seen: Vec<Brightness> = pictures.iter().map(|p| p.brightness.clone()).collect();
+    let seen: Vec<&Brightness> = pictures.iter().map(|p| &p.brightness).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
     let detail = copies::contradiction(copies, &given).or_else(|| brightness::contradiction(&given, &seen))?;
     Some(Warning::ExposureDoubtful { detail })

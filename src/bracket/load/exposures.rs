@@ -27,8 +27,7 @@ pub(super) fn settle(
 
     let mut written = vec![f64::NAN; pictures.len()];
     said.iter().for_each(|&i| written[i] = by_tags[i].as_ref().map_or(f64::NAN, Exposure::ev));
-    let seen =
-        |frames: &[usize]| -> Vec<Brightness> { frames.iter().map(|&i| pictures[i].brightness.clone()).collect() };
+    let seen = |frames: &[usize]| -> Vec<&Brightness> { frames.iter().map(|&i| &pictures[i].brightness).collect() };
     let (said_evs, said_seen) = (said.iter().map(|&i| written[i]).collect::<Vec<_>>(), seen(&said));
     let contradiction =
         copies::contradiction(copies, &written).or_else(|| brightness::contradiction(&said_evs, &said_seen));
@@ -56,20 +55,23 @@ pub(super) fn settle(
         };
         // Copies of one photograph were exposed as one, whatever it shows.
         let is_one = missing.is_empty() && copies.len() + 1 == pictures.len();
-        let alike = || Estimate { evs: vec![0.0; order.len()], uncertainty: 0.0 };
-        let estimate = if is_one { Some(alike()) } else { brightness::estimate(&seen(&order)) };
-        let Estimate { evs: steps, uncertainty } = estimate
+        let estimate = match is_one {
+            true => Some(Estimate::alike(order.len())),
+            false => brightness::estimate(&seen(&order)),
+        };
+        let estimate = estimate
             .ok_or_else(|| unknown("the pictures are too dark, too bright or too plain to tell it from the pixels"))?;
-        if believed.is_empty() && brightness::all_alike(&steps) && !is_one {
+        if believed.is_empty() && brightness::all_alike(&estimate.evs) && !is_one {
             return Err(unknown("the pictures are equally bright"));
         }
-        let places = Places::new(&order, &steps, &written, &believed);
-        for (&i, &step) in order.iter().zip(&steps).filter(|(i, _)| !believed.contains(i)) {
-            let (from, anchor) = places.anchor(step);
-            let estimated = Exposure::estimated(step + anchor, uncertainty * (step - from).abs());
+        let places = Places::new(&order, &estimate.evs, &written, &believed);
+        for (at, &i) in order.iter().enumerate().filter(|(_, i)| !believed.contains(i)) {
+            let (from, anchor) = places.anchor(at);
+            let estimated = Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from));
             exposures[i] = Some(estimated.ok_or_else(|| unknown("the pixels give no usable number"))?);
         }
-        let mut by_step = steps;
+        let uncertainty = estimate.uncertainty();
+        let mut by_step = estimate.evs;
         by_step.sort_by(f64::total_cmp);
         let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
         let odd = said.iter().filter(|&i| !believed.is_empty() && !believed.contains(i));
@@ -95,31 +97,34 @@ pub(super) fn settle(
 }
 
 /// Where steps from the pixels, which hang in the air, stand among exposures.
-struct Places {
-    /// Of the frames that are believed, the step and what is to be added to it; where there are none, of the middle of all that are written,
-    /// which are right on the whole.
-    known: Vec<(f64, f64)>,
+struct Places<'a> {
+    steps: &'a [f64],
+    /// Of the frames that are believed, the index and what is to be added to its step; where there are none, of the middle of all that are
+    /// written, which are right on the whole.
+    known: Vec<(usize, f64)>,
 }
 
-impl Places {
-    fn new(order: &[usize], steps: &[f64], written: &[f64], believed: &[usize]) -> Self {
-        let all = order.iter().zip(steps).map(|(&i, &step)| (i, (step, written[i] - step)));
-        let mut known: Vec<(f64, f64)> =
-            all.clone().filter(|(i, _)| believed.contains(i)).map(|(_, place)| place).collect();
+impl<'a> Places<'a> {
+    fn new(order: &[usize], steps: &'a [f64], written: &[f64], believed: &[usize]) -> Self {
+        let places = order.iter().enumerate().map(|(at, &i)| (i, (at, written[i] - steps[at])));
+        let mut known: Vec<(usize, f64)> =
+            places.clone().filter(|(i, _)| believed.contains(i)).map(|(_, place)| place).collect();
         if known.is_empty() {
-            let mut places: Vec<(f64, f64)> = all.map(|(_, place)| place).filter(|(_, add)| add.is_finite()).collect();
+            let mut places: Vec<(usize, f64)> =
+                places.map(|(_, place)| place).filter(|(_, add)| add.is_finite()).collect();
             if places.is_empty() {
-                places = steps.iter().map(|&step| (step, -step)).collect();
+                places = steps.iter().map(|&step| -step).enumerate().collect();
             }
             places.sort_by(|a, b| a.1.total_cmp(&b.1));
             known.push(places[places.len() / 2]);
         }
-        Places { known }
+        Places { steps, known }
     }
 
-    /// The nearest known step, and what is to be added to `step` as to that.
-    fn anchor(&self, step: f64) -> (f64, f64) {
-        let nearest = self.known.iter().min_by(|a, b| (a.0 - step).abs().total_cmp(&(b.0 - step).abs()));
-        nearest.copied().unwrap_or((step, 0.0))
+    /// The known frame nearest to the frame `at`, and what is to be added to the steps as to that.
+    fn anchor(&self, at: usize) -> (usize, f64) {
+        let off = |place: &(usize, f64)| (self.steps[place.0] - self.steps[at]).abs();
+        let nearest = self.known.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        nearest.copied().unwrap_or((at, 0.0))
     }
 }

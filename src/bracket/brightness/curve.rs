@@ -1,0 +1,276 @@
+//! The curve of the camera, as far as pairs of frames and what is known of cameras tell it; and the steps under it.
+//!
+//! In: for each pair of frames the codes that match. Out: for each kind of curve how likely it is, the steps under the best of it, and how far
+//! they are open. Cost: some ten sums over the matches of all pairs for each kind.
+//!
+//! A curve is the log2 of the exposure as a function of the code. Its slope is that of sRGB's times exp(p), p being a cubic of the code (in
+//! Legendre polynomials over the codes). Matches leave the constant term of p open, whatever they are: it multiplies all steps (Grossberg
+//! and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003). So it comes from the others by what
+//! curves are like: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively reweighted
+//! Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the room that the matches leave about them (Laplace's
+//! approximation).
+
+use crate::bracket::colour::srgb_to_linear;
+use nalgebra::{Matrix4, Vector4};
+use std::sync::LazyLock;
+
+/// A code of the darker frame and that of the same rank in the brighter.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Match {
+    pub(super) from: f64,
+    pub(super) to: f64,
+    pub(super) weight: f64,
+}
+
+/// Two frames.
+pub(super) struct Pair {
+    pub(super) matches: Vec<Match>,
+    /// The share of pixels whose codes match.
+    pub(super) share: f64,
+}
+
+/// Curves that are alike: the share of photographs, the mean of the terms, and the lower triangle of their covariance.
+struct Kind {
+    share: f64,
+    mean: [f64; 4],
+    covariance: [f64; 10],
+}
+
+/// The distributions were fitted to curves that were measured or computed, in codes 16 to 248; 0.04 to 0.08 was added to the standard deviations
+/// of each term, as they are few. The shares are a guess: twice as many renderings or films change the mean error of rendered and of
+/// photographed brackets by less than 1 %.
+const KINDS: [Kind; 5] = [
+    // sRGB's itself: renderings.
+    Kind { share: 0.35, mean: [0.0; 4], covariance: [0.0004, 0.0, 0.0004, 0.0, 0.0, 0.0004, 0.0, 0.0, 0.0, 0.0004] },
+    // sRGB's followed by (1 - s) y + s (3 y^2 - 2 y^3), s from 0.05 to 1: renderings with more contrast.
+    Kind {
+        share: 0.1,
+        mean: [-0.113, 0.204, 0.245, 0.039],
+        covariance: [0.0100, -0.0120, 0.0194, -0.0086, 0.0137, 0.0140, -0.0038, 0.0055, 0.0039, 0.0034],
+    },
+    // JPEGs of five cameras of 2002 to 2021, from brackets whose exposures are known.
+    Kind {
+        share: 0.4,
+        mean: [-0.077, 0.698, 0.401, 0.026],
+        covariance: [0.0032, -0.0004, 0.0112, 0.0011, 0.0039, 0.0209, 0.0012, 0.0020, 0.0044, 0.0194],
+    },
+    // Negative film, and the curves of video and of scanners, of the Database of Response Functions.
+    Kind {
+        share: 0.13,
+        mean: [-0.058, 0.166, 0.171, -0.084],
+        covariance: [0.0241, 0.0230, 0.0339, 0.0004, 0.0036, 0.0065, -0.0005, -0.0007, 0.0017, 0.0059],
+    },
+    // Slides and papers of high contrast, of the same.
+    Kind {
+        share: 0.02,
+        mean: [-0.576, 0.705, 0.508, 0.020],
+        covariance: [0.0416, 0.0145, 0.0486, -0.0044, 0.0254, 0.0353, 0.0065, 0.0153, 0.0093, 0.0212],
+    },
+];
+/// Any of them, under which it is seen how well codes match.
+const ANY: Kind = Kind {
+    share: 1.0,
+    mean: [-0.1, 0.3, 0.25, 0.0],
+    covariance: [0.09, 0.0, 0.16, 0.0, 0.0, 0.09, 0.0, 0.0, 0.0, 0.04],
+};
+/// Standard deviation of a match, in codes, before it is known; and at least: the rounding of both codes.
+const USUAL: f64 = 1.5;
+const ROUNDING: f64 = 0.6;
+/// Matches that are off by this many standard deviations have a quarter of their weight (Geman and McClure's function).
+const OFF: f64 = 3.0;
+/// As many neighbouring codes are off alike, so that they count as one. A guess: 8 and 14 change the mean error of rendered brackets by less than 1 %.
+const ALIKE: f64 = 12.0;
+/// Gauss-Newton steps, and how far one may go, so that a slope changes by no more than twice.
+const ROUNDS: usize = 8;
+const STRIDE: f64 = 0.7;
+
+/// The stops by which sRGB's exposure rises from code `k` to the next, and the Legendre polynomials there.
+static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
+    let stops = |code: usize| libm::log2(srgb_to_linear(code as f64 / 255.0));
+    let rise = |k: usize| {
+        // From black on it has no end; any will do.
+        let k = k.max(1);
+        let t = 2.0 * (k as f64 + 0.5) / 255.0 - 1.0;
+        let polynomials = [1.0, t, (3.0 * t * t - 1.0) / 2.0, (5.0 * t * t - 3.0) * t / 2.0];
+        (stops(k + 1) - stops(k), Vector4::from(polynomials))
+    };
+    (0..255).map(rise).collect()
+});
+
+/// A curve: of each code the exposure in stops, and the change of that with each term.
+struct Curve {
+    stops: Vec<f64>,
+    change: Vec<Vector4<f64>>,
+    rise: Vec<f64>,
+}
+
+/// A match under a curve.
+struct Ratio {
+    stops: f64,
+    change: Vector4<f64>,
+    /// What an error of a code in both is in stops, and the relative change of that with each term.
+    code: f64,
+    code_change: Vector4<f64>,
+}
+
+impl Curve {
+    fn new(terms: &Vector4<f64>) -> Self {
+        let (mut stops, mut change, mut rise) = (vec![0.0], vec![Vector4::zeros()], Vec::new());
+        for (k, (srgb, polynomials)) in SRGB.iter().enumerate() {
+            let more = srgb * libm::exp(terms.dot(polynomials));
+            rise.push(more);
+            stops.push(stops[k] + more);
+            change.push(change[k] + polynomials * more);
+        }
+        Curve { stops, change, rise }
+    }
+
+    fn at(&self, code: f64) -> (f64, Vector4<f64>, usize) {
+        let k = (code.max(0.0) as usize).min(254);
+        let share = (code - k as f64).clamp(0.0, 1.0);
+        let stops = self.stops[k] * (1.0 - share) + self.stops[k + 1] * share;
+        (stops, self.change[k] * (1.0 - share) + self.change[k + 1] * share, k)
+    }
+
+    fn ratio(&self, matched: &Match) -> Ratio {
+        let ((from, from_change, k), (to, to_change, l)) = (self.at(matched.from), self.at(matched.to));
+        let (a, b) = (self.rise[k] * self.rise[k], self.rise[l] * self.rise[l]);
+        Ratio {
+            stops: to - from,
+            change: to_change - from_change,
+            code: (a + b).sqrt(),
+            code_change: (SRGB[k].1 * a + SRGB[l].1 * b) / (a + b),
+        }
+    }
+}
+
+/// Steps under the best curve of a kind.
+#[derive(Debug, Clone)]
+pub(super) struct Fit {
+    /// Log of the likelihood, up to a term common to all kinds.
+    pub(super) likelihood: f64,
+    /// In EV, of each pair.
+    pub(super) steps: Vec<f64>,
+    /// Variances of them, under this curve.
+    pub(super) variances: Vec<f64>,
+    /// Standard deviation of the log of what multiplies all of them.
+    pub(super) scale: f64,
+    /// Standard deviation of a match of each pair, in codes.
+    codes: Vec<f64>,
+}
+
+/// The steps of `pairs` under the curves of each kind that allows for any.
+pub(super) fn fits(pairs: &[Pair]) -> Vec<Fit> {
+    let Some(any) = fit(pairs, &ANY, &vec![USUAL; pairs.len()]) else { return Vec::new() };
+    let codes: Vec<f64> = any.codes.iter().map(|code| code.max(ROUNDING)).collect();
+    KINDS.iter().filter_map(|kind| fit(pairs, kind, &codes)).collect()
+}
+
+/// What a pair adds to the normal equations of the terms.
+struct Share {
+    normal: Matrix4<f64>,
+    gradient: Vector4<f64>,
+    cost: f64,
+    step: f64,
+    variance: f64,
+    change: Vector4<f64>,
+    code: f64,
+}
+
+/// `code`: the standard deviation of a match in codes.
+fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
+    let ratios: Vec<Ratio> = matches.iter().map(|matched| curve.ratio(matched)).collect();
+    let total: f64 = matches.iter().map(|matched| matched.weight).sum();
+    let count = matches.len() as f64 / ALIKE / total.max(f64::MIN_POSITIVE);
+    let weights: Vec<f64> = matches.iter().map(|matched| matched.weight * count).collect();
+    let mut by_code: Vec<(f64, f64)> =
+        ratios.iter().zip(&weights).map(|(ratio, weight)| (ratio.stops, weight / ratio.code)).collect();
+    let mut step = weighted_median(&mut by_code);
+    let trust = |off: f64| 1.0 / (1.0 + off * off / (OFF * OFF));
+    let mut precision = 0.0;
+    for _ in 0..4 {
+        let mut sum = 0.0;
+        precision = 0.0;
+        for (ratio, weight) in ratios.iter().zip(&weights) {
+            let unit = ratio.code * code;
+            let trust = trust((ratio.stops - step) / unit);
+            let weight = weight * trust * trust / (unit * unit);
+            sum += weight * ratio.stops;
+            precision += weight;
+        }
+        step = sum / precision;
+    }
+    let mut change = Vector4::zeros();
+    for (ratio, weight) in ratios.iter().zip(&weights) {
+        let unit = ratio.code * code;
+        let trust = trust((ratio.stops - step) / unit);
+        change += ratio.change * (weight * trust * trust / (unit * unit * precision));
+    }
+    let (mut normal, mut gradient, mut cost) = (Matrix4::zeros(), Vector4::zeros(), 0.0);
+    for (ratio, weight) in ratios.iter().zip(&weights) {
+        let unit = ratio.code * code;
+        let off = (ratio.stops - step) / unit;
+        let trust = trust(off);
+        let slope = (ratio.change - change) / unit - ratio.code_change * off;
+        normal += slope * slope.transpose() * (weight * trust * trust);
+        gradient -= slope * (weight * trust * trust * off);
+        cost += weight * off * off * trust / 2.0;
+    }
+    let mut off: Vec<(f64, f64)> =
+        ratios.iter().zip(&weights).map(|(ratio, weight)| ((ratio.stops - step).abs() / ratio.code, *weight)).collect();
+    // Of normal errors, 0.6745 standard deviations are exceeded by half.
+    let code = weighted_median(&mut off) / 0.6745;
+    Share { normal, gradient, cost, step, variance: 1.0 / precision, change, code }
+}
+
+/// The best curve of `kind` for `pairs`, and the steps; `None` where they allow for no number.
+fn fit(pairs: &[Pair], kind: &Kind, codes: &[f64]) -> Option<Fit> {
+    let (mean, covariance) = (Vector4::from(kind.mean), symmetric(&kind.covariance));
+    let prior = covariance.cholesky()?.inverse();
+    let mut terms = mean;
+    for round in 0.. {
+        let curve = Curve::new(&terms);
+        let shares: Vec<Share> =
+            pairs.iter().zip(codes).map(|(pair, code)| share(&pair.matches, &curve, *code)).collect();
+        let off = terms - mean;
+        let normal = shares.iter().fold(prior, |sum, share| sum + share.normal);
+        let decomposed = normal.cholesky()?;
+        if round < ROUNDS {
+            let gradient = shares.iter().fold(-(prior * off), |sum, share| sum + share.gradient);
+            let by = decomposed.solve(&gradient);
+            let longest = by.amax();
+            terms += by * if longest > STRIDE { STRIDE / longest } else { 1.0 };
+            continue;
+        }
+        let cost = shares.iter().fold(off.dot(&(prior * off)) / 2.0, |sum, share| sum + share.cost);
+        let room = libm::log(normal.determinant() * covariance.determinant()) / 2.0;
+        let span: f64 = shares.iter().map(|share| share.step).sum();
+        let change: Vector4<f64> = shares.iter().map(|share| share.change).sum();
+        let fit = Fit {
+            likelihood: libm::log(kind.share) - cost - room,
+            scale: change.dot(&decomposed.solve(&change)).sqrt() / span.abs().max(1e-6),
+            variances: shares.iter().map(|share| share.variance).collect(),
+            codes: shares.iter().map(|share| share.code).collect(),
+            steps: shares.iter().map(|share| share.step).collect(),
+        };
+        return (fit.likelihood.is_finite() && fit.scale.is_finite()).then_some(fit);
+    }
+    None
+}
+
+/// The matrix of which `lower` is the lower triangle, row by row.
+fn symmetric(lower: &[f64; 10]) -> Matrix4<f64> {
+    Matrix4::from_fn(|i, j| lower[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)])
+}
+
+/// The value below which half of the weight lies, of values with weights.
+fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
+    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = values.iter().map(|value| value.1).sum::<f64>() / 2.0;
+    let mut so_far = 0.0;
+    let median = values.iter().find(|value| {
+        so_far += value.1;
+        so_far >= half
+    });
+    median.map_or(0.0, |value| value.0)
+}

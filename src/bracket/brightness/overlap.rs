@@ -1,0 +1,171 @@
+//! What two frames of a hand-held bracket both show.
+//!
+//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: sums of absolute
+//! differences of ranks over coarse pictures, as in a pyramid search.
+//!
+//! What enters at one border and leaves at the other is as much as a tenth of a picture, and if it is bright it moves the ranks of all others.
+//! Ranks of codes do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
+//! a rank against one half). A point is taken as it is and not averaged: means of codes are those of no radiance.
+
+/// Points along the longer side.
+const LENGTH: usize = 384;
+/// Along the longer side of the coarsest picture of the search; and the largest shift there: a sixth.
+const COARSEST: usize = 24;
+
+/// Every so many points of a frame's green channel, at 8 bit.
+#[derive(Debug, Clone)]
+pub(super) struct View {
+    width: usize,
+    codes: Vec<u8>,
+}
+
+impl View {
+    /// Of a picture of this size, by the code of the pixel in a row and a column.
+    pub(super) fn of(width: usize, height: usize, code: impl Fn(usize, usize) -> u8) -> Self {
+        let stride = width.max(height).div_ceil(LENGTH).max(1);
+        let middles = |length: usize| (stride / 2..length).step_by(stride);
+        let codes =
+            middles(height).flat_map(|y| middles(width).map(move |x| (y, x))).map(|(y, x)| code(y, x)).collect();
+        View { width: middles(width).count(), codes }
+    }
+
+    fn height(&self) -> usize {
+        self.codes.len() / self.width.max(1)
+    }
+
+    fn counts(&self, rows: std::ops::Range<usize>, columns: std::ops::Range<usize>) -> [u64; 256] {
+        let mut counts = [0; 256];
+        for y in rows {
+            let row = &self.codes[y * self.width..][columns.clone()];
+            row.iter().for_each(|&code| counts[usize::from(code)] += 1);
+        }
+        counts
+    }
+
+    /// The share of points that are darker, half of those that are alike counted.
+    fn ranks(&self) -> Ranks {
+        let counts = self.counts(0..self.height(), 0..self.width);
+        let mut below = 0;
+        let ranks = counts.map(|count| {
+            below += count;
+            ((2 * below - count) as f64 / (2 * self.codes.len()) as f64) as f32
+        });
+        Ranks { width: self.width, values: self.codes.iter().map(|&code| ranks[usize::from(code)]).collect() }
+    }
+}
+
+/// The histograms of what both show, where one is shifted; `None` where none is, or they are of different sizes.
+pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
+    if (a.width, a.codes.len()) != (b.width, b.codes.len()) {
+        return None;
+    }
+    let (right, down) = shift(a, b);
+    let (xs, ys) = (both(a.width, right), both(a.height(), down));
+    ((right, down) != (0, 0)).then(|| [a.counts(ys.0, xs.0), b.counts(ys.1, xs.1)])
+}
+
+/// The range of the first and that of the second that are one where what is at `i` in the second is at `i + by` in the first.
+fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+    let (more, less) = (by.max(0) as usize, (-by).max(0) as usize);
+    (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))
+}
+
+/// Where in `a`, seen from `b`, the same is: to the right and down, in points, to the nearest two.
+fn shift(a: &View, b: &View) -> (isize, isize) {
+    let (mut finer_a, mut finer_b) = (a.ranks().halved(), b.ranks().halved());
+    let mut levels = Vec::new();
+    while finer_a.length() > COARSEST {
+        let coarser = (finer_a.halved(), finer_b.halved());
+        levels.push((finer_a, finer_b));
+        (finer_a, finer_b) = coarser;
+    }
+    let farthest = (finer_a.length() / 6).max(1) as isize;
+    let mut found = nearest(&finer_a, &finer_b, (0, 0), farthest);
+    for (a, b) in levels.iter().rev() {
+        found = nearest(a, b, (2 * found.0, 2 * found.1), 1);
+    }
+    (2 * found.0, 2 * found.1)
+}
+
+/// The shift within `farthest` of `start` at which the ranks differ least; of equals the smallest.
+fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
+    let mut best = (f64::INFINITY, 0, start);
+    for down in start.1 - farthest..=start.1 + farthest {
+        for right in start.0 - farthest..=start.0 + farthest {
+            let (xs, ys) = (both(a.width, right), both(a.height(), down));
+            let area = xs.0.len() * ys.0.len();
+            if 2 * area < a.values.len() {
+                continue;
+            }
+            let mut sum = 0.0;
+            for (i, j) in ys.0.zip(ys.1) {
+                let (row, other) = (&a.values[i * a.width..][xs.0.clone()], &b.values[j * b.width..][xs.1.clone()]);
+                sum += row.iter().zip(other).map(|(x, y)| f64::from((x - y).abs())).sum::<f64>();
+            }
+            let key = (sum / area as f64, right * right + down * down);
+            if key.0 < best.0 || (key.0 == best.0 && key.1 < best.1) {
+                best = (key.0, key.1, (right, down));
+            }
+        }
+    }
+    best.2
+}
+
+/// Ranks of points, 0 to 1.
+struct Ranks {
+    width: usize,
+    values: Vec<f32>,
+}
+
+impl Ranks {
+    fn height(&self) -> usize {
+        self.values.len() / self.width.max(1)
+    }
+
+    fn length(&self) -> usize {
+        self.width.max(self.height())
+    }
+
+    /// Means of two by two; what is left over is dropped, but not the last row or column.
+    fn halved(&self) -> Ranks {
+        let (width, height) = ((self.width / 2).max(1), (self.height() / 2).max(1));
+        let at = |y: usize, x: usize| self.values[y.min(self.height() - 1) * self.width + x.min(self.width - 1)];
+        let mean = |y: usize, x: usize| {
+            (at(2 * y, 2 * x) + at(2 * y, 2 * x + 1) + at(2 * y + 1, 2 * x) + at(2 * y + 1, 2 * x + 1)) / 4.0
+        };
+        Ranks {
+            width,
+            values: (0..height).flat_map(|y| (0..width).map(move |x| (y, x))).map(|(y, x)| mean(y, x)).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A part of a large scene that repeats nowhere, from a column and a row of it on, `brighter` times as bright.
+    fn view(column: usize, row: usize, brighter: f64) -> View {
+        View::of(300, 200, |y, x| {
+            let (x, y) = ((x + column) as f64, (y + row) as f64);
+            let light = 60.0 + 30.0 * (x / 31.0 + y / 83.0).sin() + 25.0 * (y / 37.0 - (x / 47.0).cos()).cos();
+            (light * brighter).min(255.0) as u8
+        })
+    }
+
+    #[test]
+    fn frames_that_are_shifted_overlap_where_both_show_the_same() {
+        let shared = overlap(&view(40, 40, 1.0), &view(58, 30, 1.0)).expect("a shift");
+        assert_eq!(shared[0], shared[1]);
+        assert_eq!(shared[0].iter().sum::<u64>(), (300 - 18) * (200 - 10));
+        let (right, down) = shift(&view(40, 40, 1.0), &view(30, 60, 1.6));
+        assert!((right + 10).abs() <= 2 && (down - 20).abs() <= 2, "{right}, {down}");
+    }
+
+    #[test]
+    fn frames_that_are_not_shifted_or_not_of_one_size_have_no_overlap_to_look_at() {
+        assert_eq!(overlap(&view(40, 40, 1.0), &view(40, 40, 2.5)), None);
+        assert_eq!(overlap(&view(40, 40, 1.0), &View::of(200, 300, |_, _| 0)), None);
+        assert_eq!(overlap(&View::of(1, 1, |_, _| 7), &View::of(1, 1, |_, _| 9)), None);
+    }
+}

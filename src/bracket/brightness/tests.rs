@@ -1,0 +1,215 @@
+//! Steps of a rendered scene, under curves of renderings and cameras.
+
+use super::*;
+use crate::bracket::colour::linear_to_srgb;
+
+fn estimate(frames: &[Brightness]) -> Option<Estimate> {
+    super::estimate(&frames.iter().collect::<Vec<_>>())
+}
+
+fn contradiction(written: &[f64], frames: &[Brightness]) -> Option<String> {
+    super::contradiction(written, &frames.iter().collect::<Vec<_>>())
+}
+
+fn at_odds(written: &[f64], frames: &[Brightness]) -> Option<Vec<usize>> {
+    super::at_odds(written, &frames.iter().collect::<Vec<_>>())
+}
+
+/// A scene of five decades, `ev` stops over the base, under the curve with the shoulder q and the exponent n; `shift` pixels to the side.
+fn seen(ev: f64, curve: (f64, f64), shift: usize) -> Brightness {
+    seen_above(0, ev, curve, shift)
+}
+
+/// The same where nothing is below the code `floor`, under which a scanner or flare hides it.
+fn seen_above(floor: u8, ev: f64, (q, n): (f64, f64), shift: usize) -> Brightness {
+    let shoulder = |light: f64| linear_to_srgb((1.0 + q) * light.powf(n) / (1.0 + q * light.powf(n)));
+    taken(|x, y| five_decades(x + shift, y), ev, floor, shoulder)
+}
+
+fn five_decades(x: usize, y: usize) -> f64 {
+    2.2 * ((x as f64 / 23.0).sin() + (y as f64 / 17.0).cos() + 0.3 * ((x * y) as f64 / 90.0).sin())
+}
+
+/// A `scene` in EV, `ev` over the base, under a `curve` from light to code values.
+fn taken(scene: impl Fn(usize, usize) -> f64, ev: f64, floor: u8, curve: impl Fn(f64) -> f64) -> Brightness {
+    let (width, height) = (160, 120);
+    let mut samples = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let code = curve(2f64.powf(scene(x, y) + ev - 2.5).min(1.0));
+            let noise = if floor > 0 { ((x * 7 + y * 13) % 5) as u8 } else { 0 };
+            samples.extend([0, ((code.min(1.0) * 255.0).round() as u8).max(floor + noise), 0]);
+        }
+    }
+    Brightness::of(&Samples::Eight(samples), width)
+}
+
+/// The same by a camera.
+fn picture(ev: f64, shift: usize) -> Brightness {
+    seen(ev, (8.0, 1.5), shift)
+}
+
+#[test]
+fn even_steps_of_cameras_come_out_whole() {
+    for (step, curve) in [(1.0, (8.0, 1.4)), (1.0, (8.0, 1.7)), (2.0, (4.0, 1.5)), (3.0, (16.0, 1.6))] {
+        let frames: Vec<_> = (0..4).map(|i| seen(step * f64::from(i) - 4.0, curve, 3 * i as usize)).collect();
+        let evs = estimate(&frames).unwrap().evs;
+        for (i, ev) in evs.iter().enumerate() {
+            assert!((ev - step * i as f64).abs() < 0.12 * step, "{step} EV under {curve:?}: {evs:?}");
+        }
+    }
+}
+
+#[test]
+fn steps_of_rendered_pairs_are_right_to_a_twentieth_whatever_they_are() {
+    for step in [0.4, 0.72, 1.35, 2.2, 3.3] {
+        for base in [-3.0, -1.0, 0.5] {
+            let pair = [seen(base, (0.0, 1.0), 0), seen(base + step, (0.0, 1.0), 0)];
+            let estimate = estimate(&pair).unwrap();
+            let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
+            assert!((ev / step - 1.0).abs() < 0.05, "{step} from {base}: {ev}");
+            assert!((ev - step).abs() < 2.0 * deviation && deviation < 0.05 * step + 0.1, "{ev} +- {deviation}");
+        }
+    }
+}
+
+#[test]
+fn steps_of_a_camera_are_within_the_uncertainty_that_is_told() {
+    for curve in [(1.0, 1.2), (4.0, 1.45), (8.0, 1.5), (8.0, 1.7), (32.0, 1.65)] {
+        let estimate = estimate(&[seen(-2.0, curve, 0), seen(-0.3, curve, 5)]).unwrap();
+        let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
+        assert!((ev - 1.7).abs() < 2.0 * deviation, "{curve:?}: {ev} +- {deviation}");
+    }
+}
+
+#[test]
+fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_told() {
+    for contrast in [0.2, 0.5, 0.8] {
+        let curve = |light: f64| {
+            let code = linear_to_srgb(light);
+            code + contrast * (code * code * (3.0 - 2.0 * code) - code)
+        };
+        for step in [0.72, 1.35, 2.2] {
+            let frames = [-1.5, step - 1.5].map(|ev| taken(five_decades, ev, 0, curve));
+            let estimate = estimate(&frames).unwrap();
+            let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
+            assert!((ev / step - 1.0).abs() < 0.15, "{contrast}: {ev} of {step}");
+            assert!((ev - step).abs() < 2.0 * deviation, "{contrast}: {ev} +- {deviation} of {step}");
+        }
+    }
+}
+
+#[test]
+fn a_step_is_that_of_what_both_frames_show() {
+    // A window at the left, a sixth of the frame, which the other frame does not show.
+    let window = |x: usize, y: usize| if x < 26 { 1.0 + 2.0 * (y as f64 / 9.0).sin() } else { five_decades(x, y) };
+    let frames = [taken(window, -1.5, 0, linear_to_srgb), taken(|x, y| window(x + 26, y), 0.0, 0, linear_to_srgb)];
+    let shared = estimate(&frames).unwrap().evs[1];
+    let whole = histogram::matches(&frames[0].histogram, &frames[1].histogram).unwrap();
+    let whole = steps::of(&[whole]).unwrap().means[0];
+    assert!((shared - 1.5).abs() < 0.05 && (whole - 1.5).abs() > 0.1, "{shared}, of whole frames {whole}");
+}
+
+#[test]
+fn few_pixels_tell_a_step_less_surely_than_many() {
+    let few = |x: usize, y: usize| if x < 80 && y < 12 { five_decades(2 * x, 10 * y) } else { -20.0 };
+    let deviation = |scene: &dyn Fn(usize, usize) -> f64| {
+        let frames = [-1.5, 0.2].map(|ev| taken(scene, ev, 0, linear_to_srgb));
+        estimate(&frames).unwrap().deviation(0, 1)
+    };
+    let (few, many) = (deviation(&few), deviation(&five_decades));
+    assert!(few > 1.5 * many, "{few}, {many}");
+}
+
+#[test]
+fn shadows_that_are_alike_in_all_frames_hide_no_step() {
+    let frames: Vec<_> = (0..3).map(|i| seen_above(8, f64::from(i) - 4.0, (8.0, 1.5), 0)).collect();
+    let evs = estimate(&frames).unwrap().evs;
+    assert!(evs.windows(2).all(|pair| (pair[1] - pair[0] - 1.0).abs() < 0.2), "{evs:?}");
+}
+
+#[test]
+fn order_does_not_matter() {
+    let frames: Vec<_> = [2.0, -1.0, 0.0, -2.0].map(|ev| picture(ev, 0)).into();
+    let evs = estimate(&frames).unwrap().evs;
+    let turned: Vec<_> = frames.iter().rev().cloned().collect();
+    let back: Vec<f64> = estimate(&turned).unwrap().evs.into_iter().rev().collect();
+    assert_eq!(evs, back);
+    assert!(evs[3] == 0.0 && evs[0] > evs[2] && evs[2] > evs[1]);
+}
+
+#[test]
+fn equal_pictures_are_alike_and_contradict_nothing() {
+    let frames = [picture(0.0, 0), picture(0.0, 9), picture(0.1, 4)];
+    assert!(all_alike(&estimate(&frames).unwrap().evs));
+    assert_eq!(contradiction(&[-3.0; 3], &frames), None);
+}
+
+#[test]
+fn equal_exposures_of_different_pictures_contradict() {
+    let frames = [picture(0.0, 0), picture(1.0, 0)];
+    assert!(contradiction(&[-5.0, -5.0], &frames).is_some());
+    assert_eq!(contradiction(&[-5.0, -4.0], &frames), None);
+    assert!(contradiction(&[-4.0, -5.0], &frames).is_some());
+    // A third of a stop in light is weather, not a contradiction.
+    assert_eq!(contradiction(&[0.0, 0.0], &[picture(0.0, 0), picture(0.3, 0)]), None);
+}
+
+#[test]
+fn a_step_that_is_far_off_contradicts() {
+    let frames = [picture(0.0, 0), picture(2.0, 0)];
+    // A millionth and a million are 20 EV; two EV more than there are may be a rough estimate.
+    assert_eq!(contradiction(&[0.0, 4.0], &frames), None);
+    assert!(contradiction(&[0.0, 22.0], &frames).is_some());
+    assert!(contradiction(&[22.0, 0.0], &frames).is_some());
+    let far = [picture(-2.0, 0), picture(2.0, 0)];
+    assert!(contradiction(&[0.0, 0.5], &far).is_some());
+    assert_eq!(contradiction(&[0.0, 2.5], &far), None);
+}
+
+#[test]
+fn the_few_are_at_odds_with_the_many() {
+    let frames: Vec<_> = [-2.0, 0.0, 2.0, 1.0, -1.0].map(|ev| picture(ev, 0)).into();
+    let true_evs = [-2.0, 0.0, 2.0, 1.0, -1.0];
+    let with = |changes: &[(usize, f64)]| {
+        let mut written = true_evs;
+        changes.iter().for_each(|&(i, ev)| written[i] = ev);
+        at_odds(&written, &frames)
+    };
+    assert_eq!(with(&[(2, 20.0)]), Some(vec![2]));
+    assert_eq!(with(&[(1, -9.0), (3, 7.0)]), Some(vec![1, 3]));
+    // ... whatever the contrast of the camera: of half of sRGB's the steps are seen at a third.
+    let flat: Vec<_> = [-4.0, 0.0, 4.0, 2.0].map(|ev| seen(ev, (0.0, 0.5), 0)).into();
+    assert_eq!(at_odds(&[-4.0, 0.0, 20.0, 2.0], &flat), Some(vec![2]));
+    // Of two without which nothing contradicts, that without which the steps are nearest.
+    assert_eq!(at_odds(&[-2.0, 2.5, 2.0], &frames[..3]), Some(vec![1]));
+    // Three of five are not the few, and of three that are turned round no two agree.
+    assert_eq!(with(&[(0, 9.0), (1, -9.0), (3, 14.0)]), None);
+    assert_eq!(at_odds(&[2.0, 0.0, -2.0], &frames[..3]), None);
+    assert_eq!(at_odds(&[0.0, 0.0], &frames[..2]), None);
+}
+
+/// Between its two codes anything may be: a step has nothing to hold on to.
+#[test]
+fn two_tones_tell_no_step() {
+    let tones = |dark: u8, bright: u8| {
+        let codes = (0..3 * 64 * 64).map(|i| if i / 24 % 2 == 0 { dark } else { bright }).collect();
+        Brightness::of(&Samples::Eight(codes), 64)
+    };
+    assert!(estimate(&[tones(15, 115), tones(30, 190)]).is_none());
+    assert_eq!(contradiction(&[0.0, 2.0], &[tones(15, 115), tones(30, 190)]), None);
+}
+
+#[test]
+fn sixteen_bits_give_what_eight_give() {
+    let eight: Vec<u8> = (0..3 * 64 * 64u32).map(|i| (i * 7 % 251) as u8).collect();
+    let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
+    let (a, b) = (Brightness::of(&Samples::Eight(eight), 64), Brightness::of(&Samples::Sixteen(sixteen), 64));
+    assert!(a.is_like(&b));
+}
+
+#[test]
+fn black_and_white_cannot_be_compared() {
+    let flat = |v: u8| Brightness::of(&Samples::Eight(vec![v; 3 * 64 * 64]), 64);
+    assert!(estimate(&[flat(0), flat(255)]).is_none());
+}
