@@ -11,12 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// A card of `brackets` small brackets in `in`, in two folders.
 fn card(folder: &Folder, brackets: usize) -> Vec<Vec<PathBuf>> {
-    card_of(folder, brackets, 150)
-}
-
-/// One of photographs so many pixels wide.
-fn card_of(folder: &Folder, brackets: usize, width: u32) -> Vec<Vec<PathBuf>> {
-    let mut card = Card::new(width);
+    let mut card = Card::new(150);
     for k in 0..brackets {
         card.folder = PathBuf::from(if k < 2 { "a" } else { "b" });
         card.brackets(1, 3, 2.0);

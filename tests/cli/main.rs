@@ -6,6 +6,7 @@ mod support;
 mod bad_brackets;
 mod batch;
 mod cards;
+mod child;
 mod colours;
 mod compare;
 mod documents;

@@ -3,28 +3,14 @@
 //! `HDRALIGN_MOMENTS` says how many moments of each command; a dozen by default.
 
 use super::{FRAMES, bracket, shell, unnamed};
-use crate::support::{Folder, program};
+use crate::child::{begin, send};
+use crate::support::Folder;
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 fn moments() -> u32 {
     std::env::var("HDRALIGN_MOMENTS").ok().and_then(|text| text.parse().ok()).unwrap_or(12)
-}
-
-fn begin(folder: &Folder, line: &str) -> Child {
-    let mut command = Command::new(program());
-    command.args(line.split_whitespace()).current_dir(folder.path());
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
-}
-
-/// Sends `signal` to `child`, unless it has ended.
-fn send(signal: &str, child: &mut Child) {
-    if child.try_wait().expect("its state").is_none() {
-        let sent = Command::new("kill").args([format!("-{signal}"), child.id().to_string()]).status().expect("kill");
-        assert!(sent.success());
-    }
 }
 
 /// Sends a signal at moments from the begin to the end of `line`, which names the files `outputs`.
