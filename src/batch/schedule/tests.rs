@@ -123,9 +123,9 @@ fn memory_and_threads_are_shared_out() {
 
     // Memory for threads: enough, none, and of a small step.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
-    assert_eq!(Share::of(10, 10 + THREAD, 2), Share { threads: 2, taken: 10 + THREAD });
-    assert_eq!(Share::of(10, 9 + THREAD, 2), one_thread(10));
-    assert_eq!(Share::of(10, 10, 1), one_thread(10));
+    assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
+    assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
+    assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
     // One that is larger than all there is has all there is, and by itself.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
