@@ -76,13 +76,15 @@ mod tests {
             size(3, 4000, true, false),
             size(3, 4000, false, true),
         ] {
-            assert!(more.memory() > plain.memory() && more.time_s() > plain.time_s(), "{more:?}");
+            assert!(more.memory() >= plain.memory() && more.time_s() > plain.time_s(), "{more:?}");
         }
-        // Seen on one core: four frames of 12 MP took 365 MB and 2.8 s, ten 595 MB and 6.2 s.
-        for (frames, megabytes, seconds) in [(4, 365, 2.8), (10, 595, 6.2)] {
-            let size = size(frames, 4013, false, false);
-            let (memory, time) = (size.memory() / 1_000_000, size.time_s());
-            assert!((megabytes..megabytes * 3 / 2).contains(&memory), "{memory}");
+        // Seen: three frames of 12 MP took 328 MB and nine 540 MB; on one core four 2.8 s and ten 6.2 s.
+        for (frames, megabytes) in [(3, 328), (9, 540)] {
+            let memory = size(frames, 4013, false, false).memory() / 1_000_000;
+            assert!((megabytes..megabytes * 5 / 4).contains(&memory), "{memory}");
+        }
+        for (frames, seconds) in [(4, 2.8), (10, 6.2)] {
+            let time = size(frames, 4013, false, false).time_s();
             assert!((0.7 * seconds..1.5 * seconds).contains(&time), "{time}");
         }
         assert!(Size { bytes: 6, ..plain }.memory() > plain.memory());
