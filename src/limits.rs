@@ -10,7 +10,8 @@ use std::hint::black_box;
 pub struct Limits {
     /// The most pixels that a picture may have. Default: [`MAX_PIXELS`](Self::MAX_PIXELS).
     pub max_pixels: u64,
-    /// The most memory that one file and its picture may take while it is decoded, in bytes. Default: as much as the system gives.
+    /// The most memory that one file and its picture may take while it is decoded, and what is made of it then, in bytes. Default: as much as the
+    /// system gives.
     pub memory: Option<u64>,
 }
 
@@ -49,17 +50,35 @@ impl Limits {
         Ok(())
     }
 
+    /// These limits where so many `bytes` of the memory are held already.
+    pub(crate) fn beside(&self, bytes: u64) -> Limits {
+        Limits { memory: self.memory.map(|memory| memory.saturating_sub(bytes)), ..*self }
+    }
+
     /// Refuses what takes `bytes` while it is decoded, where that is more than is allowed or than the system gives.
     ///
     /// # Errors
     /// The reason and the remedy.
-    pub(crate) fn check_memory(&self, (width, height): (usize, usize), bytes: u64) -> Result<(), String> {
+    pub(crate) fn check_memory(&self, size: (usize, usize), bytes: u64) -> Result<(), String> {
+        self.check_memory_while("decoded", size, bytes)
+    }
+
+    /// The same of what is `done` to the picture, in a word.
+    ///
+    /// # Errors
+    /// The reason and the remedy.
+    pub(crate) fn check_memory_while(
+        &self,
+        done: &str,
+        (width, height): (usize, usize),
+        bytes: u64,
+    ) -> Result<(), String> {
         let needs =
-            || format!("its {width}x{height} pixels need {} MB while they are decoded", bytes.div_ceil(1_000_000));
+            || format!("its {width}x{height} pixels need {} MB while they are {done}", bytes.div_ceil(1_000_000));
         if let Some(allowed) = self.memory.filter(|&allowed| bytes > allowed) {
             let allowed = allowed / 1_000_000;
             return Err(format!(
-                "{}, more than the {allowed} MB of memory allowed; allow more (--max-memory, where the command has it), or scale it down",
+                "{}, more than the {allowed} MB that the memory allowed leaves for it; allow more with --max-memory, or scale it down",
                 needs()
             ));
         }

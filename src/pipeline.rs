@@ -14,9 +14,10 @@ mod slabs;
 mod tonemapping;
 
 use crate::align::given::SavedAlignment;
-use crate::align::{AlignOptions, Alignment, Rect};
+use crate::align::{AlignMode, AlignOptions, Alignment, Rect};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
+use crate::budget::Stages;
 use crate::error::{Error, Result};
 use crate::inspect::{self, files, tables::Tables};
 use crate::merge::calibration::Calibration;
@@ -105,6 +106,18 @@ pub struct Options {
 }
 
 impl Options {
+    /// What takes memory where a bracket is aligned.
+    pub(crate) fn aligning(&self) -> Stages {
+        let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift);
+        Stages { features, ..Stages::default() }
+    }
+
+    /// What takes memory where it is merged.
+    pub(crate) fn merging(&self) -> Stages {
+        let fusing = matches!(self.rendering, Rendering::Fused(_));
+        Stages { merging: true, deghosting: self.deghost.is_some(), fusing, ..self.aligning() }
+    }
+
     /// Whether the file of transforms is there, and so is read and not written.
     fn takes_transforms(&self) -> bool {
         self.transforms.as_ref().is_some_and(|path| path.exists())
@@ -228,8 +241,8 @@ fn merged(
         let (options, taken) = &with_transforms(images, options)?;
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
-        let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(options.deghost.is_some()), move || {
+        let bracket = line.load(images, &options.merging(), options)?;
+        in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             options.calibration.check(bracket.reference())?;
             options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
@@ -280,8 +293,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         check_names(images, options)?;
         let (options, taken) = &with_transforms(images, options)?;
         let mut line = Line::new(watch).with_page(options);
-        let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(false), move || {
+        let bracket = line.load(images, &options.aligning(), options)?;
+        in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             let (bracket, alignment) = line.align(bracket, options)?;
             line.gather(&bracket, &alignment, None, options)?;
@@ -312,8 +325,8 @@ pub fn inspect(
         options.align.validate()?;
         files::check(folder, images, options.write.overwrite)?;
         let mut line = Line::new(watch);
-        let bracket = line.load(images, options)?;
-        in_pool(bracket.threads(false), move || {
+        let bracket = line.load(images, &Stages { inspecting: true, ..options.aligning() }, options)?;
+        in_pool(bracket.threads(), move || {
             let (bracket, alignment) = line.align(bracket, options)?;
             let (tables, _) = line.timed(Stage::Inspect, || {
                 let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;

@@ -14,15 +14,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// How much memory may be used, and where the rest goes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MemoryLimit {
-    /// Bytes, of the whole process at its peak. It is kept down to the floor that the manual states.
+    /// Bytes, of the whole process at its peak. What cannot be done within it is refused.
     pub bytes: u64,
     /// The folder of the scratch file.
     pub folder: PathBuf,
 }
 
 impl MemoryLimit {
-    /// Bytes that the program, its threads and their tables take.
-    pub const PROGRAM: u64 = 64 << 20;
+    /// Bytes that the program and its tables take, and what the allocator keeps from stage to stage, beside those of the threads that compute:
+    /// measured.
+    pub const PROGRAM: u64 = 24 << 20;
 
     /// What is left for pixels.
     pub fn for_pixels(&self) -> u64 {

@@ -9,13 +9,13 @@ use super::cubic::BORDER;
 use super::mtb::GreyPyramid;
 use super::patch::Patches;
 use super::warp::Warp;
-use crate::budget::Budget;
+use crate::budget::Demand;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features are sought.
-const MEASURED_PIXELS: usize = Budget::MEASURED_PIXELS as usize;
+const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 /// ... and the largest on which single points are compared: more add nothing but time.
 const REFINED_PIXELS: usize = 4_000_000;
 /// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which only lead to it.

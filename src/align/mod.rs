@@ -374,7 +374,7 @@ fn search(
         blank: &blank,
         is_plain,
         compared_at_once: bracket.at_once(),
-        detected_at_once: bracket.wholes_at_once(),
+        detected_at_once: bracket.detected_at_once(),
         reference: bracket.reference_index(),
         given,
         options,

@@ -11,7 +11,7 @@ use super::descent::{Descent, LEAST_COMPARED};
 use super::lay::{Motion, Rounding};
 use super::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
 use super::warp::Warp;
-use crate::budget::Budget;
+use crate::budget::Demand;
 use crate::plane::Plane;
 use crate::pyramid;
 use std::sync::OnceLock;
@@ -327,7 +327,7 @@ const SIGNIFICANT: f64 = 2.0;
 
 /// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the full size, which takes
 /// four times as long.
-pub const ENOUGH_PIXELS: usize = Budget::WHOLE_PYRAMID as usize;
+pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
 /// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
 const RIVALS_SIDE: usize = 128;

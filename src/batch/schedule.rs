@@ -8,6 +8,7 @@
 
 use super::plan::Step;
 use super::step::{self, Begun, Brief, Made};
+use crate::budget::Demand;
 use crate::error::Result;
 use crate::pipeline::Options;
 use crate::scratch::MemoryLimit;
@@ -20,9 +21,6 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Steps that may wait for the disk before those that compute do too.
 const WAITING: usize = 4;
-
-/// Bytes that a thread keeps for itself, beside the first of a step.
-const THREAD: u64 = 32 << 20;
 
 /// What the machine may be used for.
 #[derive(Debug, Clone, PartialEq)]
@@ -169,10 +167,10 @@ struct Share {
 }
 
 impl Share {
-    /// Of a step that needs `pixels` of the bytes that are `free`, and may have so many `threads`: a small one has the threads that there is
-    /// memory for, a large one gives up some of its own for them.
-    fn of(pixels: u64, free: u64, threads: usize) -> Share {
-        let extra = THREAD * (threads as u64 - 1);
+    /// Of a step that needs `pixels` of the bytes that are `free`, and `thread` for each thread beside the first, and may have so many `threads`: a
+    /// small one has the threads that there is memory for, a large one gives up some of its own for them.
+    fn of(pixels: u64, thread: u64, free: u64, threads: usize) -> Share {
+        let extra = thread * (threads as u64 - 1);
         if pixels.saturating_add(extra) <= free {
             return Share { threads, taken: pixels + extra };
         }
@@ -258,7 +256,9 @@ impl<'a> Board<'a> {
                 // Where there is memory for one at a time alone, it may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
-                let share = Share::of(pixels, open.free, (self.limits.threads / at_once).max(1));
+                let step = &self.steps[i];
+                let thread = Demand::another_thread((step.width_px, step.height_px));
+                let share = Share::of(pixels, thread, open.free, (self.limits.threads / at_once).max(1));
                 open.states[i] = State::Going;
                 open.free -= share.taken;
                 open.going += 1;

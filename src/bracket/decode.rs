@@ -96,11 +96,13 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
+    // Where it is turned it is there twice.
+    let turning = if turn == 1 { 0 } else { 2 * samples.bytes() };
     Ok(Decoded {
         width,
         height,
         samples,
-        decoding: stored.decoding,
+        decoding: stored.decoding.max(turning),
         exif,
         icc: stored.icc,
         has_alpha: stored.has_alpha,

@@ -15,7 +15,7 @@ use super::exposure::{Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::header::Header;
 use super::window::Store;
 use super::{Bracket, Capture, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
-use crate::budget::Budget;
+use crate::budget::{Budget, Demand, Stages};
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::{self, Limits};
@@ -56,9 +56,9 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
-    /// What one photograph may ask for.
+    /// What one photograph may ask for: of the memory allowed, what the program leaves.
     pub fn limits(&self) -> Limits {
-        Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(|limit| limit.bytes) }
+        Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(MemoryLimit::for_pixels) }
     }
 }
 
@@ -80,6 +80,19 @@ pub fn load(paths: &[PathBuf], options: &LoadOptions) -> Result<(Bracket, Vec<Wa
 /// # Errors
 /// As [`load`].
 pub fn load_with_progress(
+    paths: &[PathBuf],
+    options: &LoadOptions,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Result<(Bracket, Vec<Warning>)> {
+    load_for(&Stages { features: true, merging: true, ..Stages::default() }, paths, options, progress)
+}
+
+/// As [`load_with_progress`], of a bracket to which `stages` are done.
+///
+/// # Errors
+/// As [`load`]; [`Error::Option`] where that does not fit into the memory allowed.
+pub(crate) fn load_for(
+    stages: &Stages,
     paths: &[PathBuf],
     options: &LoadOptions,
     progress: &(dyn Fn(usize) + Sync),
@@ -114,7 +127,7 @@ pub fn load_with_progress(
     };
     let (mut pictures, on_disk) = match &options.memory {
         None => (in_order(map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None)))?, None),
-        Some(limit) => read_within(limit, paths, read)?,
+        Some(limit) => read_within(limit, stages, paths, read)?,
     };
     check_sizes(&pictures)?;
     widen_mixed_depths(&mut pictures, on_disk.as_ref().map(|on_disk| &on_disk.scratch))?;
@@ -158,18 +171,26 @@ pub fn load_with_progress(
 /// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with where they are.
 fn read_within(
     limit: &MemoryLimit,
+    stages: &Stages,
     paths: &[PathBuf],
     read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
 ) -> Result<(Vec<Picture>, Option<OnDisk>)> {
     // The first tells how large they are.
     let mut first = read(&paths[0], None)?;
-    let budget = Budget::new(limit, paths.len(), (first.width, first.height), first.store.bytes());
+    let demand = Demand {
+        stages: *stages,
+        frames: paths.len(),
+        size: (first.width, first.height),
+        frame: first.store.bytes(),
+        decoding: first.decoding,
+    };
+    let budget = Budget::new(limit, demand)?;
     let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_given);
     let scratch = if stay { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
     }
-    let at_once = budget.decoders(stay, first.decoding);
+    let at_once = budget.decoders(stay);
     let others = &paths[1..];
     let mut pictures = vec![Ok(first)];
     pictures.extend(map_at_once(others.len(), at_once, |i| read(&others[i], scratch.as_ref())));
@@ -247,8 +268,6 @@ impl Picture {
         if let Some(scratch) = scratch {
             store.put_on(scratch)?;
         }
-        // Turned by its EXIF, it was there twice.
-        let decoding = decoding.max(2 * store.bytes());
         Ok(Picture {
             path: path.into(),
             width,

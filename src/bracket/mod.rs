@@ -19,8 +19,8 @@ mod photograph;
 mod reference;
 mod window;
 
-pub(crate) use load::differing_profiles;
 pub use load::{LoadOptions, load, load_with_progress};
+pub(crate) use load::{differing_profiles, load_for};
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub(crate) use reference::named;
@@ -70,6 +70,14 @@ impl Samples {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// What they take in memory.
+    pub(crate) fn bytes(&self) -> u64 {
+        match self {
+            Samples::Eight(v) => v.len() as u64,
+            Samples::Sixteen(v) => 2 * v.len() as u64,
+        }
     }
 }
 
@@ -317,8 +325,8 @@ impl Bracket {
     }
 
     /// How many of the threads that there are fit into the memory allowed; none where all do.
-    pub(crate) fn threads(&self, seeks_ghosts: bool) -> Option<usize> {
-        self.budget().map(|budget| budget.threads(rayon::current_num_threads(), seeks_ghosts))
+    pub(crate) fn threads(&self) -> Option<usize> {
+        self.budget().map(|budget| budget.threads(rayon::current_num_threads()))
     }
 
     /// How many frames may be compared at a time: all where memory is enough, else one a thread.
@@ -326,14 +334,15 @@ impl Bracket {
         if self.on_disk.is_some() { rayon::current_num_threads() } else { self.frames.len() }
     }
 
-    /// How many frames may be read as a whole, or have their features sought, at a time: all where memory is enough, else one.
-    pub(crate) fn wholes_at_once(&self) -> usize {
-        if self.on_disk.is_some() { 1 } else { self.frames.len() }
+    /// How many frames may have their features sought at a time: one a thread where memory is enough, else one.
+    pub(crate) fn detected_at_once(&self) -> usize {
+        if self.on_disk.is_some() { 1 } else { rayon::current_num_threads() }
     }
 
     /// `map` of every frame, in order, which reads the frame as a whole.
     pub(crate) fn map_whole<R: Send>(&self, map: impl Fn(&Frame) -> R + Sync) -> Vec<R> {
-        map_at_once(self.frames.len(), self.wholes_at_once(), |i| map(&self.frames[i]))
+        let at_once = if self.on_disk.is_some() { 1 } else { self.frames.len() };
+        map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))
     }
 
     /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has

@@ -1,6 +1,6 @@
 //! `hdralign compare`.
 
-use super::input::Largest;
+use super::input::Reading;
 use super::leftovers;
 use super::terminal::Terminal;
 use hdralign::compare::{self, Blessed, Comparison, Criterion, Options, Tolerance};
@@ -65,7 +65,7 @@ pub struct Args {
     bless: bool,
 
     #[command(flatten)]
-    largest: Largest,
+    reading: Reading,
 
     /// Replace a difference picture that exists
     #[arg(short, long)]
@@ -93,7 +93,7 @@ impl Args {
                 most_differing_percent: self.max_differing,
             },
         };
-        Options { criterion, diff: self.diff.clone(), overwrite: self.force, allowed: self.largest.limits() }
+        Options { criterion, diff: self.diff.clone(), overwrite: self.force, allowed: self.reading.limits() }
     }
 }
 
@@ -127,7 +127,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let mut code = ExitCode::from(if compared.as_ref().is_some_and(Comparison::is_same) { 0 } else { 1 });
     if args.bless {
         let (expected, actual) = (args.expected.display(), args.actual.display());
-        let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.largest.limits())?;
+        let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.reading.limits())?;
         warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
         say(&match blessed {
             Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),

@@ -83,11 +83,30 @@ impl Largest {
     pub fn pixels(&self) -> u64 {
         self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
     }
+}
 
-    /// What a file may ask for that is read by itself: three quarters of the memory that is free.
+/// What files that are read as they are may ask for.
+#[derive(Debug, Args)]
+pub struct Reading {
+    #[command(flatten)]
+    largest: Largest,
+
+    /// Memory that may be used at most, as 500MB or 4GB [default: three quarters of what is free]; what takes more is refused
+    #[arg(long, value_name = "SIZE", value_parser = memory::size)]
+    max_memory: Option<u64>,
+}
+
+impl Reading {
+    /// The same, as limits.
     pub fn limits(&self) -> Limits {
-        Limits { max_pixels: self.pixels(), memory: memory::free().map(|free| free / 4 * 3) }
+        let memory = allowed(self.max_memory).map(|bytes| bytes.saturating_sub(MemoryLimit::PROGRAM));
+        Limits { max_pixels: self.largest.pixels(), memory }
     }
+}
+
+/// Bytes of memory that may be used: those `given`, or three quarters of what is free, where that can be told.
+fn allowed(given: Option<u64>) -> Option<u64> {
+    given.or_else(|| Some(memory::free()? / 4 * 3))
 }
 
 /// What the photographs are, and how they are aligned.
@@ -226,8 +245,7 @@ impl Method {
 impl Work {
     /// How much memory may be used; what does not fit goes to `folder`, unless another is named.
     pub fn memory(&self, folder: impl FnOnce() -> PathBuf) -> Option<MemoryLimit> {
-        let bytes = self.max_memory.or_else(|| Some(memory::free()? / 4 * 3))?;
-        Some(MemoryLimit { bytes, folder: self.scratch.clone().unwrap_or_else(folder) })
+        Some(MemoryLimit { bytes: allowed(self.max_memory)?, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
 }
 

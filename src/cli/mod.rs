@@ -3,6 +3,7 @@
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
 mod align;
+mod allocator;
 mod batch;
 mod cgroup;
 mod compare;
@@ -120,6 +121,7 @@ fn run_command() -> ExitCode {
             return answer(&usage::told(asked, &mut Cli::command(), command));
         }
     };
+    allocator::give_back_soon(&matches);
     let name = command.name();
     interrupt::listen();
     let outcome = match command {

@@ -1,6 +1,6 @@
 //! `hdralign tonemap`.
 
-use super::input::Largest;
+use super::input::Reading;
 use super::leftovers;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
@@ -46,7 +46,7 @@ pub struct Args {
     threads: Option<usize>,
 
     #[command(flatten)]
-    largest: Largest,
+    reading: Reading,
 
     /// Replace files that exist
     #[arg(short, long)]
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         outputs,
         write: args.radiance.write(args.force),
         threads: args.threads,
-        limits: args.largest.limits(),
+        limits: args.reading.limits(),
     };
     leftovers::clear(&options.outputs);
     let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);

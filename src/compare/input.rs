@@ -62,6 +62,14 @@ impl Input {
         }
     }
 
+    /// What its pixels take in memory.
+    pub fn bytes(&self) -> u64 {
+        match &self.pixels {
+            Pixels::Radiance(map, _) => size_of_val(map.pixels.as_slice()) as u64,
+            Pixels::Display(photograph) => photograph.samples.bytes(),
+        }
+    }
+
     /// For messages.
     pub fn kind(&self) -> &'static str {
         match self.pixels {

@@ -290,18 +290,33 @@ struct Measured {
     ms_ssim: Option<f64>,
 }
 
+/// Bytes of a pixel while radiance is compared: for eyes, by luminance on several scales, and what differs; and those of pictures, which are taken to
+/// light first. Measured.
+const MEASURED: (u64, u64) = (16, 36);
+
+/// Refuses what takes more memory to compare than is allowed.
+fn check_memory(a: &Input, b: &Input, allowed: &limits::Limits) -> Result<()> {
+    let (width, height) = a.size();
+    let each = if matches!(a.pixels, Pixels::Radiance(..)) { MEASURED.0 } else { MEASURED.1 };
+    let bytes = a.bytes() + b.bytes() + each * width as u64 * height as u64;
+    let refused = |reason| Error::Option { option: "--max-memory", reason: format!("{}: {reason}", a.side().path) };
+    allowed.check_memory_while("compared", a.size(), bytes).map_err(refused)
+}
+
 /// Compares the file `actual` with the file `expected`.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] where a file is of no format that is read;
 /// [`Error::KindsDiffer`] where one is radiance and the other a picture; [`Error::Option`] for a tolerance that is none, or for the other
-/// kind; those of writing for the difference picture.
+/// kind, or where the memory allowed does not suffice; those of writing for the difference picture.
 pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Comparison> {
     verdict::validate(&options.criterion)?;
     if let Some(diff) = &options.diff {
         picture::check(diff, &[expected.to_owned(), actual.to_owned()], options.overwrite)?;
     }
-    let (a, b) = (Input::open(expected, &options.allowed)?, Input::open(actual, &options.allowed)?);
+    let a = Input::open(expected, &options.allowed)?;
+    let b = Input::open(actual, &options.allowed.beside(a.bytes()))?;
+    check_memory(&a, &b, &options.allowed)?;
     let limits = verdict::limits(&options.criterion, &a)?;
     let is_of_a_size = a.size() == b.size();
     let measured = match (&a.pixels, &b.pixels) {

@@ -161,7 +161,7 @@ fn gathered<'a>(
 ) -> Result<Inspection<'a>> {
     let pyramids = bracket.map_whole(pyramid).into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let features = map_at_once(pyramids.len(), bracket.wholes_at_once(), |i| match wants_features(i) {
+    let features = map_at_once(pyramids.len(), bracket.detected_at_once(), |i| match wants_features(i) {
         true => FrameFeatures::new(&pyramids[i], options),
         false => FrameFeatures::none(&pyramids[i]),
     });

@@ -6,30 +6,21 @@ use crate::align::resample::{OUTSIDE, resample_rows};
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Primaries, Transfer, linear_to_srgb};
 use crate::bracket::{Bracket, Frame};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};
-use crate::tonemap::mertens::{self, BYTES_PER_PIXEL, Channels};
+use crate::tonemap::mertens::{self, Channels};
 use rayon::prelude::*;
 
 /// The picture of the part `region` of the placed frames.
 ///
 /// # Errors
-/// [`Error::Option`] where memory does not suffice; [`Error::Scratch`].
+/// [`Error::Scratch`](crate::error::Error::Scratch).
 pub(super) fn fused(
     bracket: &Bracket,
     alignment: &Alignment,
     region: Rect,
     options: &mertens::Options,
-    memory: Option<u64>,
 ) -> Result<Plane<[u8; 3]>> {
-    let needed = BYTES_PER_PIXEL * region.width() as u64 * region.height() as u64;
-    if let Some(allowed) = memory.filter(|allowed| *allowed < needed) {
-        let (needed, allowed) = (needed.div_ceil(1_000_000), allowed / 1_000_000);
-        let reason = format!(
-            "`mertens` takes {needed} MB for this picture and {allowed} MB are allowed; give a larger --max-memory, or another --tmo"
-        );
-        return Err(Error::Option { option: "--tmo", reason });
-    }
     let frames = bracket.frames().iter().zip(&alignment.verdicts);
     let placed: Vec<_> = frames.filter_map(|(frame, verdict)| Some((frame, verdict.warp?))).collect();
     let to_srgb = ToSrgb::of(bracket.reference());

@@ -10,6 +10,7 @@ use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
+use crate::budget::Stages;
 use crate::error::{Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
@@ -154,10 +155,11 @@ impl<'a> Line<'a> {
         (result, Some(began.elapsed().as_secs_f64()))
     }
 
-    pub fn load(&mut self, images: &[PathBuf], options: &Options) -> Result<Bracket> {
+    /// The bracket, to which `stages` are done.
+    pub fn load(&mut self, images: &[PathBuf], stages: &Stages, options: &Options) -> Result<Bracket> {
         let watch = self.watch;
         let decoded = |done| watch(Progress::Decoded(done));
-        let (loaded, time) = self.timed(Stage::Load, || bracket::load_with_progress(images, &options.load, &decoded));
+        let (loaded, time) = self.timed(Stage::Load, || bracket::load_for(stages, images, &options.load, &decoded));
         let (bracket, warnings) = loaded?;
         self.times.load = time;
         self.warnings.extend(warnings);
@@ -307,8 +309,7 @@ impl<'a> Line<'a> {
                 Rendering::Fused(fused) => {
                     let asked = [(options.deghost.is_some(), "--deghost"), (options.flare, "--flare")];
                     unused.extend(asked.into_iter().filter(|(is_asked, _)| *is_asked).map(|(_, option)| option));
-                    let memory = options.load.memory.as_ref().map(|limit| limit.bytes);
-                    return Ok(Picture::Fused(fusion::fused(bracket, alignment, region, fused, memory)?));
+                    return Ok(Picture::Fused(fusion::fused(bracket, alignment, region, fused)?));
                 }
             };
             let mut overview = Overview::new(slabs.size(), &slabs.primaries());

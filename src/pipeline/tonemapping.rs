@@ -5,7 +5,8 @@
 
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
-use crate::error::Result;
+use crate::budget;
+use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::merge::gamut;
 use crate::read;
@@ -37,7 +38,8 @@ pub struct TonemapOptions {
 /// the byte, as the one that `merge` wrote beside it.
 ///
 /// # Errors
-/// Those of [`read::read_within`] and of writing; on any of them no output exists that did not before.
+/// Those of [`read::read_within`] and of writing; [`Error::Option`] where the memory allowed does not suffice; on any of them no output exists that
+/// did not before.
 pub fn tonemap_file(
     input: &Path,
     options: &TonemapOptions,
@@ -53,43 +55,58 @@ pub fn tonemap_file(
         read::check(input)?;
         write::check_targets(&Target::of("-o", &options.outputs), &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
-        let timed = |stage, since: Instant| {
-            watch(Progress::Begins(stage));
-            Some(since.elapsed().as_secs_f64())
-        };
         watch(Progress::Begins(Stage::Load));
         let contents = read::read_within(input, &options.limits)?;
-        let mut warnings = contents.warnings(input);
-        let read::Contents { map, metadata, .. } = contents;
-        let (map, repaired) = read::repair(map);
-        warnings.extend(repaired.warnings(input));
-        let (map, outside) = match options.colour {
-            Some(space) => gamut::converted(map, space),
-            None => (map, 0),
-        };
-        warnings.extend(gamut::warning(outside));
-        let mut report = TonemapReport::new(input, &map, &metadata);
-        report.operator = options.operator.clone();
-        report.time_s.load = timed(Stage::Tonemap, began);
-        let since = Instant::now();
-        let display = tonemap::tonemap(&map, &options.operator);
-        report.time_s.tonemap = timed(Stage::Write, since);
-        let since = Instant::now();
-        // Headers name the program that wrote the file, which this is.
-        let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
-        let mut pending = Vec::new();
-        for written in write::write(&options.outputs, &map, &display, &metadata, &options.write)? {
-            warnings.extend(written.warnings);
-            report.outputs.push(written.file.target().to_string_lossy().into_owned());
-            pending.push(written.file);
-        }
-        write::commit(pending, options.write.overwrite)?;
-        report.time_s.write = Some(since.elapsed().as_secs_f64());
-        report.time_s.total = began.elapsed().as_secs_f64();
-        report.not_number_pixels = repaired.not_numbers;
-        report.infinite_pixels = repaired.infinite;
-        report.negative_pixels = repaired.negative;
-        report.warnings = warnings.iter().map(WarningReport::from).collect();
-        Ok(report)
+        let size = (contents.map.pixels.width(), contents.map.pixels.height());
+        let threads = budget::tonemapping(&options.limits, size, rayon::current_num_threads());
+        let refused =
+            |reason| Error::Option { option: "--max-memory", reason: format!("{}: {reason}", input.display()) };
+        in_pool(Some(threads.map_err(refused)?), || tonemapped(input, contents, options, began, watch))
     })
+}
+
+/// The files of `options` from the `contents` of the file `input`, of which reading `began` at that time.
+fn tonemapped(
+    input: &Path,
+    contents: read::Contents,
+    options: &TonemapOptions,
+    began: Instant,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<TonemapReport> {
+    let timed = |stage, since: Instant| {
+        watch(Progress::Begins(stage));
+        Some(since.elapsed().as_secs_f64())
+    };
+    let mut warnings = contents.warnings(input);
+    let read::Contents { map, metadata, .. } = contents;
+    let (map, repaired) = read::repair(map);
+    warnings.extend(repaired.warnings(input));
+    let (map, outside) = match options.colour {
+        Some(space) => gamut::converted(map, space),
+        None => (map, 0),
+    };
+    warnings.extend(gamut::warning(outside));
+    let mut report = TonemapReport::new(input, &map, &metadata);
+    report.operator = options.operator.clone();
+    report.time_s.load = timed(Stage::Tonemap, began);
+    let since = Instant::now();
+    let display = tonemap::tonemap(&map, &options.operator);
+    report.time_s.tonemap = timed(Stage::Write, since);
+    let since = Instant::now();
+    // Headers name the program that wrote the file, which this is.
+    let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
+    let mut pending = Vec::new();
+    for written in write::write(&options.outputs, &map, &display, &metadata, &options.write)? {
+        warnings.extend(written.warnings);
+        report.outputs.push(written.file.target().to_string_lossy().into_owned());
+        pending.push(written.file);
+    }
+    write::commit(pending, options.write.overwrite)?;
+    report.time_s.write = Some(since.elapsed().as_secs_f64());
+    report.time_s.total = began.elapsed().as_secs_f64();
+    report.not_number_pixels = repaired.not_numbers;
+    report.infinite_pixels = repaired.infinite;
+    report.negative_pixels = repaired.negative;
+    report.warnings = warnings.iter().map(WarningReport::from).collect();
+    Ok(report)
 }

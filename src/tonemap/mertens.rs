@@ -1,6 +1,6 @@
 //! Exposure fusion: the picture straight from the aligned frames, of each frame what is best in it. No radiance, no response.
 //!
-//! In: frames on the reference's grid, as code values. Out: a picture. Cost: 0.25 us a pixel and frame on two cores; [`BYTES_PER_PIXEL`].
+//! In: frames on the reference's grid, as code values. Out: a picture. Cost: 0.25 us a pixel and frame on two cores; 43 to 53 bytes a pixel, whatever the number of frames.
 //! Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007), sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
 
 use super::settings::Setting;
@@ -125,9 +125,6 @@ fn bell(value: f32) -> f32 {
     let d = (value - 0.5) / WELL_EXPOSED;
     libm::expf(-0.5 * d * d)
 }
-
-/// How many bytes fusing takes for each pixel, whatever the number of frames.
-pub const BYTES_PER_PIXEL: u64 = 48;
 
 #[cfg(test)]
 mod tests {

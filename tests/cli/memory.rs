@@ -1,4 +1,4 @@
-//! Memory: `--max-memory` is kept, however many threads there are, with the same bytes.
+//! Memory: `--max-memory` is kept by every command, however many threads there are, with the same bytes; or it is refused.
 
 use crate::support::{Folder, jpeg, small};
 use image::imageops::{FilterType, resize};
@@ -39,11 +39,97 @@ fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
     let line = "merge w2.jpg w3.jpg w4.jpg -q --force -o a.exr -o a.png";
     folder.line(&format!("{line} --threads 2")).done();
     let expected = [folder.bytes("a.exr"), folder.bytes("a.png")];
-    for (options, allowed) in [("--threads 1", 110), ("--threads 4", 130), ("--threads 16", 130), ("--threads 64", 160)]
-    {
+    for (options, allowed) in [("--threads 1", 90), ("--threads 4", 90), ("--threads 16", 130), ("--threads 64", 250)] {
         let most = peak(&folder, &format!("{line} {options} --max-memory {allowed}MB --scratch ."));
         assert!(most <= allowed * 1_000_000, "{options}: {} MB of {allowed}", most / 1_000_000);
         assert!(most > 20_000_000, "{options}: {most} bytes were seen");
         assert!([folder.bytes("a.exr"), folder.bytes("a.png")] == expected, "{options}");
+    }
+}
+
+/// The least that `line` says that it takes, in MB, where it may not have that much.
+#[cfg(target_os = "linux")]
+fn least(folder: &Folder, line: &str) -> u64 {
+    let before = folder.listing();
+    let run = folder.line(&format!("{line} --max-memory 64MB"));
+    assert_eq!((run.code, folder.listing()), (2, before), "{line}: {run:?}");
+    let needed = run.stderr.split_once("take ").and_then(|(_, rest)| rest.split_once(" MB at least"));
+    let needed = needed.and_then(|(megabytes, _)| megabytes.parse().ok());
+    let needed = needed.unwrap_or_else(|| panic!("{line} does not say what it needs: {}", run.stderr));
+    assert!(run.stderr.contains(&format!("--max-memory {needed}MB")), "{line}: {}", run.stderr);
+    needed
+}
+
+/// Less than the least is refused before any work is done, and with the least everything goes, on many threads too.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() {
+    let folder = Folder::empty();
+    for i in 2..=4 {
+        let frame = resize(&small(i), 1500, 1000, FilterType::Triangle);
+        folder.put(&format!("w{i}.jpg"), &jpeg(&frame, Some(i)));
+    }
+    let frames = "w2.jpg w3.jpg w4.jpg -q --force --scratch .";
+    for command in [
+        "merge FRAMES -o a.exr -o a.tif -o a.png",
+        "merge FRAMES --tmo drago --deghost --flare -o a.hdr -o a.jpg --report a.html",
+        "merge FRAMES --tmo mertens -o a.png",
+        "align FRAMES --align sift --save-aligned on_",
+        "inspect FRAMES -d look",
+    ] {
+        let line = command.replace("FRAMES", frames);
+        let least = least(&folder, &line);
+        for (threads, allowed) in [(16, least), (16, 2 * least)] {
+            let most = peak(&folder, &format!("{line} --threads {threads} --max-memory {allowed}MB"));
+            assert!(most <= allowed * 1_000_000, "{command}, {threads}: {} MB of {allowed}", most / 1_000_000);
+        }
+    }
+}
+
+/// What is read as a whole is refused where it does not fit, and else kept: by `tonemap` and `compare`.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
+    let folder = Folder::empty();
+    for i in 2..=3 {
+        let frame = resize(&small(i), 3000, 2000, FilterType::Triangle);
+        folder.put(&format!("w{i}.jpg"), &jpeg(&frame, Some(i)));
+    }
+    folder.line("merge w2.jpg w3.jpg -q --align none -o a.exr -o a.tif -o a.png").done();
+    for (command, code) in [
+        ("tonemap a.exr --threads 16 -o b.png -q --force", 1),
+        ("tonemap a.tif -o b.png -q --force", 1),
+        ("compare a.exr a.tif -q", 2),
+        ("compare a.png a.png -q", 2),
+    ] {
+        let run = folder.line(&format!("{command} --max-memory 100MB"));
+        assert!(run.code == code && run.stderr.contains("allow more with --max-memory"), "{command}: {run:?}");
+        let needed = run.stderr.split_once("need ").and_then(|(_, rest)| rest.split_once(" MB while"));
+        let needed: u64 = needed.and_then(|(megabytes, _)| megabytes.parse().ok()).expect("what it needs");
+        // Of a file that can be decoded all else may not fit yet.
+        let run = folder.line(&format!("{command} --max-memory {}MB", needed + 10));
+        assert!(run.code == code, "{command}: {run:?}");
+        let allowed = 350;
+        let most = peak(&folder, &format!("{command} --max-memory {allowed}MB"));
+        assert!(most <= allowed * 1_000_000, "{command}: {} MB of {allowed}", most / 1_000_000);
+    }
+}
+
+/// A batch shares its memory out among brackets: all together stay within it.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_of_a_batch_is_kept_by_all_its_brackets_together() {
+    let folder = Folder::empty();
+    for (i, set) in (2..=4).flat_map(|i| [1, 2, 3].map(|set| (i, set))) {
+        let frame = resize(&small(i), 600 + 2 * set, 400, FilterType::Triangle);
+        fs::create_dir_all(folder.at(format!("in/{set}"))).expect("a folder");
+        folder.put(&format!("in/{set}/w{i}.jpg"), &jpeg(&frame, Some(i)));
+    }
+    for (jobs, allowed) in [(1, 100), (3, 100), (3, 250)] {
+        let line = format!(
+            "batch in -d out{jobs}-{allowed} -q --by-folder --jobs {jobs} --threads 4 --max-memory {allowed}MB"
+        );
+        let most = peak(&folder, &line);
+        assert!(most <= allowed * 1_000_000, "{line}: {} MB", most / 1_000_000);
     }
 }

@@ -302,6 +302,6 @@ fn memory_that_is_none_and_a_scratch_folder_that_is_none_are_named() {
     let folder = Folder::with_bracket();
     refused(&folder, "merge w2.jpg w3.jpg --max-memory plenty -o a.exr", 2, &["plenty", "as in `500MB`"]);
     refused(&folder, "merge w2.jpg w3.jpg --max-memory 1MB -o a.exr", 2, &["--max-memory", "takes about 64 MB"]);
-    let gone = "merge w2.jpg w3.jpg --max-memory 64MB --scratch gone -o a.exr";
+    let gone = "merge w2.jpg w3.jpg --threads 16 --max-memory 64MB --scratch gone -o a.exr";
     refused(&folder, gone, 1, &["gone: ", "name another folder with --scratch", "--max-memory"]);
 }

@@ -156,12 +156,12 @@ fn fusion_is_of_the_frames_and_needs_room() {
     assert!(run.stderr.contains("--deghost acts on the radiance"), "{}", run.stderr);
     folder.line("tonemap room.exr -o toned.png -q").done();
     assert!(folder.bytes("fused.png") != folder.bytes("toned.png"));
-    // 48 bytes a pixel: more than the least that may be allowed.
+    // 48 bytes a pixel, 72 MB: more than the least that may be allowed.
     for i in 2..=3 {
         image::imageops::resize(&small(i), 1500, 1000, FilterType::Nearest)
             .save(folder.at(format!("large{i}.png")))
             .unwrap();
     }
     let large = "merge -e=0,2 large2.png large3.png --align none -q --tmo mertens --max-memory 64MB -o no.png";
-    refused(folder.line(large), 2, "72 MB for this picture and 64 MB are allowed; give a larger --max-memory");
+    refused(folder.line(large), 2, "MB at least, and 64 MB are allowed");
 }

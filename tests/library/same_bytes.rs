@@ -92,7 +92,7 @@ fn little_memory_does_not_change_a_byte() {
         ["", "--deghost --flare --weight noise --colour acescg --absolute --tiff-encoding logluv24", "-C none"]
     {
         let ample = results(&folder, [1, 2, 3, 4, 5], options);
-        let little = results(&folder, [1, 2, 3, 4, 5], &format!("{options} --max-memory 64MB"));
+        let little = results(&folder, [1, 2, 3, 4, 5], &format!("{options} --threads 16 --max-memory 64MB"));
         assert_same(options, &ample, &little);
     }
     assert!(folder.listing().iter().all(|(name, _)| name.ends_with(".jpg")), "nothing is left behind");

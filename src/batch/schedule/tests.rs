@@ -123,9 +123,9 @@ fn memory_and_threads_are_shared_out() {
 
     // Memory for threads: enough, none, and of a small step.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
-    assert_eq!(Share::of(10, 10 + THREAD, 2), Share { threads: 2, taken: 10 + THREAD });
-    assert_eq!(Share::of(10, 9 + THREAD, 2), one_thread(10));
-    assert_eq!(Share::of(10, 10, 1), one_thread(10));
+    assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
+    assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
+    assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
     // One that is larger than all there is has all there is, and by itself.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
@@ -151,9 +151,9 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     let board = Board::new(&all, &roomy, &stop, &watch);
     assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
     all[0].memory_mb = 150;
-    let tight = limits(3, Some(MemoryLimit::PROGRAM + 170_000_000));
+    let tight = limits(3, Some(MemoryLimit::PROGRAM + 260_000_000));
     let board = Board::new(&all, &tight, &stop, &watch);
-    // b takes 133 MB of the 170; beside it is no room but for c and, when that is done, d.
+    // b takes 175 MB of the 260; beside it is no room but for c and, when that is done, d.
     assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
 }
 

@@ -23,7 +23,7 @@ mod evidence;
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame};
-use crate::budget::Budget;
+use crate::budget::Demand;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::pyramid::between_cells;
@@ -34,7 +34,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// Most cells of a picture, but that none is larger than `LARGEST`.
-const MOST_CELLS: usize = Budget::MOST_CELLS as usize;
+const MOST_CELLS: usize = Demand::MOST_CELLS as usize;
 /// The longest side of a cell, in pixels.
 const LARGEST: usize = 8;
 /// A frame left out by more than this does not become the standard.

@@ -73,11 +73,11 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line)
 /// The bracket `paths` of `brackets`, and how many of the places that the user gave are of its frames.
 fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -> Result<(Seen, usize)> {
     let mut own = options.line.clone();
-    let bracket = line.load(paths, &own)?;
+    let bracket = line.load(paths, &own.aligning(), &own)?;
     if brackets > 1 {
         own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
     }
-    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(false), || {
+    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(), || {
         let (bracket, alignment) = line.align(bracket, &own)?;
         check_placed(&bracket, &alignment)?;
         let places = Places::of(&bracket, &alignment)?;

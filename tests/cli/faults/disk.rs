@@ -55,7 +55,8 @@ fn a_file_that_outgrows_its_limit_is_named_and_none_is_left() {
     let grown = ["d.png", "cannot be written", "ulimit -f"];
     fails(&folder, "ulimit -f 1; $H compare a.exr b.exr -q --diff d.png", 2, &grown);
     fails(&folder, "ulimit -f 8; $H compare e.exr a.exr -q --bless", 2, &["e.exr", "ulimit -f"]);
-    let scratch = "ulimit -f 8; $H merge FRAMES -q --max-memory 64MB --scratch . -o c.exr".replace("FRAMES", FRAMES);
+    let scratch =
+        "ulimit -f 8; $H merge FRAMES -q --threads 16 --max-memory 64MB --scratch . -o c.exr".replace("FRAMES", FRAMES);
     fails(&folder, &scratch, 1, &["File too large", "--scratch", "--max-memory"]);
 }
 
@@ -98,7 +99,8 @@ fn a_full_disk_is_named_with_what_to_do() {
         let is_told = run.stderr.contains("full/") && run.stderr.contains("make room there, or write to another disk");
         assert!(is_told && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
     }
-    let line = format!("$H merge {FRAMES} -q --max-memory 64MB --scratch full -o c.exr; echo $?; ls -A full");
+    let line =
+        format!("$H merge {FRAMES} -q --threads 16 --max-memory 64MB --scratch full -o c.exr; echo $?; ls -A full");
     let run = on_disk(&folder, "40k", &line);
     assert_eq!(run.stdout, "1\n", "{run:?}");
     assert!(run.stderr.contains("full: ") && run.stderr.contains("name another folder with --scratch"), "{run:?}");

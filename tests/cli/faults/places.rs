@@ -182,7 +182,7 @@ fn results_may_go_to_another_disk() {
     assert!(fs::read(&there).expect("a result") == folder.bytes("here.exr"));
     // A link to a folder there is a folder, and the memory's overflow may be there as well.
     symlink(other.path(), folder.at("link")).expect("a link");
-    let line = format!("$H merge {FRAMES} -q --max-memory 64MB --scratch link -o link/b.exr -o again.exr");
+    let line = format!("$H merge {FRAMES} -q --threads 16 --max-memory 64MB --scratch link -o link/b.exr -o again.exr");
     assert_eq!(shell(&folder, &line).code, 0);
     assert!(fs::read(folder.at("link/b.exr")).expect("a result") == folder.bytes("here.exr"));
     assert_eq!(fs::read_dir(other.path()).expect("the folder").count(), 2);

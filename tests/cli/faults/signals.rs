@@ -60,7 +60,8 @@ fn merge_leaves_all_or_nothing() {
 
 #[test]
 fn align_leaves_all_or_nothing() {
-    let line = format!("align {FRAMES} --save-aligned on_ --transforms t.json --max-memory 64MB --scratch .");
+    let line =
+        format!("align {FRAMES} --save-aligned on_ --transforms t.json --threads 16 --max-memory 64MB --scratch .");
     interrupted(&bracket(), &line, &["on_w2.tif", "on_w3.tif", "on_w4.tif", "t.json"]);
 }
 
