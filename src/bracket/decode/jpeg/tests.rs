@@ -2,7 +2,6 @@
 
 use super::super::tests::{PROGRESSIVE, eight, is_damage, jpeg, read, scene, with_segment};
 use super::super::{decode, head};
-use crate::error::Result;
 use crate::limits::Limits;
 use image::{ExtendedColorType, ImageEncoder, codecs};
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
