@@ -4,10 +4,10 @@
 //! look at each directory; one copy of the samples. Source: TIFF 6.0 (sections 2, 8 and 15); libtiff, `tif_read.c`, for what
 //! FillOrder turns round; TIFF/EP and DNG for the tags that tell a camera raw file.
 
-use crate::limits;
+mod samples;
+
+pub(crate) use samples::samples;
 use std::io::{Cursor, Read, Seek, SeekFrom};
-use tiff::decoder::{Decoder, DecodingResult};
-use tiff::tags::Tag;
 
 /// Why a file was refused.
 type Reason = String;
@@ -22,6 +22,9 @@ const TILES: (u16, u16) = (324, 325);
 const SUB_DIRECTORIES: u16 = 330;
 const EXIF_DIRECTORY: u16 = 34665;
 const DNG_VERSION: u16 = 50706;
+
+/// The photometric interpretation of grey (TIFF 6.0, section 8).
+const BLACK_IS_ZERO: u8 = 1;
 
 /// JPEG in a TIFF, whose bits are never turned round (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
@@ -169,6 +172,8 @@ fn size_of_kind(kind: u16) -> u64 {
 pub(crate) struct Picture {
     /// Its place among the file's pictures.
     pub index: usize,
+    /// How many pictures the file has, as far as they are sound.
+    pub count: usize,
     /// Where its directory is, in the file.
     at: u64,
     /// Whether the file looks like a camera raw: a mosaic, or thumbnails without a picture.
@@ -198,7 +203,7 @@ pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     let full = pictures.iter().position(|directory| !file.is_thumbnail(directory));
     let is_raw = is_mosaic || full.is_none() || first.entry(DNG_VERSION).is_some();
     let index = full.unwrap_or(0);
-    Ok(Picture { index, at: pictures[index].at, is_raw })
+    Ok(Picture { index, count: pictures.len(), at: pictures[index].at, is_raw })
 }
 
 /// Makes `picture` the first of the file `bytes`.
@@ -241,155 +246,32 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
     }
 }
 
-/// The crate reads no directory with LogLuv's photometric interpretation; RGB's or grey's is put in its place, in the first picture. The
-/// compression tells. Where the directory is not sound nothing is done, and the crate will say so.
-pub(crate) fn disguise_logluv(bytes: &mut [u8]) {
-    let place = || {
-        let mut file = Directories::of(Cursor::new(&*bytes))?;
-        let (at, word) = file.offset();
-        let at = file.number(at, word)?;
-        let first = file.directory(at)?;
-        let code: u16 = match file.first_number(&first, PHOTOMETRIC)? {
-            32844 => 1,
-            32845 => 2,
-            _ => return None,
-        };
-        Some((
-            first.entry(PHOTOMETRIC)?.value as usize,
-            if file.is_little { code.to_le_bytes() } else { code.to_be_bytes() },
-        ))
-    };
-    if let Some((value, code)) = place() {
-        bytes[value..value + 2].copy_from_slice(&code);
-    }
+/// Gives the first picture the photometric interpretation of grey, and returns its own: by it the crate unpacks all samples as they are stored,
+/// of whatever meaning and number, and adds up the differences of a predictor between those that belong together. Otherwise it reads no
+/// palette and no LogLuv, no grey with alpha, and extra samples wrongly. Where the directory is not sound nothing is done, and the crate will
+/// say so.
+pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
+    let mut file = Directories::of(Cursor::new(&*bytes))?;
+    let (at, word) = file.offset();
+    let at = file.number(at, word)?;
+    let first = file.directory(at)?;
+    let photometric = file.first_number(&first, PHOTOMETRIC)?;
+    let (entry, is_little) = (first.entry(PHOTOMETRIC)?, file.is_little);
+    let value = &mut bytes[entry.value as usize..][..size_of_kind(entry.kind) as usize];
+    value.fill(0);
+    let lowest = if is_little { 0 } else { value.len() - 1 };
+    value[lowest] = BLACK_IS_ZERO;
+    u16::try_from(photometric).ok()
 }
 
-/// The samples of the picture that `decoder` is at, pixel by pixel, whether they are stored in strips, tiles or planes: as many to a pixel
-/// as the colour type has. Of fewer than 8 bit, they become bytes of the full range.
-///
-/// The crate's own way to read the whole of a picture panics where tiles of a plane reach beyond its lower edge, and calls tiles of LZW
-/// that reach beyond an edge damaged. It reads whole rows of tiles right.
-///
-/// # Errors
-/// The reason.
-pub(crate) fn samples<R: Read + Seek>(
-    decoder: &mut Decoder<R>,
-    said: impl Fn(tiff::TiffError) -> Reason,
-) -> Result<DecodingResult, Reason> {
-    let (width, height) = decoder.dimensions().map_err(&said)?;
-    let kind = decoder.colortype().map_err(&said)?;
-    let is_planar = decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(&said)? == Some(2);
-    let per_pixel = usize::from(kind.num_samples());
-    let stored = decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(&said)?.unwrap_or(1);
-    let predictor = decoder.find_tag_unsigned::<u16>(Tag::Predictor).map_err(&said)?.unwrap_or(1);
-    // The crate takes the extra samples out before it adds up the differences to the pixel before.
-    if !is_planar && predictor != 1 && stored > kind.num_samples() {
-        return Err(format!(
-            "it has {stored} samples to a pixel and a predictor, which is not supported; save it as plain RGB, or without predictor"
-        ));
-    }
-    let (planes, per_chunk) = if is_planar { (per_pixel, 1) } else { (1, per_pixel) };
-    let (chunk_width, chunk_height) = decoder.chunk_dimensions();
-    let (across, down) = (width.div_ceil(chunk_width), height.div_ceil(chunk_height));
-    let size = (width as usize, height as usize);
-    let depth = kind.bit_depth();
-    let bits = u64::from(chunk_width) * per_chunk as u64 * u64::from(depth);
-    let row_bytes = usize::try_from(bits.div_ceil(8)).map_err(|_| "its tiles are too large for this machine")?;
-    let in_row = chunk_width as usize * per_chunk;
-    let mut all: Option<DecodingResult> = None;
-    let mut chunk = DecodingResult::U8(Vec::new());
-    for plane in 0..planes {
-        for (row, column) in (0..down).flat_map(|row| (0..across).map(move |column| (row, column))) {
-            let index = (plane as u32 * down + row) * across + column;
-            decoder.read_chunk_to_buffer(&mut chunk, index, row_bytes).map_err(&said)?;
-            let chunk = match &chunk {
-                DecodingResult::U8(packed) if depth < 8 => &DecodingResult::U8(unpacked(packed, in_row, depth)),
-                chunk => chunk,
-            };
-            let place = Place {
-                size,
-                per_pixel,
-                corner: ((column * chunk_width) as usize, (row * chunk_height) as usize),
-                chunk_width: chunk_width as usize,
-                plane: is_planar.then_some(plane),
-            };
-            use DecodingResult::{F16, F32, F64, U8, U16};
-            match (chunk, &mut all) {
-                (U8(chunk), None) => all = Some(U8(place.begun(chunk)?)),
-                (U16(chunk), None) => all = Some(U16(place.begun(chunk)?)),
-                (F16(chunk), None) => all = Some(F16(place.begun(chunk)?)),
-                (F32(chunk), None) => all = Some(F32(place.begun(chunk)?)),
-                (F64(chunk), None) => all = Some(F64(place.begun(chunk)?)),
-                (U8(chunk), Some(U8(all))) => place.put(chunk, all),
-                (U16(chunk), Some(U16(all))) => place.put(chunk, all),
-                (F16(chunk), Some(F16(all))) => place.put(chunk, all),
-                (F32(chunk), Some(F32(all))) => place.put(chunk, all),
-                (F64(chunk), Some(F64(all))) => place.put(chunk, all),
-                _ => {
-                    return Err(format!(
-                        "its samples are whole numbers of {depth} bit or signed, which is not supported; save it with 8 or 16 bit, unsigned"
-                    ));
-                }
-            }
+/// Why the crate refuses a file, and what to do about it.
+pub(crate) fn refusal(e: tiff::TiffError) -> Reason {
+    match e {
+        tiff::TiffError::UnsupportedError(what) => {
+            format!("{what}; save it as grey or RGB, by ZIP (deflate) or uncompressed")
         }
+        other => format!("{other}; copy the file again, or save it as grey or RGB"),
     }
-    all.ok_or_else(|| "it has no pixels".into())
-}
-
-/// Where a chunk belongs.
-struct Place {
-    /// Of the picture, in pixels.
-    size: (usize, usize),
-    per_pixel: usize,
-    /// Of the chunk, in the picture.
-    corner: (usize, usize),
-    /// In pixels.
-    chunk_width: usize,
-    /// Which of the samples the chunk holds, if not all.
-    plane: Option<usize>,
-}
-
-impl Place {
-    /// A whole picture of which `chunk` is the first part.
-    fn begun<T: Copy + Default>(&self, chunk: &[T]) -> Result<Vec<T>, Reason> {
-        let mut all = limits::room(self.size.0 * self.size.1 * self.per_pixel)?;
-        self.put(chunk, &mut all);
-        Ok(all)
-    }
-
-    /// What reaches beyond the right or the lower edge is left out.
-    fn put<T: Copy>(&self, chunk: &[T], all: &mut [T]) {
-        let Place { size, per_pixel, corner, chunk_width, plane } = *self;
-        let per_chunk = if plane.is_some() { 1 } else { per_pixel };
-        let rows = all.chunks_exact_mut(size.0 * per_pixel).skip(corner.1);
-        for (row, part) in rows.zip(chunk.chunks_exact(chunk_width * per_chunk)) {
-            let row = &mut row[corner.0 * per_pixel..];
-            match plane {
-                None => row.iter_mut().zip(part).for_each(|(all, &v)| *all = v),
-                Some(plane) => row.chunks_exact_mut(per_pixel).zip(part).for_each(|(pixel, &v)| pixel[plane] = v),
-            }
-        }
-    }
-}
-
-/// Samples of fewer than 8 bit, `count` to a row that is filled up to whole bytes, as bytes of the full range.
-fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
-    let depth = usize::from(depth.max(1));
-    let max = (1u16 << depth) - 1;
-    let row = (count * depth).div_ceil(8).max(1);
-    packed
-        .chunks_exact(row)
-        .flat_map(|bytes| {
-            (0..count).map(move |x| {
-                let bit = x * depth;
-                // Two bytes hold every sample, also one that straddles a boundary.
-                let next = bytes.get(bit / 8 + 1).copied().unwrap_or(0);
-                let word = u16::from_be_bytes([bytes[bit / 8], next]);
-                let value = (word >> (16 - depth - bit % 8)) & max;
-                (value * 255 / max) as u8
-            })
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -196,6 +196,8 @@ pub struct NeutralXyz {
     to_xyz: Conversion,
     to_rgb: Conversion,
     weights: [f32; 3],
+    /// The least and the greatest factor from the luminance under the one white to that under the other, of colours within the primaries.
+    keeps: [f32; 2],
 }
 
 impl NeutralXyz {
@@ -203,18 +205,17 @@ impl NeutralXyz {
     pub fn of(primaries: &Primaries) -> Self {
         let settled = |primaries: &Primaries| {
             let matrix = primaries.to_xyz()?;
-            Some(NeutralXyz {
-                to_xyz: Conversion::of(adaptation(primaries.white, EQUAL_ENERGY)? * matrix)?,
-                to_rgb: Conversion::of(matrix.try_inverse()? * adaptation(EQUAL_ENERGY, primaries.white)?)?,
-                weights: primaries.luminance().map(|w| w as f32),
-            })
+            let to_xyz = Conversion::of(adaptation(primaries.white, EQUAL_ENERGY)? * matrix)?;
+            let to_rgb = Conversion::of(matrix.try_inverse()? * adaptation(EQUAL_ENERGY, primaries.white)?)?;
+            Some((to_xyz, to_rgb, primaries.luminance().map(|w| w as f32)))
         };
         let none = Conversion([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
-        settled(primaries).or_else(|| settled(&Primaries::SRGB)).unwrap_or(NeutralXyz {
-            to_xyz: none,
-            to_rgb: none,
-            weights: [0.0, 1.0, 0.0],
-        })
+        let settled = settled(primaries).or_else(|| settled(&Primaries::SRGB));
+        let (to_xyz, to_rgb, weights) = settled.unwrap_or((none, none, [0.0, 1.0, 0.0]));
+        // Of any colour within it is between those of the primaries.
+        let keeps = [0, 1, 2].map(|c| to_xyz.0[1][c] / weights[c]);
+        let keeps = [keeps.into_iter().fold(f32::INFINITY, f32::min), keeps.into_iter().fold(0.0, f32::max)];
+        NeutralXyz { to_xyz, to_rgb, weights, keeps }
     }
 
     fn luminance(&self, rgb: [f32; 3]) -> f32 {
@@ -229,12 +230,21 @@ impl NeutralXyz {
         if keep.is_finite() && keep > 0.0 { [xyz[0] * keep, y, xyz[2] * keep].map(|v| v.max(0.0)) } else { [0.0; 3] }
     }
 
-    /// RGB of `xyz`; components may be below 0.
+    /// RGB of `xyz`, of the luminance Y; components may be below 0.
+    ///
+    /// Far outside of what is seen the luminances under the two whites have nothing to do with each other, and their ratio has no bound. The
+    /// factor is kept to those of the primaries, and the rest of the luminance added as grey: what is finite and small stays so.
     #[inline]
     pub fn to_rgb(&self, xyz: [f32; 3]) -> [f32; 3] {
         let rgb = self.to_rgb.apply(xyz);
-        let keep = xyz[1] / self.luminance(rgb);
-        if keep.is_finite() && keep > 0.0 { rgb.map(|v| v * keep) } else { [0.0; 3] }
+        let y = self.luminance(rgb);
+        let (keep, [least, most]) = (xyz[1] / y, self.keeps);
+        if y > 0.0 && (least..=most).contains(&keep) {
+            return rgb.map(|v| v * keep);
+        }
+        let keep = if y > 0.0 && keep < least { least } else { most };
+        let grey = xyz[1] - keep * y;
+        rgb.map(|v| v * keep + grey)
     }
 }
 
@@ -305,6 +315,20 @@ mod tests {
                 assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < near), "{space:?} {rgb:?} {back:?}");
             }
             assert_eq!((neutral.of_rgb([0.0; 3]), neutral.to_rgb([0.0; 3])), ([0.0; 3], [0.0; 3]));
+        }
+    }
+
+    /// The first would be (18616, -6821, 2): its luminance is 0.8 under the one white, and about 0 under the other.
+    #[test]
+    fn colours_that_nothing_has_are_as_small_as_their_xyz_and_of_its_luminance() {
+        let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());
+        for x in (0..400).map(|i| 21.0 + 0.005 * i as f32) {
+            for xyz in [[x, 0.8, 1.1], [x, 0.0, 0.0], [0.0, 0.01, x], [x, 0.001, x], [0.0, x, 0.0]] {
+                let rgb = neutral.to_rgb(xyz);
+                let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
+                assert!((y - f64::from(xyz[1])).abs() < 1e-4, "{xyz:?} {rgb:?}");
+                assert!(rgb.iter().all(|v| v.abs() < 3.0 * x), "{xyz:?} {rgb:?}");
+            }
         }
     }
 

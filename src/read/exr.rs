@@ -35,7 +35,14 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
             format!("{what}; convert it to RGB first")
         }
-        other => format!("{other}; if it is cut short or damaged, copy it again"),
+        ::exr::error::Error::NotSupported(what) if what.contains("deep") => {
+            "it holds deep data, several samples to a pixel; flatten it first".into()
+        }
+        ::exr::error::Error::NotSupported(what) => format!("{what}; save it with ZIP compression"),
+        other => match compression(bytes).filter(|&code| code > LAST_COMPRESSION) {
+            Some(code) => format!("its compression, number {code}, is newer than this program; save it with ZIP"),
+            None => format!("{other}; if it is cut short or damaged, copy it again"),
+        },
     };
     check(&MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?, bytes.len(), limits)?;
     let (told, layers) = unpacked(bytes).map_err(failed)?;
@@ -86,6 +93,17 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     contents.set_unit("whiteLuminance", number(own.white_luminance));
     contents.unread = unread(&layers, layer, channels);
     Ok(contents)
+}
+
+/// The number of the last compression that the crate knows by name, DWAB's and HTJ2K's among them.
+const LAST_COMPRESSION: u8 = 11;
+
+/// The number of the compression that the first header names.
+fn compression(bytes: &[u8]) -> Option<u8> {
+    let attribute = b"compression\0compression\0\x01\0\0\0";
+    let header = &bytes[..bytes.len().min(1 << 16)];
+    let at = header.windows(attribute.len()).position(|window| window == attribute)?;
+    header.get(at + attribute.len()).copied()
 }
 
 /// Holds what the headers say of all parts, which are all read, against what is there and what is allowed: the crate takes their word.
@@ -254,6 +272,25 @@ mod tests {
         assert_eq!(grey.pixels.at(2, 1), [2.0; 3]);
         let depth = read_back(vec![channel("Z", floats(|_| 1.0))], Compression::ZIP16).unwrap_err();
         assert!(depth.to_string().contains("only Z"), "{depth}");
+    }
+
+    #[test]
+    fn whole_files_of_newer_kinds_are_not_called_damaged() {
+        let layer = SpecificChannels::rgb(|at: Vec2<usize>| (at.x() as f32, 0.5, at.y() as f32));
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        Image::from_channels((20, 10), layer).write().to_buffered(&mut bytes).unwrap();
+        let mut bytes = bytes.into_inner();
+        let name = b"compression\0compression\0";
+        let at = bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
+        // HTJ2K is known by name and not read; ZSTD is not known.
+        for code in [10, 11, 12, 13, 200] {
+            bytes[at] = code;
+            let reason = super::parse(&bytes, &crate::limits::Limits::default()).unwrap_err();
+            assert!(reason.contains("compression") && !reason.contains("again"), "{code}: {reason}");
+        }
+        bytes[at] = 3;
+        bytes[at - 5] = b'x';
+        assert!(super::parse(&bytes, &crate::limits::Limits::default()).unwrap_err().contains("again"));
     }
 
     #[test]

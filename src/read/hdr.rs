@@ -14,7 +14,8 @@ use crate::write::rgbe::{self, Rgbe};
 
 /// The picture in the `bytes` of a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
 /// and for XYZE, which becomes RGB of BT.2020, 179 times that: by it, pixels are to be divided to be W/sr/m2. Without PRIMARIES RGBE is
-/// taken for BT.709, as nearly every writer but Radiance means it. Values may be 0, and of XYZE below.
+/// taken for BT.709, as nearly every writer but Radiance means it. Channels are divided by what their COLORCORR lines multiply to. Values may
+/// be 0, and of XYZE below.
 ///
 /// # Errors
 /// The reason for what is no such file, is damaged or cut short, or asks for more than `limits` allow.
@@ -25,6 +26,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     }
     let mut metadata = Metadata::default();
     let mut xyze = false;
+    // By which red, green and blue, or X, Y and Z, were multiplied.
+    let mut corrections = [Factor::ONE; 3];
     loop {
         let line = take_line(&mut rest).ok_or("it ends within its header; copy it again")?;
         if line.is_empty() {
@@ -41,6 +44,11 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale =
                     all.ok_or_else(|| format!("its EXPOSURE is `{value}`, which makes no factor from 1e-20 to 1e20"))?;
+            }
+            "COLORCORR" => {
+                corrections = corrected(corrections, value).ok_or_else(|| {
+                    format!("its COLORCORR is `{value}`, which makes no three factors from 1e-20 to 1e20")
+                })?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,
             "LENS" => metadata.capture.lens = Some(value.into()),
@@ -75,9 +83,13 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     limits.check_memory((scan.length, scan.lines), 12 * count as u64 + bytes.len() as u64)?;
     let mut pixels = limits::reserved(count)?;
     let mut row: Vec<Rgbe> = limits::room(scan.length)?;
+    let scales = corrections.map(|factor| (1.0 / factor.get()) as f32);
     for y in 0..scan.lines {
         rgbe::take_row(&mut rest, &mut row).ok_or_else(|| format!("it is damaged or cut short at row {y}"))?;
-        pixels.extend(row.iter().map(|&p| rgbe::decode(p)));
+        pixels.extend(row.iter().map(|&p| {
+            let [a, b, c] = rgbe::decode(p);
+            [a * scales[0], b * scales[1], c * scales[2]]
+        }));
     }
     if xyze {
         // XYZ is in cd/m2; BT.2020 holds nearly all that a camera sees.
@@ -97,6 +109,15 @@ fn take_line(bytes: &mut &[u8]) -> Option<String> {
     let line = String::from_utf8_lossy(&bytes[..end]).trim_end_matches('\r').to_owned();
     *bytes = &bytes[end + 1..];
     Some(line)
+}
+
+/// `factors`, each times one of the three in `text`.
+fn corrected(factors: [Factor; 3], text: &str) -> Option<[Factor; 3]> {
+    let mut words = text.split_whitespace();
+    let mut next = |factor: Factor| factor.times(Factor::new(words.next()?.parse().ok()?)?);
+    let [a, b, c] = factors;
+    let corrected = [next(a)?, next(b)?, next(c)?];
+    words.next().is_none().then_some(corrected)
 }
 
 fn primaries(text: &str) -> Option<Primaries> {
@@ -194,6 +215,25 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn channels_are_divided_by_their_corrections() {
+        let pixels = |lines: &str, format: &str| {
+            let text = format!("#?RADIANCE\n{lines}FORMAT=32-bit_rle_{format}\n\n-Y 1 +X 2\n");
+            let bytes = [text.as_bytes(), &[128, 64, 32, 136, 8, 16, 128, 136]].concat();
+            parsed(&bytes).map(|(map, metadata)| (map.pixels, metadata.exposure_scale.get()))
+        };
+        let [[a, b, c], _] = [0, 1].map(|x| pixels("", "rgbe").unwrap().0.at(x, 0));
+        let (corrected, scale) =
+            pixels("COLORCORR= 2 1 .5\nEXPOSURE=4\nCOLORCORR=2 2 1\n\tCOLORCORR=9 9 9\n", "rgbe").unwrap();
+        assert_eq!((corrected.at(0, 0), scale), ([a / 4.0, b / 2.0, c * 2.0], 4.0));
+        // X, Y and Z before they become RGB: half of the light.
+        let (plain, halved) = (pixels("", "xyze").unwrap().0, pixels("COLORCORR=2 2 2\n", "xyze").unwrap().0);
+        assert_eq!(halved.as_slice(), plain.as_slice().iter().map(|p| p.map(|v| v / 2.0)).collect::<Vec<_>>());
+        for wrong in ["1 2", "1 2 3 4", "1 0 1", "1 nan 1", "1e15 1 1\nCOLORCORR=1e15 1 1", "red"] {
+            assert!(pixels(&format!("COLORCORR={wrong}\n"), "rgbe").unwrap_err().contains("COLORCORR"), "{wrong}");
         }
     }
 

@@ -11,7 +11,7 @@ use crate::intake;
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;
 use crate::plane::Plane;
-use crate::tiff_file;
+use crate::tiff_file::{self, Picture, refusal};
 use crate::write::{Metadata, luv};
 use std::io::Cursor;
 use std::path::Path;
@@ -31,26 +31,20 @@ pub(super) fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     let mut bytes = intake::whole(path, limits.most_bytes())?;
     let mut look = || -> Parsed<bool> {
         prepare(&mut bytes)?;
-        let mut decoder = Decoder::new(Cursor::new(bytes.as_slice())).map_err(said)?;
-        let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?;
-        let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(said)?.unwrap_or_default();
+        let mut decoder = Decoder::new(Cursor::new(bytes.as_slice())).map_err(refusal)?;
+        let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(refusal)?;
+        let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(refusal)?.unwrap_or_default();
         Ok(matches!(compression, Some(34676 | 34677)) || formats.first() == Some(&3))
     };
     look().map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
 }
 
-/// What the decoder says, and what to do about it.
-fn said(e: tiff::TiffError) -> String {
-    format!("{e}; if it is cut short or damaged, copy it again")
-}
-
-/// Makes of `bytes` what the crate reads rightly.
-fn prepare(bytes: &mut [u8]) -> Parsed<()> {
+/// Makes of `bytes` what the crate reads rightly, and gives its picture and the photometric interpretation.
+fn prepare(bytes: &mut [u8]) -> Parsed<(Picture, Option<u16>)> {
     let picture = tiff_file::picture(Cursor::new(&*bytes))?;
     tiff_file::put_first(bytes, picture);
-    tiff_file::disguise_logluv(bytes);
     tiff_file::order_bits(bytes);
-    Ok(())
+    Ok((picture, tiff_file::as_grey(bytes)))
 }
 
 type Parsed<T> = std::result::Result<T, String>;
@@ -62,16 +56,16 @@ type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 /// # Errors
 /// The reason for damaged files, those of integers, and those that ask for more than `limits` allow.
 pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
-    prepare(&mut bytes)?;
+    let (picture, photometric) = prepare(&mut bytes)?;
     let bytes = bytes.as_slice();
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
-    let (width, height) = decoder.dimensions().map_err(said)?;
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(refusal)?;
+    let (width, height) = decoder.dimensions().map_err(refusal)?;
     let (width, height) = (width as usize, height as usize);
     limits.check_size(width, height)?;
-    let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(said)?.unwrap_or(1);
+    let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).map_err(refusal)?.unwrap_or(1);
     let pixels = width as u64 * height as u64;
-    let samples = u64::from(decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(said)?.unwrap_or(1));
-    let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(said)?.unwrap_or_default();
+    let samples = u64::from(decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(refusal)?.unwrap_or(1));
+    let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(refusal)?.unwrap_or_default();
     let stored = samples * u64::from(depths.first().copied().unwrap_or(1)).div_ceil(8);
     // Samples beyond colour and alpha are of no use here, and could be 65535 to a pixel.
     if samples > 8 {
@@ -95,7 +89,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
         metadata.primaries = Primaries::BT2020;
         logluv(&mut decoder, bytes, (width, height), compression == 34677)?
     } else {
-        floats(&mut decoder, width * height)?
+        floats(&mut decoder, photometric)?
     };
     if pixels.len() < width * height {
         return Err(format!("it holds {} of {} pixels; copy it again", pixels.len(), width * height));
@@ -113,9 +107,8 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     if !is_logluv && matches!(samples, 2 | 4..) {
         contents.unread.push("alpha".to_owned());
     }
-    if decoder.more_images() {
-        contents.unread.push("further images".to_owned());
-    }
+    let others = (0..picture.count).filter(|&number| number != picture.index);
+    contents.unread.extend(others.map(|number| format!("image {}", number + 1)));
     Ok(contents)
 }
 
@@ -128,11 +121,14 @@ fn turn(orientation: u16) -> Turn {
     }
 }
 
-fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
-    if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(said)? == Some(5) {
-        return Err("it is CMYK; convert it to RGB first".into());
-    }
-    let values: Vec<f32> = match tiff_file::samples(decoder, said)? {
+fn floats(decoder: &mut Bytes, photometric: Option<u16>) -> Parsed<Vec<[f32; 3]>> {
+    let wanted = match photometric {
+        Some(0 | 1) => 1,
+        Some(2) => 3,
+        Some(5) => return Err("it is CMYK; convert it to RGB first".into()),
+        _ => return Err("it is neither RGB nor grey; convert it to RGB first".into()),
+    };
+    let values: Vec<f32> = match tiff_file::samples(decoder, wanted)? {
         DecodingResult::F16(v) => v.into_iter().map(|v| v.to_f32()).collect(),
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
@@ -142,21 +138,22 @@ fn floats(decoder: &mut Bytes, count: usize) -> Parsed<Vec<[f32; 3]>> {
             );
         }
     };
-    let samples = values.len() / count;
-    Ok(match samples {
-        1 | 2 => values.chunks_exact(samples).map(|p| [p[0]; 3]).collect(),
-        _ => values.chunks_exact(samples).map(|p| [p[0], p[1], p[2]]).collect(),
+    Ok(match photometric {
+        // 0 is white, and 1 black.
+        Some(0) => values.into_iter().map(|v| [1.0 - v; 3]).collect(),
+        Some(1) => values.into_iter().map(|v| [v; 3]).collect(),
+        _ => values.as_chunks::<3>().0.to_vec(),
     })
 }
 
 /// Strips of LogLuv or, with one sample a pixel, of LogL.
 fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), packed: bool) -> Parsed<Vec<[f32; 3]>> {
-    let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(said);
-    if decoder.find_tag(Tag::TileWidth).map_err(said)?.is_some() {
+    let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(refusal);
+    if decoder.find_tag(Tag::TileWidth).map_err(refusal)?.is_some() {
         return Err("it is LogLuv by tiles; make it strips first, as with `tiffcp -s`".into());
     }
-    let grey = decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(said)?.unwrap_or(1) == 1;
-    let rows = decoder.find_tag_unsigned::<u32>(Tag::RowsPerStrip).map_err(said)?.unwrap_or(u32::MAX) as usize;
+    let grey = decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(refusal)?.unwrap_or(1) == 1;
+    let rows = decoder.find_tag_unsigned::<u32>(Tag::RowsPerStrip).map_err(refusal)?.unwrap_or(u32::MAX) as usize;
     let (offsets, counts) = (list(decoder, Tag::StripOffsets)?, list(decoder, Tag::StripByteCounts)?);
     let neutral = NeutralXyz::of(&Primaries::BT2020);
     let mut pixels = Vec::new();

@@ -405,6 +405,13 @@ fn what_is_not_compared_of_an_exr_or_a_tiff_is_told() {
     write("more.exr", &[("main", &["R", "G", "B", "A", "Z", "left.R", "left.G"]), ("right", rgb)]);
     let said = warned("more.exr");
     assert!(said.contains("alpha, channel Z, layer left and layer right are not compared"), "{said}");
+    let mut pages = std::io::Cursor::new(Vec::new());
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut pages).expect("a TIFF");
+    for light in [0.5; 2] {
+        encoder.write_image::<tiff::encoder::colortype::RGB32Float>(8, 8, &[light; 192]).expect("a page");
+    }
+    std::fs::write(folder.at("pages.tif"), pages.into_inner()).expect("room for it");
+    assert!(warned("pages.tif").contains("its image 2 is not compared"));
 }
 
 /// OpenEXR keeps an f-number as a float, 5.599999904632568; a TIFF as a fraction, 56/10.

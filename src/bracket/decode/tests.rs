@@ -107,7 +107,7 @@ fn sixteen(decoded: Result<Decoded>) -> Vec<u16> {
     }
 }
 
-fn is_damage(decoded: Result<Decoded>) -> bool {
+pub(super) fn is_damage(decoded: Result<Decoded>) -> bool {
     matches!(decoded, Err(Error::Decode { .. }))
 }
 
@@ -181,143 +181,7 @@ fn damaged_tiff_is_an_error() {
     }
 }
 
-#[test]
-fn jpeg_in_colour_and_grey() {
-    let rgb = scene(50, 34);
-    let decoded = read(&jpeg(&rgb, 50)).unwrap();
-    assert_eq!((decoded.width, decoded.height), (50, 34));
-    let mean = |v: &[u8]| v.iter().map(|&x| f64::from(x)).sum::<f64>() / v.len() as f64;
-    assert!((mean(&eight(Ok(decoded))) - mean(&rgb)).abs() < 1.0);
-
-    let mut grey = Vec::new();
-    codecs::jpeg::JpegEncoder::new(&mut grey).write_image(&[100; 256], 16, 16, ExtendedColorType::L8).unwrap();
-    assert!(eight(read(&grey)).iter().all(|&v| v.abs_diff(100) <= 1));
-}
-
-#[test]
-fn jpeg_of_inks() {
-    for (name, bytes) in [
-        ("Adobe CMYK", &include_bytes!("../../../tests/fixtures/cmyk-adobe.jpg")[..]),
-        ("plain CMYK", include_bytes!("../../../tests/fixtures/cmyk-plain.jpg")),
-        ("YCCK", include_bytes!("../../../tests/fixtures/ycck.jpg")),
-    ] {
-        let v = eight(read(bytes));
-        for (x, y, wanted) in
-            [(8, 8, [255u8, 0, 0]), (24, 8, [0, 255, 0]), (8, 24, [0, 0, 255]), (24, 24, [64, 64, 64])]
-        {
-            let p = &v[3 * (32 * y + x)..][..3];
-            assert!(p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 4), "{name} at {x},{y}: {p:?}, not {wanted:?}");
-        }
-    }
-}
-
-const PROGRESSIVE: &[u8] = include_bytes!("../../../tests/fixtures/progressive.jpg");
-
-#[test]
-fn progressive_jpeg() {
-    let decoded = read(PROGRESSIVE).unwrap();
-    assert_eq!((decoded.width, decoded.height), (48, 32));
-    // The fixture is a ramp in x.
-    let v = eight(Ok(decoded));
-    let at = |x: usize| i32::from(v[3 * (48 * 16 + x) + 1]);
-    assert!((at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8, "{} {}", at(4), at(40));
-}
-
-/// As fixtures: one scan for each component at 4:2:0, and one of luma and one of both chromas at 4:4:0.
-const BY_SCANS: [&[u8]; 2] =
-    [include_bytes!("../../../tests/fixtures/scans-420.jpg"), include_bytes!("../../../tests/fixtures/scans-440.jpg")];
-
-#[test]
-fn jpeg_of_several_sequential_scans_or_fine_chroma_has_its_pixels_in_their_places() {
-    let fine_chroma = &include_bytes!("../../../tests/fixtures/fine-chroma.jpg")[..];
-    for bytes in BY_SCANS.into_iter().chain([fine_chroma]) {
-        let decoded = read(bytes).unwrap();
-        assert_eq!((decoded.width, decoded.height), (40, 44));
-        for (i, p) in eight(Ok(decoded)).chunks_exact(3).enumerate() {
-            let wanted = [6 * (i % 40) as u8, 5 * (i / 40) as u8, 120];
-            // Chroma of half the resolution clips at the edges of the colour cube.
-            assert!(p.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 12), "{},{}: {p:?}", i % 40, i / 40);
-        }
-    }
-}
-
-#[test]
-fn jpeg_of_several_sequential_scans_that_was_cut_is_an_error() {
-    for whole in BY_SCANS {
-        let at = |from: usize, is_it: fn(u8) -> bool| {
-            let pair = whole[from..].windows(2).position(|w| w[0] == 0xFF && is_it(w[1]));
-            pair.map(|i| from + i)
-        };
-        let mut end = 0;
-        while let Some(scan) = at(end, |code| code == 0xDA) {
-            end = at(scan + 2, |code| code != 0).expect("a marker behind the scan");
-            // The last bytes of the scan are missing, all that follows is there.
-            let mut cut = end - 5;
-            cut -= usize::from(whole[cut - 1] == 0xFF);
-            assert!(is_damage(read(&[&whole[..cut], &whole[end..]].concat())), "before {end} of {}", whole.len());
-        }
-        assert!(is_damage(read(&whole[..whole.len() - 40])));
-    }
-}
-
-#[test]
-fn a_cut_jpeg_is_an_error_wherever_it_is_cut() {
-    for whole in [jpeg(&scene(160, 120), 160), PROGRESSIVE.to_vec()] {
-        assert!(read(&whole).is_ok());
-        let cuts = [0.02, 0.3, 0.5, 0.8, 0.95, 0.97, 0.99].map(|part| (whole.len() as f64 * part) as usize);
-        for cut in cuts.into_iter().chain([whole.len() - 1, whole.len() - 2]) {
-            assert!(is_damage(read(&whole[..cut])), "cut at {cut} of {}", whole.len());
-            let zeros = [&whole[..cut], &[0; 5000]].concat();
-            assert!(is_damage(read(&zeros)), "cut at {cut} of {} and filled with zeros", whole.len());
-        }
-    }
-}
-
-#[test]
-fn a_cut_jpeg_that_was_closed_again_is_an_error() {
-    let whole = jpeg(&scene(160, 120), 160);
-    for part in [0.5, 0.8, 0.95, 0.99] {
-        let mut cut = (whole.len() as f64 * part) as usize;
-        // Not between 0xFF and its zero.
-        cut -= usize::from(whole[cut - 1] == 0xFF);
-        assert!(is_damage(read(&[&whole[..cut], &[0xFF, 0xD9]].concat())), "cut at {part}");
-    }
-    let cut = PROGRESSIVE.len() / 2;
-    assert!(is_damage(read(&[&PROGRESSIVE[..cut], &[0xFF, 0xD9]].concat())));
-}
-
-#[test]
-fn what_follows_or_pads_a_whole_jpeg_does_no_harm() {
-    let whole = jpeg(&scene(64, 48), 64);
-    let plain = eight(read(&whole));
-    let second = jpeg(&scene(16, 16), 16);
-    assert_eq!(eight(read(&[&whole[..], &second].concat())), plain, "a second image, as in MPF");
-    assert_eq!(eight(read(&[&whole[..], &second[..40]].concat())), plain, "half a second image");
-    assert_eq!(eight(read(&[&whole[..], &[0; 999]].concat())), plain, "zeros");
-    assert_eq!(eight(read(&[&whole[..20], &[0; 9], &whole[20..]].concat())), plain, "bytes between segments");
-    assert_eq!(eight(read(&[&whole[..2], &[0xFF; 9], &whole[2..]].concat())), plain, "fill bytes");
-    let thumbnail = with_segment(&whole, 0xE1, &second);
-    assert_eq!(eight(read(&thumbnail)), plain, "a picture within a segment");
-    assert!(is_damage(read(&thumbnail[..second.len() + 20])));
-}
-
-/// That it takes little time is checked by `tests/cli/limits.rs`.
-#[test]
-fn many_pieces_between_segments_do_no_harm() {
-    let whole = jpeg(&scene(64, 48), 64);
-    let padding = [0, 0xFF, 0x01].repeat(3_000);
-    assert_eq!(eight(read(&[&whole[..20], &padding, &whole[20..]].concat())), eight(read(&whole)));
-}
-
-#[test]
-fn flat_pictures_of_few_bytes_are_whole() {
-    for size in [1usize, 7, 8, 16, 17, 64, 200] {
-        for level in [0u8, 128, 255] {
-            let v = eight(read(&jpeg(&vec![level; 3 * size * size], size)));
-            assert!(v.iter().all(|x| x.abs_diff(level) <= 1), "{size} px of {level}");
-        }
-    }
-}
+pub(super) const PROGRESSIVE: &[u8] = include_bytes!("../../../tests/fixtures/progressive.jpg");
 
 #[test]
 fn exif_turns_jpeg_png_and_tiff() {

@@ -1,16 +1,16 @@
-//! TIFF: grey, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
+//! TIFF: grey, palettes, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
 //!
-//! In: the file. Out: RGB at the file's depth, of its first picture that is no thumbnail; grey of fewer than 8 bit becomes 8.
-//! Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0.
+//! In: the file. Out: RGB at the file's depth, of its first picture that is no thumbnail; fewer than 8 bit and palettes become 8, extra
+//! samples are left out. Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0 (sections 4 to 6, 8, 16 and 18); libtiff,
+//! `tif_getimage.c`, for colour maps of 8 bit.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
 use crate::limits::{self, Limits as Allowed};
-use crate::tiff_file::{self, Picture};
+use crate::tiff_file::{self, Picture, refusal};
 use exif::experimental::Writer;
 use exif::{Context, Field, In};
 use std::io::{Cursor, Read, Seek};
-use tiff::ColorType;
 use tiff::Directory;
 use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
@@ -31,29 +31,33 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     let header = bytes[..HEADER].to_vec();
     tiff_file::put_first(&mut bytes, picture);
     tiff_file::order_bits(&mut bytes);
-    let mut decoder = Decoder::new(Cursor::new(&bytes)).map_err(damaged)?;
-    let (width, height) = decoder.dimensions().map_err(damaged)?;
+    let photometric = tiff_file::as_grey(&mut bytes);
+    let mut decoder = Decoder::new(Cursor::new(&bytes)).map_err(refusal)?;
+    let (width, height) = decoder.dimensions().map_err(refusal)?;
     let (width, height) = (width as usize, height as usize);
     allowed.check_size(width, height)?;
-    let kind = decoder.colortype().map_err(damaged)?;
+    let kind = Kind::of(&mut decoder, photometric)?;
     let pixels = width as u64 * height as u64;
-    let bits = u64::from(kind.bit_depth()) * u64::from(kind.num_samples());
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
-    limits::check_length(bytes.len(), pixels * bits / 8, limits::tiff_packing(compression))?;
-    // As stored, and as RGB.
-    let needed = pixels * (bits.div_ceil(8) + 3 * u64::from(kind.bit_depth()).div_ceil(8)) + bytes.len() as u64;
+    let packed = pixels.saturating_mul(kind.samples * kind.depth) / 8;
+    limits::check_length(bytes.len(), packed, limits::tiff_packing(compression))?;
+    // As stored, without the extra samples, and as RGB: two of them at a time.
+    let wanted = kind.colour.samples();
+    let (each, stored) = (kind.depth.div_ceil(8), pixels.saturating_mul(kind.samples * kind.depth.div_ceil(8)));
+    let needed = stored.saturating_add(pixels * each * wanted.max(3) as u64 + bytes.len() as u64);
     allowed.check_memory((width, height), needed)?;
-    // The size is checked; what it needs may be had: at most five channels of 16 bit.
+    // The size is checked; what it needs may be had.
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = limits.decoding_buffer_size.max(10 * width * height);
-    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(10 * width * height);
+    let stored = usize::try_from(stored).unwrap_or(usize::MAX);
+    limits.decoding_buffer_size = limits.decoding_buffer_size.max(stored);
+    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(stored);
     limits.ifd_value_size = limits.ifd_value_size.max(64 << 20);
     let mut decoder = decoder.with_limits(limits);
     let icc = decoder.find_tag(ICC).ok().flatten().and_then(|v| v.into_u8_vec().ok());
 
-    let samples = match tiff_file::samples(&mut decoder, damaged)? {
-        DecodingResult::U8(v) => Samples::Eight(rgb(v, kind)?),
-        DecodingResult::U16(v) => Samples::Sixteen(rgb(v, kind)?),
+    let samples = match tiff_file::samples(&mut decoder, wanted)? {
+        DecodingResult::U8(v) => Samples::Eight(kind.colour.eight(v, kind.depth)),
+        DecodingResult::U16(v) => Samples::Sixteen(kind.colour.rgb(v)),
         _ => return Err(FLOATING_POINT.into()),
     };
     if samples.len() != 3 * width * height {
@@ -69,13 +73,9 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
         exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
         directory: picture.index as u16,
         icc,
-        has_alpha: matches!(kind, ColorType::GrayA(_) | ColorType::RGBA(_) | ColorType::CMYKA(_)),
+        has_alpha: kind.has_alpha,
         notes: Vec::new(),
     })
-}
-
-fn damaged(e: tiff::TiffError) -> Reason {
-    format!("{e}; copy the file again, or save it as a plain 8- or 16-bit RGB TIFF")
 }
 
 /// Camera raws are TIFF files that hold a thumbnail or a sensor's mosaic: they must not pass for photographs.
@@ -86,19 +86,94 @@ fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     Ok(())
 }
 
-/// Interleaved RGB of a TIFF's samples.
-fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(values: Vec<T>, kind: ColorType) -> Result<Vec<T>, Reason> {
-    Ok(match kind {
-        ColorType::Gray(_) => to_rgb(values, 1),
-        ColorType::GrayA(8 | 16) => to_rgb(values, 2),
-        ColorType::RGB(8 | 16) => to_rgb(values, 3),
-        ColorType::RGBA(8 | 16) => to_rgb(values, 4),
-        ColorType::CMYK(8 | 16) => cmyk_to_rgb(&values, 4, T::MAX),
-        ColorType::CMYKA(8 | 16) => cmyk_to_rgb(&values, 5, T::MAX),
-        other => {
-            return Err(format!("its samples are of a kind that is not supported ({other:?}); save it as RGB"));
+/// What a picture's samples are.
+struct Kind {
+    colour: Colour,
+    /// To a pixel.
+    samples: u64,
+    /// Bits of each.
+    depth: u64,
+    has_alpha: bool,
+}
+
+impl Kind {
+    /// That of the picture that `decoder` is at, whose photometric interpretation is given.
+    fn of<R: Read + Seek>(decoder: &mut Decoder<R>, photometric: Option<u16>) -> Result<Kind, Reason> {
+        let mut numbers = |tag| decoder.find_tag_unsigned_vec::<u16>(tag).ok().flatten().unwrap_or_default();
+        // 3 is "floating point" (TIFF 6.0, section 19).
+        if numbers(Tag::SampleFormat).first() == Some(&3) {
+            return Err(FLOATING_POINT.into());
         }
-    })
+        let depth = numbers(Tag::BitsPerSample).first().copied().unwrap_or(1);
+        let samples = numbers(Tag::SamplesPerPixel).first().copied().unwrap_or(1);
+        let unsupported = |what: &str| Err(format!("it is {what}, which is not supported; save it as grey or RGB"));
+        let colour = match photometric {
+            Some(0) => Colour::InverseGrey,
+            Some(1) => Colour::Grey,
+            Some(2) => Colour::Rgb,
+            Some(3) => Colour::Palette(numbers(Tag::ColorMap)),
+            Some(5) => Colour::Cmyk,
+            Some(6) => return unsupported("YCbCr"),
+            Some(8..=10) => return unsupported("CIE L*a*b*"),
+            Some(32844 | 32845) => return unsupported("LogLuv"),
+            _ => return unsupported("of no known kind of colour"),
+        };
+        let is_palette = matches!(colour, Colour::Palette(_));
+        if depth > 8 && (depth != 16 || is_palette) {
+            let palette = if is_palette { "a palette" } else { "samples" };
+            return unsupported(&format!("a picture with {palette} of {depth} bit"));
+        }
+        // Of extra samples that are not told, the first is alpha to all programs.
+        let extra = usize::from(samples).saturating_sub(colour.samples());
+        let told = numbers(Tag::ExtraSamples);
+        let has_alpha = extra > told.len() || told.iter().any(|kind| matches!(kind, 1 | 2));
+        Ok(Kind { colour, samples: samples.into(), depth: depth.into(), has_alpha })
+    }
+}
+
+/// What the samples of a pixel stand for, extra ones behind them aside.
+enum Colour {
+    Grey,
+    /// 0 is white.
+    InverseGrey,
+    Rgb,
+    /// All reds, then all greens, then all blues.
+    Palette(Vec<u16>),
+    Cmyk,
+}
+
+impl Colour {
+    /// To a pixel.
+    fn samples(&self) -> usize {
+        match self {
+            Colour::Grey | Colour::InverseGrey | Colour::Palette(_) => 1,
+            Colour::Rgb => 3,
+            Colour::Cmyk => 4,
+        }
+    }
+
+    /// Interleaved RGB of bytes; those of fewer bits, which `depth` is, are of the full range.
+    fn eight(&self, values: Vec<u8>, depth: u64) -> Vec<u8> {
+        let Colour::Palette(map) = self else { return self.rgb(values) };
+        let last = (1 << depth.min(8)) - 1;
+        let shift = if map.iter().all(|&v| v < 256) { 0 } else { 8 };
+        let entry = |index: usize, c: usize| map.get(c * (last + 1) + index).map_or(0, |v| (v >> shift) as u8);
+        let colours: Vec<[u8; 3]> = (0..=last).map(|index| [0, 1, 2].map(|c| entry(index, c))).collect();
+        values.iter().flat_map(|&v| colours[usize::from(v) * last / 255]).collect()
+    }
+
+    /// Interleaved RGB of samples that are no indices.
+    fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(&self, values: Vec<T>) -> Vec<T> {
+        match self {
+            Colour::Rgb => values,
+            Colour::Cmyk => cmyk_to_rgb(&values, 4, T::MAX),
+            Colour::Grey | Colour::Palette(_) => to_rgb(values, 1),
+            Colour::InverseGrey => {
+                let inverse = |v: T| T::try_from(T::MAX - v.into()).unwrap_or(v);
+                to_rgb(values.into_iter().map(inverse).collect(), 1)
+            }
+        }
+    }
 }
 
 /// The largest code value of a sample type.
@@ -120,16 +195,13 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
     let picture = tiff_file::picture(&mut reader)?;
     let mut refused = refuse_raw(picture).err();
     reader.rewind().map_err(|e| e.to_string())?;
-    let mut decoder = Decoder::new(reader).map_err(damaged)?;
+    let mut decoder = Decoder::new(reader).map_err(refusal)?;
     let first = decoder.ifd_pointer().filter(|_| picture.index > 0);
-    decoder.seek_to_image(picture.index).map_err(damaged)?;
-    let (width, height) = decoder.dimensions().map_err(damaged)?;
+    decoder.seek_to_image(picture.index).map_err(refusal)?;
+    let (width, height) = decoder.dimensions().map_err(refusal)?;
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).ok().flatten().unwrap_or_default();
-    let kinds = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).ok().flatten().unwrap_or_default();
-    // 3 is "floating point" (TIFF 6.0, section 19).
-    if kinds.first() == Some(&3) {
-        refused.get_or_insert_with(|| FLOATING_POINT.into());
-    }
+    let photometric = decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten();
+    refused = refused.or(Kind::of(&mut decoder, photometric).err());
     let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
     // Of a BigTIFF as well, which has no EXIF here.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
@@ -197,3 +269,6 @@ fn exif_value(value: Value) -> Option<exif::Value> {
         _ => return None,
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+//! TIFFs of every kind of colour, written entry by entry.
+
+use super::super::tests::{eight, read};
+use crate::bracket::Samples;
+use crate::tiff_file::tests::{DATA, Entries, file, rgb, with};
+
+/// The entries of an uncompressed picture of `samples` to a pixel, of `depth` bit and the photometric interpretation given.
+fn of_kind((width, height): (u32, u32), samples: u32, depth: u32, photometric: u32) -> Entries {
+    let row = (width * samples * depth).div_ceil(8);
+    let kinds = [
+        (258, 3, vec![depth; samples as usize]),
+        (262, 3, vec![photometric]),
+        (277, 3, vec![samples]),
+        (279, 4, vec![row * height]),
+    ];
+    kinds.into_iter().fold(rgb(width, height, DATA), with)
+}
+
+/// Each row of `samples`, to a pixel so many, as the differences to the pixel before.
+fn differences(samples: &[u16], width: usize, per_pixel: usize) -> Vec<u16> {
+    let row = |row: &[u16]| -> Vec<u16> {
+        let before = |i: usize| i.checked_sub(per_pixel).map_or(0, |i| row[i]);
+        row.iter().enumerate().map(|(i, v)| v.wrapping_sub(before(i))).collect()
+    };
+    samples.chunks_exact(width * per_pixel).flat_map(row).collect()
+}
+
+#[test]
+fn tiff_with_alpha_or_extra_samples_has_its_colours_with_a_predictor_or_without() {
+    let size = (5, 3);
+    // Grey, white at 0, and RGB; with alpha, and with one and two samples of no told meaning.
+    for (photometric, colours) in [(1, 1), (0, 1), (2, 3)] {
+        for (extra, has_alpha) in
+            [(vec![1], true), (vec![2], true), (vec![0], false), (vec![0, 0], false), (vec![], true)]
+        {
+            let samples = colours + extra.len().max(1);
+            let values: Vec<u16> = (0..15 * samples).map(|i| (i * i * 997 % 65_521) as u16).collect();
+            let seen = |v: u16| if photometric == 0 { u16::MAX - v } else { v };
+            let pixel = |p: &[u16]| [0, 1, 2].map(|c| seen(p[c.min(colours - 1)]));
+            let wanted: Vec<u16> = values.chunks_exact(samples).flat_map(pixel).collect();
+            for predictor in [1, 2] {
+                let stored = if predictor == 2 { differences(&values, 5, samples) } else { values.clone() };
+                let mut entries = with(of_kind(size, samples as u32, 16, photometric), (317, 3, vec![predictor]));
+                if !extra.is_empty() {
+                    entries = with(entries, (338, 3, extra.clone()));
+                }
+                let data: Vec<u8> = stored.iter().flat_map(|v| v.to_le_bytes()).collect();
+                let decoded = read(&file(&data, &[entries])).unwrap();
+                assert_eq!(decoded.has_alpha, has_alpha, "{photometric} {extra:?}");
+                assert!(decoded.samples == Samples::Sixteen(wanted.clone()), "{photometric} {extra:?} {predictor}");
+            }
+            let eights: Vec<u8> = values.iter().map(|&v| v as u8).collect();
+            let wanted: Vec<u8> = wanted.iter().map(|&v| v as u8).collect();
+            let mut entries = of_kind(size, samples as u32, 8, photometric);
+            if !extra.is_empty() {
+                entries = with(entries, (338, 3, extra));
+            }
+            assert_eq!(eight(read(&file(&eights, &[entries]))), wanted);
+        }
+    }
+}
+
+#[test]
+fn tiff_with_a_palette_has_the_colours_of_its_map() {
+    for (depth, stored) in
+        [(1_u32, vec![0b1010_0000]), (2, vec![0b1100_0100]), (4, vec![0xF0, 0x20]), (8, vec![255, 0, 3])]
+    {
+        let last = (1 << depth) - 1;
+        let indices: Vec<u32> = match depth {
+            8 => vec![255, 0, 3],
+            _ => (0..3)
+                .map(|x| u32::from(stored[(x * depth / 8) as usize]) >> (8 - depth - x * depth % 8) & last)
+                .collect(),
+        };
+        // Values of 16 bit, and those of old files of 8.
+        for scale in [257, 256, 1] {
+            let value = |index: u32, c: u32| (index * 5 + c * 60 + 9) % 256;
+            let map: Vec<u32> = (0..3).flat_map(|c| (0..=last).map(move |i| scale * value(i, c))).collect();
+            let entries = with(of_kind((3, 1), 1, depth, 3), (320, 3, map));
+            let wanted: Vec<u8> = indices.iter().flat_map(|&i| [0, 1, 2].map(|c| value(i, c) as u8)).collect();
+            assert_eq!(eight(read(&file(&stored, &[entries]))), wanted, "{depth} bit, {scale}");
+        }
+    }
+}
+
+#[test]
+fn tiff_of_unsupported_kinds_is_named_and_not_called_damaged() {
+    let refused = |entries: Entries| {
+        let reason = read(&file(&[0; 60], &[entries])).map(|_| ()).unwrap_err().to_string();
+        assert!(!reason.contains("again"), "{reason}");
+        reason
+    };
+    // A quarter of the chroma: the file is shorter than its samples by their number.
+    let coarse = with(of_kind((6, 6), 3, 8, 6), (530, 3, vec![2, 2]));
+    assert!(refused(with(coarse, (279, 4, vec![54]))).contains("YCbCr"));
+    assert!(refused(of_kind((4, 4), 3, 8, 8)).contains("L*a*b*"));
+    assert!(refused(of_kind((2, 2), 1, 12, 1)).contains("12 bit"));
+    assert!(refused(with(of_kind((2, 2), 3, 8, 2), (259, 3, vec![50000]))).contains("compression"));
+}
