@@ -6,7 +6,7 @@
 //!
 //! Two frames of a still scene rank its points alike, so equal ranks in their histograms are equal radiances (Grossberg and Nayar,
 //! "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The green channel is taken, of what both frames
-//! show ([`overlap`]), at every code of the darker frame that is well exposed in both ([`histogram`]). Frames are chained in order of
+//! show ([`mod@overlap`]), at every code of the darker frame that is well exposed in both ([`histogram`]). Frames are chained in order of
 //! brightness. What matches leave open of the camera's curve comes from what curves are like ([`curve`]), and a bracket's steps
 //! from how cameras are set ([`steps`]).
 //!

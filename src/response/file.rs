@@ -76,7 +76,7 @@ impl Loss {
     /// What there is to say of the file `path` by which this is lost.
     ///
     /// # Errors
-    /// [`Error::ResponseFormat`] where more is lost than what no curve may [contradict](RESIDUAL) frames by.
+    /// [`Error::ResponseFormat`] where half a stop is lost, by which no curve may contradict frames either.
     pub fn judged(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
