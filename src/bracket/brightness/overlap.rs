@@ -23,7 +23,8 @@ impl View {
     /// Of a picture of this size, by the code of the pixel in a row and a column.
     pub(super) fn of(width: usize, height: usize, code: impl Fn(usize, usize) -> u8) -> Self {
         let stride = width.max(height).div_ceil(LENGTH).max(1);
-        let middles = |length: usize| (stride / 2..length).step_by(stride);
+        // One at least of a strip that is narrower than the stride.
+        let middles = |length: usize| ((stride / 2).min(length / 2)..length).step_by(stride);
         let codes =
             middles(height).flat_map(|y| middles(width).map(move |x| (y, x))).map(|(y, x)| code(y, x)).collect();
         View { width: middles(width).count(), codes }
@@ -167,5 +168,8 @@ mod tests {
         assert_eq!(overlap(&view(40, 40, 1.0), &view(40, 40, 2.5)), None);
         assert_eq!(overlap(&view(40, 40, 1.0), &View::of(200, 300, |_, _| 0)), None);
         assert_eq!(overlap(&View::of(1, 1, |_, _| 7), &View::of(1, 1, |_, _| 9)), None);
+        // A strip as long as a picture can be.
+        let strip = || View::of(65_500, 4, |_, x| (x / 300) as u8);
+        assert_eq!((strip().height(), overlap(&strip(), &strip())), (1, None));
     }
 }
