@@ -85,6 +85,9 @@ def brackets(work):
         images = photographs(made / "jpeg3")
         subprocess.run([str(work / "hdralign-release"), "align", *map(str, images), "--save-aligned", str(tiffs / "frame"), "-q"],
                        check=True, stdout=subprocess.DEVNULL)
+        for tiff in photographs(tiffs):
+            # Results of the program are no photographs to it: the tag that tells them has another name.
+            tiff.write_bytes(tiff.read_bytes().replace(b"hdralign ", b"a camera "))
     return {"jpeg3": (photographs(made / "jpeg3"), []), "jpeg9": (photographs(made / "jpeg9"), []),
             "tiff": (photographs(made / "tiff"), None)}
 
