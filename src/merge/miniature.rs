@@ -3,8 +3,8 @@
 //! In: a bracket and where its frames lie. Out: a [`Miniature`], and of two curves how far apart what is merged with them is. Cost: a
 //! few rows of each frame are read; some milliseconds.
 //!
-//! A curve that is nearly another, code by code, may merge to something else: dark codes weigh little and are many, and where all frames clip or are
-//! black one code decides. So the pixels themselves are merged, chosen by nothing but their place.
+//! Two curves that are nearly the same at most codes may give different radiance: dark codes weigh little but are many, and where all frames
+//! clip or are black one code decides. So pixels at even distances are merged with both.
 
 use super::gamut::weights;
 use super::weight::Weight;

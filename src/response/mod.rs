@@ -233,12 +233,12 @@ pub fn recover(
     recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
-/// What frames contradict a saved curve by beyond a curve of their own, in stops, from which on it is not their camera's: of one camera's
-/// curves, each from another scene, it is 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s), and a linear one's is 0.2 to 0.5.
+/// A saved curve is doubted where it adds this, in stops, to the residual of a curve of the frames' own. One camera's curves, each from another
+/// scene, add 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s); a linear curve adds 0.2 to 0.5.
 const CONTRADICTED: f64 = 0.1;
 
-/// Where frames contradict `curve` by a tenth of a stop beyond what they contradict a curve of their own by, as independent errors add up:
-/// both root mean square residuals, in stops. None where it fits about as well, or where they do not tell a curve.
+/// The root mean square residuals of `curve` and of a curve of the frames' own, in stops, where the first is larger by a tenth of a stop (as
+/// independent errors add up: the difference is that of the squares). None where it fits about as well, or where the frames tell no curve.
 ///
 /// # Errors
 /// As [`recover`].

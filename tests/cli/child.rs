@@ -5,21 +5,20 @@
 use crate::support::{Folder, program};
 use signal_hook::consts::{SIGHUP, SIGINT};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::Once;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Once};
 
 /// Begins `line` in `folder`.
 pub fn begin(folder: &Folder, line: &str) -> Child {
-    hear();
+    handle_signals();
     let mut command = Command::new(program());
     command.args(line.split_whitespace()).current_dir(folder.path());
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
 }
 
-/// What a process ignores, those that it starts ignore too; what it hears, they do not. The tests may run in the background of a script, where INT is ignored,
-/// or by `nohup`.
-fn hear() {
+/// Gives INT and HUP handlers, so that processes started from here do not ignore them. They would inherit that where the tests run in the
+/// background of a script, which ignores INT, or by `nohup`.
+fn handle_signals() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         for signal in [SIGHUP, SIGINT] {
