@@ -14,6 +14,7 @@ const ENDED_BY: i32 = 128;
 static IS_BATCH: AtomicBool = AtomicBool::new(false);
 static STOP: AtomicBool = AtomicBool::new(false);
 static ASKED: AtomicUsize = AtomicUsize::new(0);
+static IS_ENDING: AtomicBool = AtomicBool::new(false);
 
 /// Whether a file outgrew its limit; nobody asks, for the write says so itself.
 #[cfg(unix)]
@@ -30,9 +31,17 @@ fn heard(signal: i32) {
         say("\nhdralign: ending what has begun; once more stops at once");
         return;
     }
+    IS_ENDING.store(true, Ordering::SeqCst);
     write::abandon();
     say("\nhdralign: stopped; nothing half-written was left");
     std::process::exit(ENDED_BY + signal);
+}
+
+/// Returns at once, or never where a signal is just ending the process: what failed because of that is not to be told, nor to give the exit code.
+pub fn give_way() {
+    while IS_ENDING.load(Ordering::SeqCst) {
+        std::thread::park();
+    }
 }
 
 /// From here on signals are heard. Where they cannot be they act as they always do.

@@ -143,6 +143,7 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
+            interrupt::give_way();
             // The library knows of no commands.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
