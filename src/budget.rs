@@ -36,7 +36,7 @@ const SCALE_SPACE: u64 = 4 * 6 * 4 / 3;
 /// Bytes that a thread adds for each column: bands of 64 rows of radiance, of the picture and of what is encoded of them. Measured likewise.
 const COLUMN: u64 = 64 * 20;
 /// Bytes of a cell of deghosting: two frames', and what is made of them.
-const CELL: u64 = 70;
+const CELL: u64 = 140;
 /// Bytes of a cell while a frame is averaged beside the standard.
 const AVERAGED: u64 = 32;
 /// Bytes of a pixel of radiance: three floats.
@@ -87,7 +87,9 @@ impl Demand {
     /// The most pixels of the level on which agreement is measured and features are sought.
     pub const MEASURED_PIXELS: u64 = 600_000;
     /// Cells that deghosting has at most, but that none is larger than 8 x 8 pixels.
-    pub const MOST_CELLS: u64 = 1 << 20;
+    pub const MOST_CELLS: u64 = 1 << 18;
+    /// Cells that the overview of tone mapping has at most.
+    const OVERVIEW_CELLS: u64 = 1 << 20;
 
     fn pixels(&self) -> u64 {
         self.size.0 as u64 * self.size.1 as u64
@@ -154,7 +156,7 @@ impl Demand {
     fn merging(&self, threads: u64, pixel: u64, whole: u64) -> u64 {
         let beside = match self.stages.fusing {
             true => (FUSION_3 + CHANNEL_3 * threads.min(3)) * self.pixels() / 3 + whole,
-            false => TONES * self.pixels().min(Demand::MOST_CELLS),
+            false => TONES * self.pixels().min(Demand::OVERVIEW_CELLS),
         };
         if self.stages.merging { pixel * self.pixels() + beside } else { 0 }
     }
@@ -192,7 +194,7 @@ impl Demand {
 /// The reason and the remedy, where not even one does.
 pub(crate) fn tonemapping(limits: &Limits, size: (usize, usize), threads: usize) -> std::result::Result<usize, String> {
     let demand = Demand { stages: Stages::default(), frames: 0, size, frame: 0, decoding: 0 };
-    let held = (RADIANCE + 3) * demand.pixels() + TONES * demand.pixels().min(Demand::MOST_CELLS);
+    let held = (RADIANCE + 3) * demand.pixels() + TONES * demand.pixels().min(Demand::OVERVIEW_CELLS);
     limits.check_memory_while("tone-mapped", size, held + demand.thread())?;
     let rest = limits.memory.unwrap_or(u64::MAX) - held;
     Ok(threads.min(usize::try_from(rest / demand.thread()).unwrap_or(usize::MAX)))

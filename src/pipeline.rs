@@ -31,6 +31,7 @@ use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
 use crate::write::{self, Pending, Target, Whole, aligned};
+use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
@@ -73,7 +74,7 @@ pub struct Options {
     /// How far a code is trusted.
     pub weight: Weight,
     /// Whether and how readily what moved is left out.
-    pub deghost: Option<Deghost>,
+    pub deghost: Deghost,
     /// Where and how much was left out is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
     pub ghost_mask: Option<PathBuf>,
     /// Whether the veil of scattered light is sought and taken off.
@@ -115,7 +116,7 @@ impl Options {
     /// What takes memory where it is merged.
     pub(crate) fn merging(&self) -> Stages {
         let fusing = matches!(self.rendering, Rendering::Fused(_));
-        Stages { merging: true, deghosting: self.deghost.is_some(), fusing, ..self.aligning() }
+        Stages { merging: true, deghosting: self.deghost.is_on(), fusing, ..self.aligning() }
     }
 
     /// Whether the file of transforms is there, and so is read and not written.
@@ -254,7 +255,9 @@ fn merged(
             let calibration = options.calibration.settle(bracket.reference(), &curve)?;
             let radiance = line.merge(&bracket, &alignment, &curve, region, options)?;
             let (radiance, statistics) = line.units(radiance, &calibration, options)?;
-            let picture = line.tonemap(&radiance.slabs, &bracket, &alignment, region, options)?;
+            let ghosts = radiance.ghosts.as_ref();
+            let aligned = Aligned { bracket: &bracket, alignment: &alignment, region, curve: &curve, ghosts };
+            let picture = line.tonemap(&radiance.slabs, &aligned, options)?;
             let mut files = line.others(&bracket, &alignment, region, options)?;
             let metadata = line::metadata(bracket.reference(), options);
             let merging = MergeOptions { weight: options.weight, region };
@@ -421,8 +424,8 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     if let Some(path) = &options.report {
         report::Format::of(path)?;
     }
-    options.deghost.map_or(Ok(()), |deghost| deghost.validate())?;
-    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_some())?;
+    options.deghost.validate()?;
+    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 

@@ -275,7 +275,7 @@ impl Args {
             },
             normalisation,
             options,
-            seeks_ghosts: acting.deghost.is_some(),
+            seeks_ghosts: acting.deghost.is_on(),
             fuses: matches!(acting.rendering, hdralign::tonemap::Rendering::Fused(_)),
         })
     }
@@ -385,7 +385,7 @@ mod tests {
                 !line.iter().any(|word| ["-d", "--output", "--threads", "--force"].iter().any(|o| word.starts_with(o)))
             );
         }
-        assert_eq!(typed(&["--deghost", "-e=-2,0,2"]).0, ["--ev=-2,0,2", "--deghost=0.5"]);
+        assert_eq!(typed(&["--deghost", "-e=-2,0,2"]).0, ["--ev=-2,0,2", "--deghost=auto"]);
         assert!(typed(&[]).0.is_empty());
     }
 }

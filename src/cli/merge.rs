@@ -6,6 +6,7 @@ use super::merging::Merging;
 use super::progress::{Bar, Plan};
 use hdralign::bracket::LoadOptions;
 use hdralign::error::Error;
+use hdralign::merge::deghost::Deghost;
 use hdralign::pipeline::{self, Options};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -78,10 +79,10 @@ impl Args {
     fn check_strength(&self) -> Result<(), Error> {
         let images = &self.common.aligned.images;
         let strength = images.iter().find(|image| {
-            let number = image.to_str().and_then(|name| name.parse::<f64>().ok());
-            number.is_some_and(|n| (0.0..=1.0).contains(&n)) && !image.exists()
+            let strength = image.to_str().and_then(|name| name.parse::<Deghost>().ok());
+            strength.is_some_and(|strength| strength.validate().is_ok()) && !image.exists()
         });
-        match strength.filter(|_| self.merging.deghost.is_some()) {
+        match strength {
             None => Ok(()),
             Some(name) => {
                 let name = name.display();
@@ -96,7 +97,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let options = args.options()?;
     leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
     let mut bar = Bar::new(
-        Plan::merge(&args.common.aligned.images, args.merging.deghost.is_some()),
+        Plan::merge(&args.common.aligned.images, args.merging.deghost.is_on()),
         args.common.aligned.work.quiet,
     );
     let report = pipeline::run(&args.common.aligned.images, &options, &|p| bar.show(p));

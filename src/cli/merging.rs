@@ -21,10 +21,17 @@ pub struct Merging {
     #[arg(long, value_enum, default_value_t, value_name = "NAME")]
     weight: WeightArg,
 
-    /// Leave out of the other photographs what is not as the reference shows it: people, cars, leaves, water. STRENGTH is 0 (only what is
-    /// plainly different) to 1 (whatever may be); 0.5 where none is given
-    #[arg(long, value_name = "STRENGTH", num_args = 0..=1, require_equals = true, default_missing_value = "0.5")]
-    pub deghost: Option<f64>,
+    /// Leave out of the other photographs what moved, and is not as the reference shows it: people, cars, leaves, water. off leaves all in; a
+    /// strength is 0 (only what is plainly different) to 1 (whatever may be), and that of auto 0.5
+    #[arg(
+        long,
+        value_name = "auto|off|STRENGTH",
+        num_args = 0..=1,
+        require_equals = true,
+        default_value_t,
+        default_missing_value = "auto"
+    )]
+    pub deghost: Deghost,
 
     /// Take off the veil that lens and sensor scatter over the picture, where there is one
     #[arg(long)]
@@ -83,7 +90,7 @@ impl Merging {
                 WeightArg::MannPicard => Weight::MannPicard,
                 WeightArg::Noise => Weight::Noise,
             },
-            deghost: self.deghost.map(|strength| Deghost { strength }),
+            deghost: self.deghost,
             flare: self.flare,
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },

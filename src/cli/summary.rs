@@ -1,4 +1,4 @@
-//! What was done, in words for people, on stderr: six lines, and the warnings before them.
+//! What was done, in words for people, on stderr: six lines, one more where something moved, and the warnings before them.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
@@ -53,8 +53,8 @@ fn times(report: &Report) -> String {
     spent.join(", ")
 }
 
-/// The six lines: what was merged, how it was aligned, what is missing, the range, the files, the time.
-fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
+/// The lines: what was merged, how it was aligned, what moved, what is missing, the range, the files, the time.
+fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let merged = if report.radiance.is_some() { "merged" } else { "read" };
     let doubts = doubts(report, terminal.room(LABEL));
     let left_out = if doubts.is_empty() {
@@ -66,14 +66,31 @@ fn lines(report: &Report, terminal: &Terminal) -> [String; 6] {
         let label = terminal.strong(&format!("{label:LABEL$}"));
         format!("{label}{}", shortened(text, terminal.room(LABEL)))
     };
-    [
-        row(merged, &size(report)),
-        row("aligned", &aligned(report, terminal.room(LABEL))),
-        format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts"))),
-        row("range", &range(report)),
-        row("files", &files(&report.outputs, terminal.room(LABEL))),
-        row("time", &duration(report.time_s.total)),
-    ]
+    let all = [
+        Some(row(merged, &size(report))),
+        Some(row("aligned", &aligned(report, terminal.room(LABEL)))),
+        movement(report).map(|moved| row("movement", &moved)),
+        Some(format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts")))),
+        Some(row("range", &range(report))),
+        Some(row("files", &files(&report.outputs, terminal.room(LABEL)))),
+        Some(row("time", &duration(report.time_s.total))),
+    ];
+    all.into_iter().flatten().collect()
+}
+
+/// How much moved, and where most; none where nothing did or it was not sought.
+fn movement(report: &Report) -> Option<String> {
+    let ghosts = report.ghosts.as_ref()?;
+    let most = ghosts.regions.first()?;
+    let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
+    let third = |at: usize, size: usize| (3 * at / size.max(1)).min(2);
+    let row = ["at the top", "in the middle", "at the bottom"][third(y, report.crop.height_px)];
+    let column = [" left", "", " right"][third(x, report.crop.width_px)];
+    let percent = match 100.0 * ghosts.ghost_fraction {
+        percent if percent < 0.1 => "under 0.1".to_owned(),
+        percent => format!("{percent:.1}"),
+    };
+    Some(format!("{percent} % of the picture, most of it {row}{column}; removed"))
 }
 
 /// Photographs, and the size of what came of them.

@@ -85,7 +85,7 @@ fn lead(picture: &Picture, report: &Report) -> String {
     };
     let caption = format!(
         "<b>The picture</b>, tone-mapped from the merged radiance: {} × {} pixels{reduced}; {cut}. Look for double edges (a frame lies \
-         wrong), for people and leaves that show through (<code>--deghost</code>), and for grey patches in the sky (nothing held it).",
+         wrong), for people and leaves that show through (<code>--deghost=1</code>), and for grey patches in the sky (nothing held it).",
         crop.width_px, crop.height_px
     );
     let figure = figure(picture, "The tone-mapped result of the bracket.", &caption);

@@ -184,12 +184,15 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
                 )
             })
             .collect();
-        let caption = format!(
-            "<b>Ghosts.</b> Where something moved, and the other frames were left out in favour of what the reference shows: black nothing, white all of them; \
-             strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.",
-            ghosts.strength,
-            percent(ghosts.ghost_fraction)
-        );
+        let caption = match ghosts.regions.is_empty() {
+            true => "<b>Movement.</b> None was found: every frame takes part everywhere.".to_owned(),
+            false => format!(
+                "<b>Movement.</b> Where something moved, and other frames were left out in favour of what the reference shows: black nothing, white all \
+                 of them; strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.",
+                ghosts.strength,
+                percent(ghosts.ghost_fraction)
+            ),
+        };
         let _ = write!(
             out,
             "<div class=\"shares\">\n{}<table class=\"ghosts\"><caption>Left out of each frame</caption>\n{frames}</table>\n</div>\n",

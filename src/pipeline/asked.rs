@@ -20,7 +20,7 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         response_model: (merges && file.is_none()).then(|| options.response.name()),
         response_file: file.map(|path| path.to_string_lossy().into_owned()),
         weight: merges.then_some(options.weight),
-        deghost_strength: options.deghost.filter(|_| merges).map(|deghost| deghost.strength),
+        deghost_strength: options.deghost.strength().filter(|_| merges),
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
         operator: merges.then(|| options.rendering.clone()),
@@ -36,7 +36,7 @@ mod tests {
     fn a_run_that_only_aligns_was_asked_for_no_radiance() {
         let options = Options {
             response_file: Some("c.json".into()),
-            deghost: Some(Deghost { strength: 0.25 }),
+            deghost: Deghost::Strength(0.25),
             crop: Crop::None,
             ..Options::default()
         };

@@ -3,31 +3,61 @@
 //! In: a bracket and its alignment. Out: the picture, 8-bit sRGB. Cost: each frame resampled twice, and the fusion.
 
 use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Primaries, Transfer, linear_to_srgb};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
+use crate::merge::deghost::Ghosts;
 use crate::plane::{BAND_ROWS, Plane};
+use crate::response::{CODES, ResponseCurve};
 use crate::tonemap::mertens::{self, Channels};
 use rayon::prelude::*;
 
-/// The picture of the part `region` of the placed frames.
-///
-/// # Errors
-/// [`Error::Scratch`](crate::error::Error::Scratch).
-pub(super) fn fused(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    region: Rect,
-    options: &mertens::Options,
-) -> Result<Plane<[u8; 3]>> {
-    let frames = bracket.frames().iter().zip(&alignment.verdicts);
-    let placed: Vec<_> = frames.filter_map(|(frame, verdict)| Some((frame, verdict.warp?))).collect();
-    let to_srgb = ToSrgb::of(bracket.reference());
-    let channels = |k: usize| -> Result<Channels> {
-        let (frame, warp) = &placed[k];
+/// What is fused.
+pub(super) struct Aligned<'a> {
+    pub bracket: &'a Bracket,
+    pub alignment: &'a Alignment,
+    /// The part of the reference that the picture shows.
+    pub region: Rect,
+    pub curve: &'a ResponseCurve,
+    /// What is left out of the frames, over `region`.
+    pub ghosts: Option<&'a Ghosts>,
+}
+
+impl Aligned<'_> {
+    /// The picture.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch).
+    pub fn fused(&self, options: &mertens::Options) -> Result<Plane<[u8; 3]>> {
+        let placed: Vec<Placed> = self.alignment.placed(self.bracket).collect();
+        let to_srgb = ToSrgb::of(self.bracket.reference());
+        let channels = |k: usize| -> Result<Channels> {
+            let mut channels = self.codes(&placed, k)?;
+            if let Some(to_srgb) = &to_srgb {
+                let [red, green, blue] = &mut channels;
+                let rows = red.as_mut_slice().par_iter_mut().zip(green.as_mut_slice()).zip(blue.as_mut_slice());
+                rows.filter(|((r, _), _)| **r >= 0.0)
+                    .for_each(|((r, g), b)| [*r, *g, *b] = to_srgb.codes([*r, *g, *b]));
+            }
+            Ok(channels)
+        };
+        let codes = mertens::fuse(placed.len(), channels, options)?;
+        let (width, height) = (codes[0].width(), codes[0].height());
+        Ok(Plane::from_rows(width, height, |y, row| {
+            for (x, to) in row.iter_mut().enumerate() {
+                *to = codes.each_ref().map(|c| (255.0 * c.at(x, y).clamp(0.0, 1.0) + 0.5) as u8);
+            }
+        }))
+    }
+
+    /// The codes 0..=1 of frame `k` of those placed, -1 outside it; where something moved, what it would show of the next frame towards the reference,
+    /// which is as much changed. To give it no weight there would not do: the coarse levels of the pyramids carry what moved beyond its borders.
+    fn codes(&self, placed: &[Placed], k: usize) -> Result<Channels> {
+        let (_, frame, warp) = placed[k];
         let window = frame.whole()?;
-        let (width, height) = (region.width(), region.height());
+        let (region, width, height) = (self.region, self.region.width(), self.region.height());
         let mut planes: Channels = std::array::from_fn(|_| Plane::filled(width, height, 0.0f32));
         let band = BAND_ROWS * width;
         let [red, green, blue] = planes.each_mut().map(|p| p.as_mut_slice().par_chunks_mut(band));
@@ -35,26 +65,54 @@ pub(super) fn fused(
         bands.for_each_init(Vec::new, |codes, (i, ((red, green), blue))| {
             codes.resize(red.len(), [0.0f32; 3]);
             let y = region.y0 + i * BAND_ROWS;
-            resample_rows(&window, warp, region.x0..region.x1, y..y + red.len() / width, codes);
+            resample_rows(&window, &warp, region.x0..region.x1, y..y + red.len() / width, codes);
             for (((r, g), b), code) in red.iter_mut().zip(green).zip(blue).zip(codes.iter()) {
                 // Overshoot of the kernel must not be taken for what is outside.
-                let inside = || code.map(|c| (c / 255.0).clamp(0.0, 1.0));
-                [*r, *g, *b] = match &to_srgb {
-                    _ if code[0] == OUTSIDE => [-1.0; 3],
-                    None => inside(),
-                    Some(to_srgb) => to_srgb.codes(inside()),
-                };
+                [*r, *g, *b] = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
             }
         });
-        Ok(planes)
-    };
-    let codes = mertens::fuse(placed.len(), channels, options)?;
-    let (width, height) = (codes[0].width(), codes[0].height());
-    Ok(Plane::from_rows(width, height, |y, row| {
-        for (x, to) in row.iter_mut().enumerate() {
-            *to = codes.each_ref().map(|c| (255.0 * c.at(x, y).clamp(0.0, 1.0) + 0.5) as u8);
+        drop(window);
+        let Some(ghosts) = self.ghosts.filter(|ghosts| !ghosts.is_whole(k)) else { return Ok(planes) };
+        let reference = placed.iter().position(|(i, _, _)| *i == self.bracket.reference_index()).unwrap_or(k);
+        let toward = if k < reference { k + 1 } else { k - 1 };
+        let other = self.codes(placed, toward)?;
+        let factor = frame.exposure.relative() / placed[toward].1.exposure.relative();
+        for (c, (own, other)) in planes.iter_mut().zip(&other).enumerate() {
+            let table = changed(self.curve, c, factor);
+            own.fill_bands(|rows, band| {
+                let kept = ghosts.kept(k, rows.clone());
+                for ((v, other), kept) in band.iter_mut().zip(other.rows(rows)).zip(kept) {
+                    if *other >= 0.0 && kept < 1.0 {
+                        let instead = between(&table, *other);
+                        *v = if *v < 0.0 { *v } else { instead + kept * (*v - instead) };
+                    }
+                }
+            });
         }
-    }))
+        Ok(planes)
+    }
+}
+
+/// A placed frame: its number in the bracket, itself, and where it lies.
+type Placed<'a> = (usize, &'a Frame, Warp);
+
+/// For each code of a channel the code 0..=1 that a frame exposed `factor` times as long has.
+fn changed(curve: &ResponseCurve, channel: usize, factor: f64) -> [f32; CODES] {
+    let exposures = curve.exposures(channel);
+    exposures.map(|x| {
+        let x = (f64::from(x) * factor) as f32;
+        let above = exposures.partition_point(|&e| e < x).clamp(1, CODES - 1);
+        let (a, b) = (exposures[above - 1], exposures[above]);
+        let part = if b > a { ((x - a) / (b - a)).clamp(0.0, 1.0) } else { 1.0 };
+        ((above - 1) as f32 + part) / (CODES - 1) as f32
+    })
+}
+
+/// The entry of `table` for a code 0..=1, between entries.
+fn between(table: &[f32; CODES], code: f32) -> f32 {
+    let at = code * (CODES - 1) as f32;
+    let below = (at as usize).min(CODES - 2);
+    table[below] + (at - below as f32) * (table[below + 1] - table[below])
 }
 
 /// The way from the codes of a frame to those of sRGB, both 0 to 1: the measures of fusion are made for what a display shows.

@@ -3,7 +3,7 @@
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
 use super::curves;
-use super::fusion;
+use super::fusion::Aligned;
 use super::referred;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
@@ -227,7 +227,8 @@ impl<'a> Line<'a> {
     ) -> Result<Radiance> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
-            let ghosts = options.deghost.map(|d| deghost::find(bracket, alignment, curve, region, &d)).transpose()?;
+            let ghosts = options.deghost.strength();
+            let ghosts = ghosts.map(|s| deghost::find(bracket, alignment, curve, region, s)).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let (mut slabs, bounds) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
             let merged = merging.merged(bounds);
@@ -294,22 +295,14 @@ impl<'a> Line<'a> {
     }
 
     /// What rows of the picture come from.
-    pub fn tonemap(
-        &mut self,
-        slabs: &Slabs,
-        bracket: &Bracket,
-        alignment: &Alignment,
-        region: Rect,
-        options: &Options,
-    ) -> Result<Picture> {
+    pub fn tonemap(&mut self, slabs: &Slabs, aligned: &Aligned, options: &Options) -> Result<Picture> {
         let mut unused = Vec::new();
         let (picture, time) = self.timed(Stage::Tonemap, || {
             let operator = match &options.rendering {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
-                    let asked = [(options.deghost.is_some(), "--deghost"), (options.flare, "--flare")];
-                    unused.extend(asked.into_iter().filter(|(is_asked, _)| *is_asked).map(|(_, option)| option));
-                    return Ok(Picture::Fused(fusion::fused(bracket, alignment, region, fused)?));
+                    unused.extend(options.flare.then_some("--flare"));
+                    return Ok(Picture::Fused(aligned.fused(fused)?));
                 }
             };
             let mut overview = Overview::new(slabs.size(), &slabs.primaries());

@@ -21,7 +21,7 @@ pub fn check(path: Option<&Path>, is_one: bool) -> Result<()> {
     if is_one {
         return Ok(());
     }
-    let reason = "there is no mask without --deghost; give both".to_owned();
+    let reason = "there is no mask where nothing is sought; take --deghost=off away".to_owned();
     Err(Error::Option { option: "--ghost-mask", reason })
 }
 

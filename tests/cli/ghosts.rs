@@ -11,8 +11,10 @@ fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
         painted.put_pixel(x, y, Rgb([if (x + y) / 8 % 2 == 0 { 40 } else { 60 }; 3]));
     }
     folder.put("w4.jpg", &jpeg(&painted, Some(4)));
-    let line = "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr --deghost --ghost-mask m.png --report r.json";
-    assert_eq!(folder.line(line).done().stdout, "a.exr\nm.png\nr.json\n");
+    let line = "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr --ghost-mask m.png --report r.json";
+    let run = folder.line(line).done();
+    assert_eq!(run.stdout, "a.exr\nm.png\nr.json\n");
+    assert!(run.stderr.contains("movement") && run.stderr.contains("in the middle; removed"), "{}", run.stderr);
     let mask = image::open(folder.at("m.png")).expect("a picture");
     assert_eq!((mask.color(), mask.width(), mask.height()), (image::ColorType::L8, 300, 200));
     let mask = mask.to_luma8();
@@ -27,6 +29,10 @@ fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
     // The square is 2.7 % of the picture.
     assert!(frames[1]["ghost_fraction"].as_f64().expect("a number") > 0.02, "{frames:?}");
     assert_eq!(report["ghosts"]["strength"], 0.5);
+    let region = &report["ghosts"]["regions"][0];
+    let number = |key: &str| region[key].as_u64().expect("a number");
+    assert!(number("x_px") <= 130 && number("x_px") + number("width_px") >= 170, "{region}");
+    assert!(number("y_px") <= 80 && number("y_px") + number("height_px") >= 120, "{region}");
     assert!(report["flare"].is_null());
 }
 
@@ -38,7 +44,7 @@ fn flare_is_sought_where_it_is_asked_for() {
     let share = report["flare"]["scattered_fraction"].as_f64().expect("a number");
     assert!((0.0..0.5).contains(&share), "{share}");
     assert_eq!(report["flare"]["falloff_exponent"].is_null(), share == 0.0);
-    assert!(report["ghosts"].is_null());
+    assert_eq!(report["ghosts"]["ghost_fraction"], 0.0);
 }
 
 #[test]
@@ -48,12 +54,43 @@ fn what_makes_no_sense_is_refused_before_any_work() {
     for (options, said) in [
         ("--deghost=1.5", "--deghost"),
         ("--deghost=much", "--deghost"),
-        ("--ghost-mask m.png", "--deghost"),
+        ("--deghost=off --ghost-mask m.png", "--deghost"),
+        ("--deghost off", "--deghost=off"),
         ("--deghost --ghost-mask m.jpg", ".png"),
     ] {
         let run = folder.line(&format!("merge w2.jpg w3.jpg -o a.exr {options}"));
         assert_eq!(run.code, 2, "{options}\n{}", run.stderr);
         assert!(run.stderr.contains(said), "{options}\n{}", run.stderr);
         assert_eq!(folder.listing(), before, "{options}");
+    }
+}
+
+/// The square's mean code in `picture`.
+fn square(folder: &Folder, picture: &str) -> f64 {
+    let picture = image::open(folder.at(picture)).expect("a picture").to_luma8();
+    let pixels = (135..165).flat_map(|x| (85..115).map(move |y| (x, y)));
+    pixels.map(|(x, y)| f64::from(picture.get_pixel(x, y)[0])).sum::<f64>() / 900.0
+}
+
+#[test]
+fn what_one_frame_shows_is_in_no_picture_of_any_operator_unless_asked_for() {
+    let folder = Folder::with_bracket();
+    let mut painted = small(4);
+    for (x, y) in (130..170).flat_map(|x| (80..120).map(move |y| (x, y))) {
+        painted.put_pixel(x, y, Rgb([if (x + y) / 8 % 2 == 0 { 40 } else { 60 }; 3]));
+    }
+    for operator in ["natural", "mertens"] {
+        let line = |name: &str, more: &str| {
+            let line =
+                format!("merge w2.jpg w3.jpg {name}.jpg --reference w3.jpg --align none --tmo {operator} {more}");
+            folder.line(&format!("{line} -o {name}.png --force")).done();
+            square(&folder, &format!("{name}.png"))
+        };
+        let clean = line("w4", "");
+        folder.put("p4.jpg", &jpeg(&painted, Some(4)));
+        let (found, ghostly) = (line("p4", ""), line("p4", "--deghost=off"));
+        // Two of three frames show what is there as well as all three do.
+        assert!((found - clean).abs() < 0.25 * (ghostly - clean).abs(), "{operator}: {found} {ghostly} for {clean}");
+        assert!((found - clean).abs() < 6.0, "{operator}: {found} for {clean}");
     }
 }

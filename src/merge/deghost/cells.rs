@@ -130,6 +130,13 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
     })
 }
 
+/// The blocks of 2x2 pixels of a cell that are looked at, by their columns and rows: four of larger cells, of every other row alternately.
+fn blocks(side: usize) -> Vec<(usize, usize)> {
+    let (half, step) = (side / 2, (side / 4).max(1));
+    let rows = (0..half).step_by(step).enumerate();
+    rows.flat_map(|(i, b)| (0..half).step_by(step).map(move |a| (2 * (a + i % step), 2 * b))).collect()
+}
+
 /// As [`average`]; `of` gives a code on the scale 0..=255, and its radiance in a channel.
 fn averaged<T: Copy + Sync>(
     layer: &Layer,
@@ -144,13 +151,13 @@ fn averaged<T: Copy + Sync>(
     let (right, bottom) = ((width - 1) as f64, (height - 1) as f64);
     let h = warp.matrix(width, height);
     let still = *warp == Warp::Identity;
-    let share = 4.0 / (side * side) as f32;
+    let blocks = blocks(side);
+    let share = 1.0 / blocks.len() as f32;
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {
         for (i, cell) in row.iter_mut().enumerate() {
             let (mut sum, mut flags) = ([0.0f32; 3], 0u8);
             // Blocks of 2x2 pixels of the reference, each by its centre: bilinear there is their mean where nothing moved.
-            for block in 0..(side / 2) * (side / 2) {
-                let (a, b) = (2 * (block % (side / 2)), 2 * (block / (side / 2)));
+            for (a, b) in &blocks {
                 let x = ((region.x0 + side * i + a) as f64 + 0.5).min((region.x1 - 1) as f64);
                 let y = ((region.y0 + side * j + b) as f64 + 0.5).min((region.y1 - 1) as f64);
                 let (u, v) = if still { (x, y) } else { map(&h, x, y) };

@@ -30,7 +30,7 @@ fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignmen
 }
 
 fn seek(bracket: &Bracket, alignment: &Alignment) -> Ghosts {
-    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, &Deghost::default()).unwrap()
+    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, AUTO).unwrap()
 }
 
 fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> Plane<[f32; 3]> {
@@ -123,7 +123,7 @@ fn the_same_on_any_number_of_threads_and_in_any_region_size() {
     for (width, height) in [(1, 1), (2, 3), (17, 1), (61, 67)] {
         let region = Rect { x0: 3, y0: 5, x1: 3 + width, y1: 5 + height };
         let curve = ResponseCurve::srgb();
-        let ghosts = find(&bracket, &alignment, &curve, region, &Deghost::default()).unwrap();
+        let ghosts = find(&bracket, &alignment, &curve, region, AUTO).unwrap();
         let mask = ghosts.mask();
         assert_eq!((mask.width(), mask.height()), (width, height));
     }
@@ -132,13 +132,12 @@ fn the_same_on_any_number_of_threads_and_in_any_region_size() {
 #[test]
 fn the_strength_has_a_range_and_is_obeyed() {
     for strength in [-0.1, 1.1, f64::NAN] {
-        assert!(Deghost { strength }.validate().unwrap_err().is_usage());
+        assert!(Deghost::Strength(strength).validate().unwrap_err().is_usage());
     }
     let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.35 * e) } else { background(x, y) };
     let (bracket, alignment) = bracket([&background, &background, &faint]);
     let share = |strength| {
-        let options = Deghost { strength };
-        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, &options).unwrap();
+        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength).unwrap();
         ghosts.report().ghost_fraction
     };
     assert!(share(0.0) < share(0.5) && share(0.5) < share(1.0), "{} {} {}", share(0.0), share(0.5), share(1.0));
@@ -162,6 +161,7 @@ fn cells_are_the_means_of_exposures() {
             // By a shift of no pixels too, which goes another way.
             let still = Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
             assert_eq!(cells, seen(still));
+            // Of cells of up to 4x4 pixels all are looked at.
             for (j, i, c) in [(0, 0, 0), (1, 1, 2), (0, 1, 1)] {
                 let pixels = (0..side * side).map(|k| (2 + i * side + k % side, 1 + j * side + k / side));
                 let code = |(x, y): (usize, usize)| f32::from(codes[3 * (y * width + x) + c]);
@@ -190,4 +190,36 @@ fn factors_between_cells_are_bilinear() {
     assert_eq!((kept.len(), ghosts.kept(1, 0..4).len()), (10, 0));
     // One other frame: the mask is what is left out of it.
     assert_eq!(ghosts.mask().at(0, 1), (255.0f32 * 0.9 + 0.5) as u8);
+}
+
+#[test]
+fn of_large_cells_a_quarter_is_looked_at() {
+    let codes: Vec<u8> = (0..64).flat_map(|i| [if (i / 8, i % 8) == (1, 1) { 255 } else { 100 }; 3]).collect();
+    let frame = Frame::new("a".into(), 8, 8, Samples::Eight(codes), Exposure::given(0.0).unwrap());
+    let curve = ResponseCurve::srgb();
+    let layer = Layer { frame: &frame, warp: Warp::Identity, meaning: Meaning::of(&curve, 1.0) };
+    let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
+    // Four blocks of four pixels, and one of these is clipped.
+    let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;
+    assert!((cell.radiance[0] / mean - 1.0).abs() < 1e-5 && cell.is_clipped(0), "{} for {mean}", cell.radiance[0]);
+}
+
+#[test]
+fn what_is_typed_is_understood_and_told_again() {
+    for (text, expected) in [("auto", Deghost::Auto), ("off", Deghost::Off), ("0.25", Deghost::Strength(0.25))] {
+        assert_eq!((text.parse(), expected.to_string().as_str()), (Ok(expected), text));
+    }
+    assert!("much".parse::<Deghost>().is_err());
+    assert!(Deghost::default().strength() == Some(AUTO) && !Deghost::Off.is_on());
+}
+
+#[test]
+fn a_veil_over_a_frame_and_a_saturated_colour_are_no_motion() {
+    // The long frame is brighter by a third at its right border, as by a veil, and its red is so at the edges of the tiles.
+    let veiled = |x: usize, y: usize| {
+        let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));
+        [1.15 * r, g, b]
+    };
+    let (bracket, alignment) = bracket([&background, &background, &veiled]);
+    assert_eq!(seek(&bracket, &alignment).report().ghost_fraction, 0.0);
 }

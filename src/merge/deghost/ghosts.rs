@@ -1,0 +1,170 @@
+//! Ghosts: what is left out of each frame, for merging, as a mask, and for the report.
+//!
+//! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns a pixel where something is left out.
+
+use super::region;
+use crate::align::Rect;
+use crate::error::{Error, Result};
+use crate::plane::Plane;
+use crate::pyramid::between_cells;
+use serde::Serialize;
+use std::ops::Range;
+use std::path::Path;
+
+/// How far each frame may take part, over a region of the reference.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ghosts {
+    pub(super) region: Rect,
+    pub(super) side: usize,
+    pub(super) strength: f64,
+    /// One for each placed frame by rising exposure: its path, and for each cell the factor times 255; none for the reference.
+    pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
+}
+
+/// What was left out, for the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GhostReport {
+    /// The strength used.
+    pub strength: f64,
+    /// The share of the result, by cells, in which some frame was left out by more than half.
+    pub ghost_fraction: f64,
+    /// The frames but the reference, by rising exposure.
+    pub frames: Vec<GhostFrame>,
+    /// The largest connected parts of the result in which some frame was left out by more than half, the largest first: at most [`MOST_REGIONS`].
+    pub regions: Vec<GhostRegion>,
+}
+
+/// Most regions in a report.
+pub const MOST_REGIONS: usize = 16;
+
+/// Where something moved.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GhostRegion {
+    /// The first column and row of the result, in pixels.
+    pub x_px: usize,
+    /// See `x_px`.
+    pub y_px: usize,
+    /// Columns and rows.
+    pub width_px: usize,
+    /// See `width_px`.
+    pub height_px: usize,
+    /// The share of the result, by cells, that moved there.
+    pub ghost_fraction: f64,
+}
+
+/// What was left out of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GhostFrame {
+    /// The file, as it was named.
+    pub path: String,
+    /// The share of the result, by cells, in which it was left out by more than half.
+    pub ghost_fraction: f64,
+}
+
+impl Ghosts {
+    /// Whether they are of this region and of these placed frames by rising exposure.
+    ///
+    /// # Errors
+    /// [`Error::Option`] with what they are of.
+    pub(in crate::merge) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
+        let refused = |reason| Err(Error::Option { option: "--deghost", reason });
+        if self.region != region {
+            let Rect { x0, y0, x1, y1 } = self.region;
+            return refused(format!(
+                "its ghosts were found in columns {x0}..{x1} and rows {y0}..{y1}; find them in the region that is merged"
+            ));
+        }
+        let is_of = |((path, _), frame): (&(String, _), &&Path)| *path == frame.to_string_lossy();
+        if self.frames.len() != frames.len() || !self.frames.iter().zip(frames).all(is_of) {
+            return refused("its ghosts were found in other frames; find them in those that are merged".to_owned());
+        }
+        Ok(())
+    }
+
+    /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
+    pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
+        let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
+        let (first, last) =
+            (place(rows.start, self.side, map.height()).0, place(rows.end - 1, self.side, map.height()).1);
+        if map.rows(first..last + 1).iter().all(|&kept| kept == u8::MAX) {
+            return Vec::new();
+        }
+        let mut out = Vec::with_capacity(rows.len() * self.region.width());
+        let mut line = vec![0.0f32; map.width()];
+        for y in rows {
+            let (above, below, f) = place(y, self.side, map.height());
+            for ((v, a), b) in line.iter_mut().zip(map.row(above)).zip(map.row(below)) {
+                let (a, b) = (f32::from(*a), f32::from(*b));
+                *v = (a + f * (b - a)) * (1.0 / 255.0);
+            }
+            out.extend((0..self.region.width()).map(|x| {
+                let (left, right, f) = place(x, self.side, map.width());
+                line[left] + f * (line[right] - line[left])
+            }));
+        }
+        out
+    }
+
+    /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the reference are left
+    /// out, in proportion between.
+    pub fn mask(&self) -> Plane<u8> {
+        let others = self.frames.iter().filter(|(_, map)| map.is_some()).count().max(1) as f32;
+        Plane::from_rows(self.region.width(), self.region.height(), |y, row| {
+            let mut left_out = vec![0.0f32; row.len()];
+            for i in 0..self.frames.len() {
+                left_out.iter_mut().zip(self.kept(i, y..y + 1)).for_each(|(sum, kept)| *sum += 1.0 - kept);
+            }
+            for (v, sum) in row.iter_mut().zip(left_out) {
+                *v = (255.0 * sum / others + 0.5) as u8;
+            }
+        })
+    }
+
+    /// How much was left out.
+    pub fn report(&self) -> GhostReport {
+        let maps = || self.frames.iter().filter_map(|(path, map)| Some((path, map.as_ref()?.as_slice())));
+        // Half of 255, rounded up.
+        let is_ghost = |kept: &u8| *kept < 128;
+        let cells = maps().next().map_or(0, |(_, map)| map.len());
+        let share = |count: usize| count as f64 / cells.max(1) as f64;
+        let any: Vec<bool> = (0..cells).map(|i| maps().any(|(_, map)| is_ghost(&map[i]))).collect();
+        let all = share(any.iter().filter(|is| **is).count());
+        let of = |(path, map): (&String, &[u8])| GhostFrame {
+            path: path.clone(),
+            ghost_fraction: share(map.iter().filter(|kept| is_ghost(kept)).count()),
+        };
+        let (width, height) = (self.region.width(), self.region.height());
+        let any = if any.is_empty() {
+            Plane::filled(0, 0, false)
+        } else {
+            Plane::from_vec(width.div_ceil(self.side), height.div_ceil(self.side), any)
+        };
+        let mut parts = region::parts(&any);
+        // Of equals that which begins further up.
+        parts.sort_by_key(|part| std::cmp::Reverse(part.len()));
+        let region = |part: &Vec<(usize, usize)>| {
+            let range = |of: &dyn Fn(&(usize, usize)) -> usize, size: usize| {
+                let least = part.iter().map(of).min().unwrap_or(0) * self.side;
+                let most = (part.iter().map(of).max().unwrap_or(0) + 1) * self.side;
+                (least, most.min(size) - least)
+            };
+            let ((x_px, width_px), (y_px, height_px)) = (range(&|at| at.0, width), range(&|at| at.1, height));
+            GhostRegion { x_px, y_px, width_px, height_px, ghost_fraction: share(part.len()) }
+        };
+        let regions = parts.iter().take(MOST_REGIONS).map(region).collect();
+        GhostReport { strength: self.strength, ghost_fraction: all, frames: maps().map(of).collect(), regions }
+    }
+
+    /// Whether frame `layer` takes part everywhere.
+    pub fn is_whole(&self, layer: usize) -> bool {
+        let map = self.frames.get(layer).and_then(|(_, map)| map.as_ref());
+        map.is_none_or(|map| map.as_slice().iter().all(|&kept| kept == u8::MAX))
+    }
+}
+
+/// As [`between_cells`]: sides are powers of 2, of which nothing is lost here.
+#[inline]
+pub(super) fn place(pixel: usize, side: usize, count: usize) -> (usize, usize, f32) {
+    let (first, second, f) = between_cells(pixel, side, count);
+    (first, second, f as f32)
+}

@@ -1,0 +1,131 @@
+//! What is usual between a frame and the standard: how their radiance differs where nothing moved.
+//!
+//! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio, which is the error of the response,
+//! and its spread, which is what noise and alignment leave. Cost: some 10 ns a cell.
+
+use super::cells::Cell;
+use crate::plane::{Plane, fold_bands};
+
+/// The greatest spread that is learnt from the bracket, so that a picture full of motion does not excuse it.
+const MOST: f32 = 0.25;
+/// The greatest factor that is divided out.
+const MOST_BIAS: f32 = 1.5;
+
+/// Levels of radiance, half a stop each.
+const LEVELS: usize = 64;
+/// Level of radiance 1.
+const UNIT_LEVEL: f32 = 40.0;
+/// Bins of the ratio of two radiances: floats that share exponent and first five bits, two stops to either side of 1.
+const RATIOS: usize = 128;
+const RATIO_SHIFT: u32 = 18;
+/// Cells at a level for which what is learnt there counts half.
+const FEW: f32 = 400.0;
+
+/// About log2, exact at the powers of 2 and linear between: monotone, and the same on any machine.
+#[inline]
+fn log2_linear(x: f32) -> f32 {
+    x.to_bits() as f32 * (1.0 / (1 << 23) as f32) - 127.0
+}
+
+/// At which level of radiance two cells are compared: by their geometric mean.
+#[inline]
+pub fn level(a: f32, b: f32) -> f32 {
+    (log2_linear(a) + log2_linear(b) + UNIT_LEVEL).clamp(0.0, (LEVELS - 1) as f32)
+}
+
+/// What is learnt of a frame against the standard, by channel and level.
+pub struct Usual {
+    /// The median ratio of frame to standard.
+    bias: [[f32; LEVELS]; 3],
+    /// The ratio's standard deviation, by its quartiles.
+    spread: [[f32; LEVELS]; 3],
+}
+
+impl Usual {
+    /// Of `frame` against `standard`, over the whole picture.
+    pub fn of(standard: &Plane<Cell>, frame: &Plane<Cell>) -> Self {
+        let bin = |c: usize, level: usize, ratio: usize| (c * LEVELS + level) * RATIOS + ratio;
+        let first = (1.0f32.to_bits() >> RATIO_SHIFT) - RATIOS as u32 / 2;
+        let counts = fold_bands(
+            standard.height(),
+            |rows| {
+                let mut counts = vec![0u32; 3 * LEVELS * RATIOS];
+                for (s, f) in standard.rows(rows.clone()).iter().zip(frame.rows(rows)) {
+                    if s.is_outside() || f.is_outside() || s.clips() || f.clips() {
+                        continue;
+                    }
+                    for c in (0..3).filter(|&c| !s.is_black(c) && !f.is_black(c)) {
+                        let (a, b) = (s.radiance[c], f.radiance[c]);
+                        let ratio = ((b / a).to_bits() >> RATIO_SHIFT).saturating_sub(first).min(RATIOS as u32 - 1);
+                        counts[bin(c, level(a, b) as usize, ratio as usize)] += 1;
+                    }
+                }
+                counts
+            },
+            vec![0u32; 3 * LEVELS * RATIOS],
+            |mut all, part| {
+                all.iter_mut().zip(part).for_each(|(a, b)| *a += b);
+                all
+            },
+        );
+        let mut usual = Usual { bias: [[1.0; LEVELS]; 3], spread: [[0.0; LEVELS]; 3] };
+        for c in 0..3 {
+            for level in 0..LEVELS {
+                // The neighbours at half weight.
+                let at = |level: usize, r: usize| f64::from(counts[bin(c, level, r)]);
+                let smooth: Vec<f64> = (0..RATIOS)
+                    .map(|r| {
+                        let (below, above) = (level.max(1) - 1, (level + 1).min(LEVELS - 1));
+                        at(level, r) + 0.5 * (at(below, r) + at(above, r))
+                    })
+                    .collect();
+                let all: f64 = smooth.iter().sum();
+                if all < 1.0 {
+                    continue;
+                }
+                let rank = |share: f64| {
+                    let mut below = 0.0;
+                    let bin = smooth.iter().position(|count| {
+                        below += count;
+                        below >= share * all
+                    });
+                    let bits = (bin.unwrap_or(RATIOS - 1) as u32 + first) << RATIO_SHIFT | 1 << (RATIO_SHIFT - 1);
+                    f32::from_bits(bits)
+                };
+                let (lower, median, upper) = (rank(0.25), rank(0.5), rank(0.75));
+                let known = all as f32 / (all as f32 + FEW);
+                usual.bias[c][level] = (1.0 + (median - 1.0) * known).clamp(1.0 / MOST_BIAS, MOST_BIAS);
+                // The quartiles of the normal distribution lie 1.35 standard deviations apart.
+                usual.spread[c][level] = ((upper - lower) / (1.35 * median)).min(MOST);
+            }
+        }
+        usual
+    }
+
+    /// Bias and spread, between levels.
+    #[inline]
+    pub fn at(&self, c: usize, level: f32) -> (f32, f32) {
+        // A level's bin holds what lies up to one above it.
+        let level = (level - 0.5).max(0.0);
+        let below = (level as usize).min(LEVELS - 2);
+        let f = level - below as f32;
+        let between = |t: &[f32; LEVELS]| t[below] + f * (t[below + 1] - t[below]);
+        (between(&self.bias[c]), between(&self.spread[c]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rough_logarithm_is_exact_at_powers_of_two_and_monotone() {
+        for e in -20..20 {
+            assert_eq!(log2_linear(libm::exp2f(e as f32)), e as f32);
+        }
+        let x = |i: usize| libm::exp2f(i as f32 / 50.0 - 10.0);
+        // Between powers it is below by at most 0.0861.
+        assert!((1..1000).all(|i| log2_linear(x(i)) > log2_linear(x(i - 1))));
+        assert!((0..1000).all(|i| (log2_linear(x(i)) - (i as f32 / 50.0 - 10.0)).abs() < 0.0862));
+    }
+}
