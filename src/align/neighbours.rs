@@ -36,8 +36,8 @@ const PLACES: usize = 256;
 const FEWEST: u64 = 16;
 
 impl Search<'_> {
-    /// Frames that are said to have moved though most of the others stand exactly still are unmoved, unless their tiles are decidedly for the motion: one
-    /// that shows little is easily led astray by a pixel.
+    /// Frames that show little and are said to have moved though most frames stand exactly still are unmoved, unless their tiles are decidedly for the
+    /// motion: what little there is, is easily led astray by a pixel.
     pub(super) fn settle_still(&self, verdicts: &mut [Verdict]) {
         let still = |v: &&Verdict| v.warp == Some(Warp::Identity) && v.confidence >= SURE;
         let sure = verdicts.iter().filter(|v| v.warp.is_some() && v.confidence >= SURE).count();
@@ -45,9 +45,9 @@ impl Search<'_> {
             return;
         }
         for (i, verdict) in verdicts.iter_mut().enumerate() {
-            let Some(warp) = verdict.warp.filter(|_| verdict.status == Status::Aligned && self.given[i].is_none()) else {
-                continue;
-            };
+            let is_open =
+                verdict.status == Status::Aligned && self.given[i].is_none() && self.seen[i].shown.share <= LITTLE;
+            let Some(warp) = verdict.warp.filter(|_| is_open) else { continue };
             let (here, there) = (self.judged(i, Warp::Identity), self.judged(i, warp));
             if there.survey.against(&here.survey) <= DECISIVE {
                 *verdict = unmoved(&here, verdict, here.error_px);

@@ -98,7 +98,8 @@ fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
 fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
     // A slow drift, in the order of the exposures.
     let drift = |k: f64| shift(0.5 * k, -0.3 * k);
-    let shots = [(drift(0.0), 0.0), (drift(1.0), 1.0), (drift(2.0), 2.0), (drift(-1.0), -1.0), (drift(-2.0), NEARLY_BLACK)];
+    let shots =
+        [(drift(0.0), 0.0), (drift(1.0), 1.0), (drift(2.0), 2.0), (drift(-1.0), -1.0), (drift(-2.0), NEARLY_BLACK)];
     let (alignment, warnings) = align(&bracket(&shots), &AlignOptions::default()).unwrap();
     let verdict = &alignment.verdicts[0];
     assert_eq!(verdict.status, Status::Assumed, "{verdict:?}");

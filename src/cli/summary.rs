@@ -224,7 +224,9 @@ fn line(frame: &FrameReport) -> String {
         text += &format!(" ({:+.2} by the pixels)", frame.exposure_correction_stops);
     }
     text += &format!(", {status}");
-    if let (Status::Aligned | Status::Assumed, Some([dx, dy]), Some(angle)) = (place.status, place.shift_px, place.rotation_deg) {
+    if let (Status::Aligned | Status::Assumed, Some([dx, dy]), Some(angle)) =
+        (place.status, place.shift_px, place.rotation_deg)
+    {
         text += &format!(" by {dx:+.1}, {dy:+.1} px and {angle:+.2} deg");
     }
     if place.status != Status::Reference {

@@ -5,9 +5,9 @@
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::{Alignment, Status};
 use crate::align::resample::{resample_rows, rows_under};
 use crate::align::warp::Warp;
+use crate::align::{Alignment, Status};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
@@ -274,7 +274,8 @@ pub(super) fn layers<'a>(
     let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
     let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.say(curve, *time, noise));
     let placed = placed.into_iter();
-    let layer = |(frame, warp, time, noise, fill)| Layer { fill, ..layer(frame, warp, (time, &noise), curve, weight, most) };
+    let layer =
+        |(frame, warp, time, noise, fill)| Layer { fill, ..layer(frame, warp, (time, &noise), curve, weight, most) };
     Ok(placed.map(layer).collect())
 }
 

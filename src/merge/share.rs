@@ -79,14 +79,7 @@ impl Merging<'_> {
                 let (filling, known, radiance) = (&mut filling, &mut means, &mut line[..columns.len()]);
                 vectorised(FilledRow { layers, tiles, kept, y, fill, filling, known, radiance });
                 let (mut means, mut own) = (Means::new(), vec![[0.0f32; COLUMNS]; layers.len()]);
-                vectorised(WeighedRow {
-                    fill: Some(fill),
-                    layers,
-                    tiles,
-                    kept,
-                    means: &mut means,
-                    weights: &mut own,
-                });
+                vectorised(WeighedRow { fill: Some(fill), layers, tiles, kept, means: &mut means, weights: &mut own });
                 mix(&mut weights, &own, filling.part());
             }
             for (i, x) in columns.enumerate() {
