@@ -43,22 +43,23 @@ pub mod resample;
 #[cfg(test)]
 pub(crate) mod scene;
 mod search;
+mod seen;
 pub mod sift;
 pub mod threshold;
 mod tile_fit;
 mod warnings;
 pub mod warp;
 
-use crate::bracket::{Bracket, Frame, Window};
+use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::plane::Plane;
 use given::Given;
 use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
 use search::Search;
+use seen::{Seen, look, turns};
 use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
-use threshold::{Histogram, Percentile};
 use warp::Warp;
 
 /// Which methods seek the motion.
@@ -392,79 +393,6 @@ fn search(
     }
 }
 
-/// The turn of each frame of `bracket`: the how manieth it was taken, by the camera's clock where that was noted in all, and by name where the clock
-/// is too coarse; else by rising exposure.
-fn turns(bracket: &Bracket) -> Vec<usize> {
-    let frames = bracket.frames();
-    let mut order: Vec<usize> = (0..frames.len()).collect();
-    if frames.iter().all(|frame| frame.capture.taken.is_some()) {
-        order.sort_by_key(|&i| (frames[i].capture.taken, frames[i].path().file_name()));
-    }
-    let mut turns = vec![0; order.len()];
-    order.iter().enumerate().for_each(|(turn, &i)| turns[i] = turn);
-    turns
-}
-
-/// How a frame is looked at.
-#[derive(Debug)]
-struct Seen {
-    /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
-    stops: Option<u32>,
-    /// Whether it is of one tone.
-    is_plain: bool,
-    /// The tones beyond which it shows something, and the share of its pixels that do.
-    shown: Shown,
-}
-
-impl Seen {
-    fn of(whole: &Window) -> Self {
-        let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
-        let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
-        // What is brighter than nearly all may burn out: a lamp still has its edge.
-        let stops = Some(nearly_most.leading_zeros().min(MOST_STOPS)).filter(|&stops| stops >= LEAST_STOPS);
-        Seen {
-            stops,
-            is_plain: nearly_most - nearly_least <= BLANK,
-            shown: Shown::of(&histogram, (nearly_least, nearly_most), stops),
-        }
-    }
-}
-
-/// What a frame shows beside the one tone that most of it may have: black or white.
-#[derive(Debug, Clone, Copy)]
-struct Shown {
-    /// Whether the tone is white: the rest is what is darker.
-    is_white: bool,
-    /// The level of the picture as it is [looked at](Seen::stops) from which up, or where it is white down, a pixel shows something.
-    level: u8,
-    /// The share of the pixels that do, 0..=1.
-    share: f64,
-}
-
-impl Shown {
-    /// What a picture shows of which nearly all levels are from `least` to `most`, and which is brightened by `stops`.
-    fn of(histogram: &Histogram, (least, most): (u8, u8), stops: Option<u32>) -> Self {
-        let brightened = |level: u8| (u32::from(level) << stops.unwrap_or(0)).min(u8::MAX.into()) as u8;
-        // Film and sensors have blacks of their own, above 0.
-        if histogram.level(Percentile::new(50)) > u8::MAX / 2 {
-            let level = most.saturating_sub(BLANK + 1);
-            Shown { is_white: true, level: brightened(level), share: histogram.share(0..=level) }
-        } else {
-            let level = least.saturating_add(BLANK + 1);
-            Shown { is_white: false, level: brightened(level), share: histogram.share(level..=u8::MAX) }
-        }
-    }
-}
-
-/// How `frame` is looked at, and its grey pyramid but for the full size.
-fn look(frame: &Frame) -> Result<(Seen, GreyPyramid)> {
-    let whole = frame.whole()?;
-    let seen = Seen::of(&whole);
-    let size = (frame.width(), frame.height());
-    let pyramid = GreyPyramid::of_rows(size, |y, row| whole.grey_row(y, seen.stops, row));
-    Ok((seen, pyramid))
-}
-
 /// The grey pyramid in which the motion of `frame` is sought, with all its levels.
 ///
 /// # Errors
@@ -481,13 +409,6 @@ pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
 pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
     Ok(look(frame)?.1)
 }
-
-/// A frame within so many codes of black, or of white, may hold nothing but noise.
-const BLANK: u8 = 7;
-/// Brightening that is worth the pass over the frame.
-const LEAST_STOPS: u32 = 2;
-/// ... and beyond which there is only noise.
-const MOST_STOPS: u32 = 6;
 
 #[cfg(test)]
 mod tests;

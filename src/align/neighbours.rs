@@ -12,8 +12,9 @@ use super::comparison::{measured_level, on_level};
 use super::mtb::GreyPyramid;
 use super::place::{self, Candidate, tolerance_px};
 use super::search::{DECISIVE, Found, Search, placed};
+use super::seen::Shown;
 use super::warp::{Warp, map};
-use super::{Model, Shown, Status, Verdict};
+use super::{Model, Status, Verdict};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
 pub(super) const BY_COMPANY: f64 = 0.6;

@@ -9,8 +9,9 @@ use super::feature_sets::{self, FeatureSets};
 use super::mtb::{self, GreyPyramid};
 use super::period;
 use super::place::{self, Candidate};
+use super::seen::Seen;
 use super::warp::Warp;
-use super::{AlignOptions, KeypointCounts, Model, Seen, Status, Verdict};
+use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 
@@ -36,8 +37,8 @@ pub(super) struct Search<'a> {
     pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// What each frame shows.
     pub(super) seen: &'a [Seen],
-    /// The how manieth each was taken.
-    pub(super) turns: &'a [usize],
+    /// When each was taken: seconds, or the how manieth of all.
+    pub(super) turns: &'a [f64],
     /// Whether all frames are of one tone each.
     pub(super) is_plain: bool,
     /// How many frames may be compared at a time.

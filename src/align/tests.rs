@@ -88,7 +88,6 @@ fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
     let verdict = &alignment.verdicts[0];
     assert_eq!(statuses(&alignment), [Status::Assumed, Status::Reference, Status::Unmoved], "{verdict:?}");
     assert_eq!((verdict.warp, verdict.model), (Some(Warp::Identity), Some(Model::Unmoved)));
-    // One step of 0.2 px at most: 19 of 20 lie within 0.87 px.
     assert!(verdict.error_px.is_some_and(|error| error < 1.0) && verdict.confidence > 0.5, "{verdict:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_dark: true, is_still: true, .. }]), "{warnings:?}");
     assert!(!warnings[0].degrades() && warnings[0].to_string().contains("stood still in the other 2 frames"));
