@@ -164,7 +164,7 @@ fn order(base: &GreyPyramid, frame: &GreyPyramid, place: &Assumed, shown: Shown)
 
 /// The verdict on a frame that is taken to be unmoved, as its tiles see it `here`, in place of the one that it had.
 fn unmoved(here: &Candidate, had: &Verdict, error_px: f64) -> Verdict {
-    let found = Found { inliers: had.inliers, keypoints: had.keypoints.clone() };
+    let found = Found { inliers: had.inliers, keypoints: had.keypoints };
     let verdict = placed(here, found);
     Verdict { confidence: verdict.confidence.max(BY_COMPANY), error_px: Some(error_px), ..verdict }
 }
