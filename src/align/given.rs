@@ -11,7 +11,7 @@
 //!
 //! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel; null for a frame that
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
-//! excluded is rejected with confidence 1. A place without `confidence` is the user's word, and sure.
+//! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
 
 use super::warp::{Warp, corners, map};
 use super::{Alignment, KeypointCounts, Model, RejectedBy, Status, Verdict};
@@ -285,12 +285,13 @@ fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Ve
             (status, None)
         }
         (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Warp::Identity)),
-        (Status::Aligned, Some(h)) => {
+        (Status::Assumed, Some(_)) if frame.model == Some(Model::Unmoved) => (Status::Assumed, Some(Warp::Identity)),
+        (status @ (Status::Aligned | Status::Assumed), Some(h)) => {
             let h = Matrix3::from_row_slice(&h);
             let last = h[(2, 2)];
-            (Status::Aligned, Some(Warp::Homography(if last == 1.0 { h } else { h / last })))
+            (status, Some(Warp::Homography(if last == 1.0 { h } else { h / last })))
         }
-        (Status::Unmoved | Status::Reference | Status::Aligned, None) => (frame.status, None),
+        (Status::Unmoved | Status::Reference | Status::Aligned | Status::Assumed, None) => (frame.status, None),
     };
     let by_default = if status == Status::Rejected { 0.0 } else { 1.0 };
     let verdict = Verdict {
@@ -349,6 +350,8 @@ mod tests {
                 given("c.jpg", found(Status::Unmoved, Some(Warp::Identity))),
                 given("d.jpg", found(Status::Rejected, None)),
                 given("e.jpg", found(Status::Excluded, None)),
+                given("f.jpg", found(Status::Assumed, Some(Warp::Identity))),
+                given("g.jpg", found(Status::Assumed, Some(Warp::Homography(h)))),
             ],
         }
     }

@@ -21,7 +21,7 @@ const SAME_PX: f64 = 0.03;
 /// A smaller model that is so many times farther off, before it is fitted, will not do.
 const HOPELESS: f64 = 5.0;
 /// A frame whose warp is no more than this is unmoved: resampling would cost more than it mends, in pixels.
-const UNMOVED_PX: f64 = 0.2;
+pub(super) const UNMOVED_PX: f64 = 0.2;
 
 /// A warp that was found for a frame, and what speaks for it.
 #[derive(Debug, Clone)]
@@ -169,8 +169,7 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
     let both = &pair.level(level).both;
     let survey = survey(both, &h);
     let fit = tile_fit::fit(&survey, &h, (both.reference.width(), both.reference.height()));
-    let diagonal = ((width * width + height * height) as f64).sqrt();
-    let tolerance_px = TOLERANCE_PX * (diagonal / 2000.0).max(1.0);
+    let tolerance_px = tolerance_px((width, height));
     // What is beyond the tiles' own error is the warp's.
     let seen = match &fit {
         Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
@@ -193,6 +192,12 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
 
 /// See [`Candidate::tolerance_px`].
 const TOLERANCE_PX: f64 = 1.5;
+
+/// [`Candidate::tolerance_px`] of pictures of this size.
+pub(super) fn tolerance_px((width, height): (usize, usize)) -> f64 {
+    let diagonal = ((width * width + height * height) as f64).sqrt();
+    TOLERANCE_PX * (diagonal / 2000.0).max(1.0)
+}
 
 /// The median offset of tiles under the true warp, in pixels of the level. Measured on rendered brackets.
 const TILE_NOISE: f64 = 0.05;

@@ -9,6 +9,7 @@ use super::feature_sets::{self, FeatureSets};
 use super::mtb::{self, GreyPyramid};
 use super::period;
 use super::place::{self, Candidate};
+use super::seen::Seen;
 use super::warp::Warp;
 use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use crate::plane::{Plane, map_at_once};
@@ -18,12 +19,8 @@ use std::borrow::Cow;
 const LEAST_CONFIDENCE: f64 = 0.35;
 /// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
 const LEAST_VOICES: usize = 3;
-/// Confidence in a frame that says nothing itself, where all the others are unmoved.
-pub(super) const BY_COMPANY: f64 = 0.6;
 /// With less trust in a place no number of tiles makes it one.
 const LEAST_TRUST: f64 = 0.25;
-/// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
-const COMPANY_PX: f64 = 1.0;
 /// Fewest matches that make a motion: a homography needs four, chance may add as many.
 const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features that lead to places no farther apart bear each other out, in pixels of the full size for each 1000 of the
@@ -38,8 +35,10 @@ pub(super) struct Search<'a> {
     pub(super) pyramids: &'a [GreyPyramid],
     /// ... and the whole pictures, which are made when they are asked for.
     pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
-    /// Which frames are as good as blank.
-    pub(super) blank: &'a [bool],
+    /// What each frame shows.
+    pub(super) seen: &'a [Seen],
+    /// When each was taken: seconds, or the how manieth of all.
+    pub(super) turns: &'a [f64],
     /// Whether all frames are of one tone each.
     pub(super) is_plain: bool,
     /// How many frames may be compared at a time.
@@ -53,8 +52,8 @@ pub(super) struct Search<'a> {
 }
 
 /// What a frame is held against: the reference, or a neighbour laid on its grid.
-struct Base<'a> {
-    pyramid: Cow<'a, GreyPyramid>,
+pub(super) struct Base<'a> {
+    pub(super) pyramid: Cow<'a, GreyPyramid>,
     /// How far the neighbour itself may be off, in pixels.
     error_px: f64,
     /// How sure the neighbour's own place is.
@@ -79,9 +78,9 @@ struct Shared {
 
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
-struct Found {
-    inliers: Option<usize>,
-    keypoints: Option<KeypointCounts>,
+pub(super) struct Found {
+    pub(super) inliers: Option<usize>,
+    pub(super) keypoints: Option<KeypointCounts>,
 }
 
 impl Search<'_> {
@@ -138,7 +137,10 @@ impl Search<'_> {
         let keypoints = shared.features.as_ref().map(|f| f.counts);
         verdicts.push(Verdict { keypoints, ..Verdict::by_definition(Status::Reference) });
         verdicts.extend(brighter);
-        self.keep_company(&mut verdicts);
+        self.settle_still(&mut verdicts);
+        let known = self.known(&verdicts);
+        self.keep_still(&mut verdicts);
+        self.assume(known, &mut verdicts);
         self.take_as_they_lie(&mut verdicts);
         verdicts
     }
@@ -158,11 +160,11 @@ impl Search<'_> {
         }
     }
 
-    fn base(&self) -> &GreyPyramid {
+    pub(super) fn base(&self) -> &GreyPyramid {
         &self.pyramids[self.reference]
     }
 
-    fn size(&self) -> (usize, usize) {
+    pub(super) fn size(&self) -> (usize, usize) {
         self.base().size(0)
     }
 
@@ -190,7 +192,7 @@ impl Search<'_> {
     }
 
     /// Frame `i` placed by `warp`, as the tiles see it.
-    fn judged(&self, i: usize, warp: Warp) -> Candidate {
+    pub(super) fn judged(&self, i: usize, warp: Warp) -> Candidate {
         place::judge(&Comparison::new(self.base(), &self.pyramids[i], &warp), warp, 0.0)
     }
 
@@ -269,35 +271,13 @@ impl Search<'_> {
     }
 
     /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's pixels.
-    fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
+    pub(super) fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
         let warp = verdict.warp?;
         let pyramid = match warp {
             Warp::Identity => Cow::Borrowed(&self.pyramids[n]),
             warp => Cow::Owned(place::laid_on_reference(&(self.grey)(n), &warp)),
         };
         Some(Base { pyramid, error_px: verdict.error_px.unwrap_or(0.0), confidence: verdict.confidence })
-    }
-
-    /// A frame too dark or too bright to say anything is unmoved where all the others are, or as good as: it stood on the same tripod.
-    fn keep_company(&self, verdicts: &mut [Verdict]) {
-        let (width, height) = self.size();
-        let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.warp);
-        let moves: Vec<f64> = others.map(|w| place::distance(&w, &Warp::Identity, width, height)).collect();
-        let farthest = moves.iter().copied().fold(0.0, f64::max);
-        if moves.is_empty() || farthest > COMPANY_PX {
-            return;
-        }
-        for (i, verdict) in verdicts.iter_mut().enumerate() {
-            if verdict.status == Status::Rejected && self.given[i].is_none() {
-                let here = self.judged(i, Warp::Identity);
-                if self.blank[i] || here.agreement().contradict <= here.agreement().confirm {
-                    let found = Found { inliers: verdict.inliers, keypoints: verdict.keypoints };
-                    *verdict = placed(&here, found);
-                    verdict.confidence = verdict.confidence.max(BY_COMPANY);
-                    verdict.error_px = Some(here.error_px.max(farthest));
-                }
-            }
-        }
     }
 }
 
@@ -412,7 +392,7 @@ impl Pool {
 /// A candidate rivals another where so many times as much speaks for it.
 const RIVALRY: f64 = 0.4;
 /// Fewer nats leave it undecided which is right.
-const DECISIVE: f64 = 2.0;
+pub(super) const DECISIVE: f64 = 2.0;
 
 fn why(candidate: Option<&Candidate>) -> String {
     match candidate {
@@ -428,7 +408,7 @@ fn why(candidate: Option<&Candidate>) -> String {
     }
 }
 
-fn placed(candidate: &Candidate, found: Found) -> Verdict {
+pub(super) fn placed(candidate: &Candidate, found: Found) -> Verdict {
     let model = Model::of(&candidate.warp);
     Verdict {
         status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },

@@ -1,7 +1,6 @@
 //! Whole brackets: every frame's verdict.
 
 use super::scene::{Scene, Shot, rigid, shift};
-use super::search::BY_COMPANY;
 use super::*;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
@@ -73,6 +72,8 @@ fn a_frame_of_another_scene_is_rejected_and_told() {
         matches!(&warnings[..], [Warning::FrameRejected { path, reason }] if path.to_str() == Some("stranger") && !reason.is_empty()),
         "{warnings:?}"
     );
+    let message = warnings[0].to_string();
+    assert!(message.contains("--unmoved stranger") && message.contains("--align none"), "{message}");
     // What was rejected does not narrow the overlap.
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
 }
@@ -81,16 +82,30 @@ fn a_frame_of_another_scene_is_rejected_and_told() {
 const NEARLY_BLACK: f64 = -16.0;
 
 #[test]
-fn a_black_frame_goes_with_others_that_did_not_move() {
+fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
     let still = [(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, NEARLY_BLACK)];
-    let (alignment, _) = align(&bracket(&still), &AlignOptions::default()).unwrap();
-    assert_eq!(
-        statuses(&alignment),
-        [Status::Unmoved, Status::Reference, Status::Unmoved],
-        "{:?}",
-        alignment.verdicts[0]
-    );
-    assert!(alignment.verdicts[0].confidence >= BY_COMPANY);
+    let (alignment, warnings) = align(&bracket(&still), &AlignOptions::default()).unwrap();
+    let verdict = &alignment.verdicts[0];
+    assert_eq!(statuses(&alignment), [Status::Assumed, Status::Reference, Status::Unmoved], "{verdict:?}");
+    assert_eq!((verdict.warp, verdict.model), (Some(Warp::Identity), Some(Model::Unmoved)));
+    assert!(verdict.error_px.is_some_and(|error| error < 1.0) && verdict.confidence > 0.5, "{verdict:?}");
+    assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_dark: true, is_still: true, .. }]), "{warnings:?}");
+    assert!(!warnings[0].degrades() && warnings[0].to_string().contains("stood still in the other 2 frames"));
+}
+
+#[test]
+fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
+    // A slow drift, in the order of the exposures.
+    let drift = |k: f64| shift(0.5 * k, -0.3 * k);
+    let shots =
+        [(drift(0.0), 0.0), (drift(1.0), 1.0), (drift(2.0), 2.0), (drift(-1.0), -1.0), (drift(-2.0), NEARLY_BLACK)];
+    let (alignment, warnings) = align(&bracket(&shots), &AlignOptions::default()).unwrap();
+    let verdict = &alignment.verdicts[0];
+    assert_eq!(verdict.status, Status::Assumed, "{verdict:?}");
+    let error = place::distance(&verdict.warp.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
+    assert!(error <= verdict.error_px.unwrap() && verdict.error_px.unwrap() < 3.0, "{error} {verdict:?}");
+    assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_still: false, .. }]), "{warnings:?}");
+    assert!(warnings[0].degrades());
 }
 
 #[test]

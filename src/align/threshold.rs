@@ -8,6 +8,7 @@
 use super::bitmap::Zone;
 use super::lay::Motion;
 use crate::plane::Plane;
+use std::ops::RangeInclusive;
 
 /// The percentile of the grey levels that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -79,6 +80,11 @@ impl Histogram {
     /// The share of the pixels below `level`, which may be 256.
     fn share_below(&self, level: usize) -> f64 {
         self.0[..level].iter().sum::<u64>() as f64 / self.total().max(1) as f64
+    }
+
+    /// The share of the pixels at `levels`.
+    pub fn share(&self, levels: RangeInclusive<u8>) -> f64 {
+        levels.map(|level| self.0[usize::from(level)]).sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
     /// The level, up to 256, below which the share is nearest to `share`; the lowest of several.

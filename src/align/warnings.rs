@@ -21,7 +21,8 @@ pub(super) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
     let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
     warnings
         .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
-    for (frame, verdict) in bracket.frames().iter().zip(verdicts) {
+    let is_still = verdicts.iter().filter_map(|v| v.warp).all(|warp| warp == Warp::Identity);
+    for (i, (frame, verdict)) in bracket.frames().iter().zip(verdicts).enumerate() {
         let path = frame.path().to_path_buf();
         // The user says where it lies.
         if frame.excluded.is_some() && verdict.warp.is_some() {
@@ -32,6 +33,13 @@ pub(super) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
                 let reason = verdict.reason.clone().unwrap_or_default();
                 warnings.push(Warning::FrameRejected { path, reason });
             }
+            Status::Assumed => warnings.push(Warning::FrameAssumed {
+                path,
+                reason: verdict.reason.clone().unwrap_or_default(),
+                error_px: verdict.error_px.unwrap_or_default(),
+                is_dark: i < bracket.reference_index(),
+                is_still,
+            }),
             Status::Flash => warnings.push(Warning::FlashFired { path, is_used: false }),
             _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
                 warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });

@@ -3,6 +3,7 @@
 //! In: EXIF. Out: a [`Capture`], with blanks, padding and clocks that were never set left out, and the camera's name of it. Cost: nothing to speak of.
 //! Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
 
+use super::moment::{is_date, taken};
 use super::{Capture, carried, exposure};
 use exif::{Exif, In, Tag, Value};
 
@@ -13,6 +14,7 @@ pub(super) fn read(exif: &Exif, keep_gps: bool) -> Capture {
         make: ascii(exif, Tag::Make),
         model: ascii(exif, Tag::Model),
         date: ascii(exif, Tag::DateTimeOriginal).or_else(|| ascii(exif, Tag::DateTime)).filter(|d| is_date(d)),
+        taken: taken(&|tag| ascii(exif, tag)),
         lens: ascii(exif, Tag::LensModel),
         focal_length_mm: focal_length.filter(|&f| f > 0.0),
         exif: carried::carried(exif, keep_gps),
@@ -31,14 +33,6 @@ impl Capture {
     }
 }
 
-/// `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
-pub(super) fn is_date(text: &str) -> bool {
-    let shape = b"0000:00:00 00:00:00";
-    text.len() == shape.len()
-        && text.bytes().zip(shape).all(|(b, &s)| if s == b'0' { b.is_ascii_digit() } else { b == s })
-        && !text.starts_with("0000")
-}
-
 /// The first line of a text field, without padding; `None` where nothing is left.
 pub(super) fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
     let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else {
@@ -53,14 +47,6 @@ pub(super) fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn only_dates_are_dates() {
-        assert!(is_date("2026:11:20 08:00:00"));
-        for wrong in ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-20 08:00:00", "2026:11:20", ""] {
-            assert!(!is_date(wrong), "{wrong}");
-        }
-    }
 
     #[test]
     fn the_make_is_said_once() {

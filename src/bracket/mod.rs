@@ -14,6 +14,7 @@ pub mod exposure;
 mod grey;
 pub mod header;
 mod load;
+mod moment;
 mod nominal;
 mod photograph;
 mod reference;
@@ -90,6 +91,8 @@ pub struct Capture {
     pub model: Option<String>,
     /// EXIF DateTimeOriginal, as `YYYY:MM:DD HH:MM:SS`.
     pub date: Option<String>,
+    /// The moment of the exposure, to the digits that the camera writes.
+    pub taken: Option<header::Moment>,
     /// EXIF LensModel.
     pub lens: Option<String>,
     /// EXIF FocalLength, in millimetres.

@@ -71,8 +71,8 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but a frame was left out or doubtful, the frames overlap by less than
-     half, or an exposure or the response was guessed
+  3  with --strict: written, but a frame was left out, assumed or doubtful, the frames overlap by
+     less than half, or an exposure or the response was guessed
   compare: 0 the same, 1 they differ, 2 trouble
   batch: 0 all brackets done, 1 none, 3 some
 

@@ -122,6 +122,10 @@ fn aligned(report: &Report, room: usize) -> String {
     if unmoved > 0 {
         words.push(format!("{unmoved} as {} lay", if unmoved == 1 { "it" } else { "they" }));
     }
+    let assumed = with(Status::Assumed).count();
+    if assumed > 0 {
+        words.push(format!("{assumed} assumed, too dark or bright to align"));
+    }
     if let Some(path) = &report.transforms_from {
         words.push(format!("places taken from {}", name(path)));
     }
@@ -137,9 +141,11 @@ fn doubts(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
     let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
+    // Where nothing else moved there is no doubt in them.
+    let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
     let flash = which(&|f| f.alignment.status == Status::Flash);
-    let named = rejected.len() + flash.len() + doubtful.len();
+    let named = rejected.len() + flash.len() + assumed.len() + doubtful.len();
     let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > named;
     let told = |most: usize| {
         let some = |label: &str, frames: &[&FrameReport]| {
@@ -148,7 +154,13 @@ fn doubts(report: &Report, room: usize) -> String {
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
         let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
-        let parts = [some(" left out", &rejected), some(" excluded", &excluded), some(" doubtful", &doubtful), guessed];
+        let parts = [
+            some(" left out", &rejected),
+            some(" excluded", &excluded),
+            some(" assumed", &assumed),
+            some(" doubtful", &doubtful),
+            guessed,
+        ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
     // By name as far as there is room.
@@ -219,6 +231,7 @@ fn line(frame: &FrameReport) -> String {
         Status::Reference => "reference",
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
+        Status::Assumed => "assumed",
         Status::Rejected => "left out",
         Status::Excluded => "excluded",
         Status::Flash => "excluded, for the flash fired",
@@ -228,7 +241,9 @@ fn line(frame: &FrameReport) -> String {
         text += &format!(" ({:+.2} by the pixels)", frame.exposure_correction_stops);
     }
     text += &format!(", {status}");
-    if let (Status::Aligned, Some([dx, dy]), Some(angle)) = (place.status, place.shift_px, place.rotation_deg) {
+    if let (Status::Aligned | Status::Assumed, Some([dx, dy]), Some(angle)) =
+        (place.status, place.shift_px, place.rotation_deg)
+    {
         text += &format!(" by {dx:+.1}, {dy:+.1} px and {angle:+.2} deg");
     }
     if place.status != Status::Reference {

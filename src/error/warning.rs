@@ -7,12 +7,35 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum Warning {
     /// No model explains this frame's motion; it was left out.
-    #[error("{}: left out: {reason}", path.display())]
+    #[error(
+        "{}: left out: {reason}; if the camera stood still, give --unmoved {}, or --align none for all",
+        path.display(),
+        path.file_name().unwrap_or_default().display()
+    )]
     FrameRejected {
         /// The frame.
         path: PathBuf,
         /// Why it could not be placed.
         reason: String,
+    },
+    /// This frame is too dark or too bright to be aligned; its place is assumed from those of the others.
+    #[error(
+        "{}: too {} to be aligned ({reason}); it is merged as the others let expect, within {error_px:.1} px, and only where they {}; exclude it with --leave-out",
+        path.display(),
+        if *is_dark { "dark" } else { "bright" },
+        if *is_dark { "clip" } else { "are black" }
+    )]
+    FrameAssumed {
+        /// The frame.
+        path: PathBuf,
+        /// What its place is assumed from.
+        reason: String,
+        /// The error that 19 of 20 such places keep, in pixels.
+        error_px: f64,
+        /// Whether it is darker than the reference.
+        is_dark: bool,
+        /// Whether the camera stood still in all others, so that nothing else is to be expected of it.
+        is_still: bool,
     },
     /// This frame was placed, but with little certainty.
     #[error("{}: aligned with low confidence ({confidence:.2}); look at the result, or leave it out", path.display())]
@@ -194,11 +217,12 @@ pub enum Warning {
 }
 
 impl Warning {
-    /// Whether the result is less than what was asked for: a frame left out or doubtful, an exposure guessed, a curve assumed.
+    /// Whether the result is less than what was asked for: a frame left out, assumed or doubtful, an exposure guessed, a curve assumed.
     pub fn degrades(&self) -> bool {
         matches!(
             self,
-            Warning::FrameRejected { .. }
+            Warning::FrameAssumed { is_still: false, .. }
+                | Warning::FrameRejected { .. }
                 | Warning::SamePixels { .. }
                 | Warning::NothingToAlign { .. }
                 | Warning::LowConfidence { .. }

@@ -76,7 +76,8 @@ impl Tables {
         }
         let reasons = self.frames.iter().filter_map(|f| f.report.alignment.reason.as_ref().map(|r| (f, r)));
         for (frame, reason) in reasons {
-            text += &format!("\n{}: left out: {reason}\n", file_name(&frame.report.path));
+            let word = status_word(frame.report.alignment.status);
+            text += &format!("\n{}: {word}: {reason}\n", file_name(&frame.report.path));
         }
         text
     }
@@ -171,6 +172,7 @@ pub(crate) fn status_word(status: Status) -> &'static str {
         Status::Reference => "reference",
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
+        Status::Assumed => "assumed",
         Status::Rejected => "left out",
         Status::Excluded | Status::Flash => "excluded",
     }

@@ -5,9 +5,9 @@
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::Alignment;
 use crate::align::resample::{resample_rows, rows_under};
 use crate::align::warp::Warp;
+use crate::align::{Alignment, Status};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
@@ -22,9 +22,9 @@ const LINE: usize = COLUMNS + 8;
 const LINES: usize = ROWS + 2;
 
 /// Codes by which noise and JPEG may lift a pixel: what a code vouches for is the radiance of one lower by so many.
-const LIFT: usize = 6;
+pub(super) const LIFT: usize = 6;
 /// Codes between which a frame is taken to clip where a shorter one vouches for as much light as they mean.
-const CLIPS: (usize, usize) = (230, 250);
+pub(super) const CLIPS: (usize, usize) = (230, 250);
 /// Codes below the top over which a frame's trust falls with its brightest channel, and what it falls to: a frame in which one channel
 /// clips still counts for the others where every frame that holds all three is darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
@@ -179,6 +179,15 @@ impl Loops for Beside<'_> {
     }
 }
 
+/// What a frame of which the place is only [assumed](Status::Assumed) takes part in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fill {
+    /// In what the other frames clip.
+    Clipped,
+    /// In what is black in the other frames.
+    Black,
+}
+
 /// A frame that takes part.
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
@@ -189,6 +198,10 @@ pub(super) struct Layer<'a> {
     last: f32,
     /// The weight of the frame's middle code.
     pub say: f32,
+    /// What it is to fill, where its place is assumed; none where it is known.
+    pub fill: Option<Fill>,
+    /// The code up to which it is black, in any channel.
+    pub black: f32,
     /// For each channel the radiance from which on the frame clips for sure, and the inverse of the range over which it begins to.
     pub clips: [(f32, f32); 3],
     /// What v falls to where the brightest channel is at its top.
@@ -247,17 +260,23 @@ pub(super) fn layers<'a>(
     weight: Weight,
 ) -> Result<Vec<Layer<'a>>> {
     let reference = bracket.reference().exposure.relative();
-    let seen = |(_, frame, warp): (usize, &'a Frame, Warp)| {
+    let fill = |i: usize| {
+        let fill = if i < bracket.reference_index() { Fill::Clipped } else { Fill::Black };
+        (alignment.verdicts[i].status == Status::Assumed).then_some(fill)
+    };
+    let seen = |(i, frame, warp): (usize, &'a Frame, Warp)| {
         let noise = match weight {
             Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
             _ => Noise::least(),
         };
-        Ok((frame, warp, frame.exposure.relative() / reference, noise))
+        Ok((frame, warp, frame.exposure.relative() / reference, noise, fill(i)))
     };
     let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
-    let most = placed.last().map_or(1.0, |(_, _, time, noise)| weight.say(curve, *time, noise));
+    let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.say(curve, *time, noise));
     let placed = placed.into_iter();
-    Ok(placed.map(|(frame, warp, time, noise)| layer(frame, warp, (time, &noise), curve, weight, most)).collect())
+    let layer =
+        |(frame, warp, time, noise, fill)| Layer { fill, ..layer(frame, warp, (time, &noise), curve, weight, most) };
+    Ok(placed.map(layer).collect())
 }
 
 /// `frame`, exposed `time` times as long as the reference and as noisy as told; weights are divided by `most`.
@@ -295,6 +314,8 @@ fn layer<'a>(
         // A frame of 8 bit that did not move has whole codes alone.
         last: if frame.max() == u16::from(u8::MAX) && warp == Warp::Identity { 255.0 } else { 254.0 },
         say: weight.say(curve, time, noise) / most,
+        fill: None,
+        black: (0..3).map(|c| curve.black(c)).fold(0.0, f64::max) as f32,
         clips: std::array::from_fn(|c| clips(&tables[c])),
         guard: if weight == Weight::Uniform { 1.0 } else { GUARD.1 },
         ringing: if weight == Weight::Uniform { 1.0 } else { RINGING },

@@ -4,7 +4,7 @@
 //! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
-use super::layer::{COLUMNS, Layer, Meaning, Row, Tile};
+use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Tile};
 use crate::simd::{Loops, at_least, at_most};
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
@@ -19,7 +19,7 @@ const LEAST: f32 = 1e-6;
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
-type Channels = [[f32; COLUMNS]; 3];
+pub(super) type Channels = [[f32; COLUMNS]; 3];
 
 /// The means of a row's pixels so far.
 pub(super) struct Means {
@@ -61,7 +61,7 @@ pub(super) struct Bounds {
     pub black: usize,
 }
 
-/// Merges row `y` of a tile into `line`.
+/// Merges row `y` of a tile into `line`, of the frames whose place is known.
 pub(super) struct MergedRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
@@ -73,22 +73,24 @@ pub(super) struct MergedRow<'a, 'b> {
 }
 
 impl Loops for MergedRow<'_, '_> {
-    type Output = Bounds;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Bounds {
-        self.means.clear();
-        for ((layer, tile), kept) in self.layers.iter().zip(self.tiles).zip(self.kept) {
-            if let Some(row) = tile.row(self.y) {
-                self.means.add(layer, &row, kept);
-            }
+    fn run(self) {
+        self.means.add_all(None, (self.layers, self.tiles, self.kept), self.y);
+        let mut radiance = [[0.0; COLUMNS]; 3];
+        self.means.radiance(&mut radiance);
+        let [red, green, blue] = &radiance;
+        for (x, pixel) in self.line.iter_mut().enumerate().take(COLUMNS) {
+            *pixel = [red[x], green[x], blue[x]];
         }
-        self.means.radiance(self.line)
     }
 }
 
 /// Weighs what each frame gives of a tile's first row, for people to look at.
 pub(super) struct WeighedRow<'a, 'b> {
+    /// The frames that are weighed: those that fill this, or those whose place is known.
+    pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
     /// As of a [`MergedRow`].
@@ -107,7 +109,7 @@ impl Loops for WeighedRow<'_, '_> {
         // The last frame believed decides what is dark: which, and by how much.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
         for (i, ((layer, tile), kept)) in self.layers.iter().zip(self.tiles).zip(self.kept).enumerate() {
-            let Some(row) = tile.row(0) else { continue };
+            let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };
             let before = self.means.weight;
             self.means.add(layer, &row, kept);
             for x in 0..COLUMNS {
@@ -156,6 +158,19 @@ impl Means {
             *of = [[0.0; COLUMNS]; 3];
         }
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
+    }
+
+    /// The means of row `y` over the frames that fill `fill`, or over those whose place is known: layers, tiles, and how far each is believed.
+    #[inline(always)]
+    pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, kept): (&[Layer], &[Tile], &[&[f32]]), y: usize) {
+        self.clear();
+        for ((layer, tile), kept) in layers.iter().zip(tiles).zip(kept) {
+            if layer.fill == fill
+                && let Some(row) = tile.row(y)
+            {
+                self.add(layer, &row, kept);
+            }
+        }
     }
 
     /// Adds a frame's row, believed as far as `kept` says. A pixel that the frame does not reach is one that is not believed.
@@ -207,21 +222,34 @@ impl Means {
         }
     }
 
-    /// The radiance of the first pixels, [`FLOOR`] where no frame covers them.
+    /// The radiance of the row, [`FLOOR`] where no frame covers it.
     #[inline(always)]
-    fn radiance(&self, line: &mut [[f32; 3]]) -> Bounds {
-        let mut radiance = [[0.0; COLUMNS]; 3];
+    pub fn radiance(&self, radiance: &mut Channels) {
         for c in 0..3 {
             for x in 0..COLUMNS {
                 let mean = (self.sum[c][x] + self.longest_sum[c][x]) / (self.weight[c][x] + self.longest_weight[c][x]);
                 radiance[c][x] = if self.is_seen[x] != 0 { mean.max(FLOOR) } else { FLOOR };
             }
         }
-        let [red, green, blue] = &radiance;
-        for (x, pixel) in line.iter_mut().enumerate().take(COLUMNS) {
-            *pixel = [red[x], green[x], blue[x]];
+    }
+
+    /// Whether a frame is believed at pixel `x`.
+    #[inline(always)]
+    pub fn is_seen(&self, x: usize) -> bool {
+        self.is_seen[x] != 0
+    }
+
+    /// What is known of pixel `x` beyond the range of these frames, because `other` ones fill it.
+    pub fn fill(&mut self, x: usize, fill: Fill, other: &Means) {
+        match fill {
+            Fill::Clipped => self.is_clipped[x] &= other.is_clipped[x],
+            Fill::Black => self.is_black[x] &= other.is_black[x],
         }
-        let count = |of: &[u32; COLUMNS]| of.iter().take(line.len()).sum::<u32>() as usize;
+    }
+
+    /// Of the first `width` pixels those whose radiance is but a bound.
+    pub fn bounds(&self, width: usize) -> Bounds {
+        let count = |of: &[u32; COLUMNS]| of.iter().take(width).sum::<u32>() as usize;
         Bounds { clipped: count(&self.is_clipped), black: count(&self.is_black) }
     }
 }

@@ -19,6 +19,8 @@
 //!   stands for the most light and would darken the mean most. Under noise weights this alone is worth 17 dB on truth brackets.
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
+//! - A frame of which the place is only [assumed](crate::align::Status::Assumed) is not among the j: it fills what they clip, or what is black in all of
+//!   them (`fill`).
 //!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
@@ -27,6 +29,7 @@
 
 pub mod calibration;
 pub mod deghost;
+mod fill;
 pub mod flare;
 pub mod gamut;
 mod layer;
@@ -47,7 +50,8 @@ use crate::response::ResponseCurve;
 use crate::simd::vectorised;
 use calibration::Unit;
 use deghost::Ghosts;
-use layer::{COLUMNS, Layer, ROWS, Tile, layers};
+use fill::{FilledRow, Filling};
+use layer::{COLUMNS, Fill, Layer, ROWS, Tile, layers};
 use mean::{Bounds, Means, MergedRow};
 use serde::Serialize;
 use statistics::Statistics;
@@ -183,6 +187,18 @@ impl<'a> Merging<'a> {
         Ok(Merging { bracket, region, layers, frames, ghosts })
     }
 
+    /// What frames of which the place is assumed are to fill.
+    fn fills(&self) -> Vec<Fill> {
+        let is_asked = |fill: &Fill| self.layers.iter().any(|layer| layer.fill == Some(*fill));
+        [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
+    }
+
+    /// How far each pixel of layer `i` is believed at `rows` of the region; nothing where wholly. A frame that fills is not compared with what it fills.
+    fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
+        let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
+        ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
+    }
+
     /// Width and height of the result, in pixels.
     pub fn size(&self) -> (usize, usize) {
         (self.region.width(), self.region.height())
@@ -210,13 +226,16 @@ impl<'a> Merging<'a> {
         let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let width = self.region.width();
         let mut pixels = Plane::filled(width, rows.len(), [0.0; 3]);
-        let scratch = || (Means::new(), self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>());
-        pixels.fill_bands_with(scratch, |(means, tiles), rows, band| {
+        let fills = self.fills();
+        let scratch = || {
+            let filling = (!fills.is_empty()).then(Filling::new);
+            (Means::new(), filling, self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>())
+        };
+        pixels.fill_bands_with(scratch, |(means, filling, tiles), rows, band| {
             let mut bounds = Bounds::default();
             for (strip, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
                 let rows = first + strip..first + strip + out.len() / width;
-                let kept = |i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, rows.clone()));
-                let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(kept).collect();
+                let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, rows.clone())).collect();
                 for left in (0..width).step_by(COLUMNS) {
                     let columns = left..(left + COLUMNS).min(width);
                     for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
@@ -229,7 +248,15 @@ impl<'a> Merging<'a> {
                             .map(|kept| kept.get(y * width + columns.start..y * width + columns.end).unwrap_or(&[]))
                             .collect();
                         let line = &mut line[columns.clone()];
-                        let found = vectorised(MergedRow { layers: &self.layers, tiles, kept: &kept, y, means, line });
+                        vectorised(MergedRow { layers: &self.layers, tiles, kept: &kept, y, means, line });
+                        if let Some(filling) = filling {
+                            for &fill in &fills {
+                                let (layers, kept, known) = (&self.layers, &kept[..], &mut *means);
+                                let radiance = &mut *line;
+                                vectorised(FilledRow { layers, tiles, kept, y, fill, filling, known, radiance });
+                            }
+                        }
+                        let found = means.bounds(line.len());
                         bounds.clipped += found.clipped;
                         bounds.black += found.black;
                     }

@@ -3,6 +3,7 @@
 //! In: a [`Merging`]. Out: for each frame that takes part its share of the sum of all weights, on a grid of rows that are looked at. Cost: that
 //! of merging those rows. It is not worked out beside the merge but read off it: what the weights of a pixel grow by as a frame is added.
 
+use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Tile};
 use super::mean::{Means, WeighedRow};
 use super::{Merging, Rect};
@@ -59,8 +60,8 @@ impl Merging<'_> {
         let (mut means, mut tile) = (Means::new(), self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>());
         let mut sums = vec![vec![0.0f32; across]; self.layers.len()];
         let mut counts = vec![0.0f32; across];
-        let kept: Vec<Vec<f32>> =
-            (0..self.layers.len()).map(|i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, y..y + 1))).collect();
+        let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, y..y + 1)).collect();
+        let mut filling = Filling::new();
         let windows =
             self.layers.iter().map(|layer| layer.window(&(x0..x0 + width), &rows)).collect::<Result<Vec<_>>>()?;
         for left in (0..width).step_by(COLUMNS) {
@@ -71,13 +72,16 @@ impl Merging<'_> {
             }
             let kept: Vec<&[f32]> = kept.iter().map(|kept| kept.get(columns.clone()).unwrap_or(&[])).collect();
             let mut weights = vec![[0.0f32; COLUMNS]; self.layers.len()];
-            vectorised(WeighedRow {
-                layers: &self.layers,
-                tiles: &tile,
-                kept: &kept,
-                means: &mut means,
-                weights: &mut weights,
-            });
+            let (layers, tiles, kept) = (&self.layers[..], &tile[..], &kept[..]);
+            vectorised(WeighedRow { fill: None, layers, tiles, kept, means: &mut means, weights: &mut weights });
+            for fill in self.fills() {
+                let (y, mut line) = (0, [[0.0; 3]; COLUMNS]);
+                let (filling, known, radiance) = (&mut filling, &mut means, &mut line[..columns.len()]);
+                vectorised(FilledRow { layers, tiles, kept, y, fill, filling, known, radiance });
+                let (mut means, mut own) = (Means::new(), vec![[0.0f32; COLUMNS]; layers.len()]);
+                vectorised(WeighedRow { fill: Some(fill), layers, tiles, kept, means: &mut means, weights: &mut own });
+                mix(&mut weights, &own, filling.part());
+            }
             for (i, x) in columns.enumerate() {
                 let cell = x * across / width;
                 let all: f32 = weights.iter().map(|w| w[i]).sum();
@@ -92,6 +96,17 @@ impl Merging<'_> {
             sum.iter_mut().zip(&counts).for_each(|(sum, count)| *sum /= count.max(1.0));
         }
         Ok(sums)
+    }
+}
+
+/// Makes the sum of `weights` of each pixel 1, of which `part` is that of `filled` ones.
+fn mix(weights: &mut [[f32; COLUMNS]], filled: &[[f32; COLUMNS]], part: &[f32; COLUMNS]) {
+    for (x, &part) in part.iter().enumerate() {
+        let sum = |of: &[[f32; COLUMNS]]| of.iter().map(|w| w[x]).sum::<f32>().max(f32::MIN_POSITIVE);
+        let (known, fill) = (sum(weights), sum(filled));
+        for (w, f) in weights.iter_mut().zip(filled) {
+            w[x] = (1.0 - part) * w[x] / known + part * f[x] / fill;
+        }
     }
 }
 

@@ -217,7 +217,7 @@ fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
 
 /// Whether `status` is that of a frame which was sought: neither the reference, nor given as it lies.
 fn is_sought(status: Status) -> bool {
-    matches!(status, Status::Aligned | Status::Rejected)
+    matches!(status, Status::Aligned | Status::Assumed | Status::Rejected)
 }
 
 #[cfg(test)]

@@ -87,12 +87,13 @@ pub(super) fn moved(page: &Page, report: &Report) -> String {
         let status = status_word(frame.alignment.status);
         let class = status.replace(' ', "-");
         let mut heading = format!("<b>{}</b> <span class=\"chip\">{status}</span>", file_name(&frame.path));
-        if frame.alignment.status == Status::Aligned {
+        if matches!(frame.alignment.status, Status::Aligned | Status::Assumed) {
             let _ = write!(heading, " <span class=\"n\">{}</span>", summary::motion(frame));
         }
         let _ = write!(out, "<details class=\"frame {class}\"{open}>\n<summary>{heading}</summary>\n");
         if let Some(reason) = frame.alignment.reason.as_ref() {
-            let _ = writeln!(out, "<p class=\"reason\">Left out: {}</p>", escape(reason));
+            let what = if frame.alignment.status == Status::Assumed { "Assumed" } else { "Left out" };
+            let _ = writeln!(out, "<p class=\"reason\">{what}: {}</p>", escape(reason));
         }
         if let Some(overlay) = &shown.evidence.overlay {
             out += &compare(overlay, &file_name(&frame.path));

@@ -3,7 +3,7 @@
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
 use super::markup::{escape, percent, signed};
-use crate::align::Status;
+use crate::align::{Model, Status};
 use crate::inspect::text::file_name;
 use crate::report::Report;
 use serde_json::Value;
@@ -16,6 +16,7 @@ pub(super) fn facts(report: &Report) -> String {
     let words = [
         (aligned, "moved and aligned"),
         (count(Status::Unmoved), "unmoved"),
+        (count(Status::Assumed), "assumed"),
         (count(Status::Rejected), "left out"),
         (count(Status::Excluded) + count(Status::Flash), "excluded"),
     ];
@@ -135,13 +136,17 @@ pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
     match (place.status, place.shift_px, place.rotation_deg) {
         (Status::Reference, ..) => "the others are laid on it".into(),
         (Status::Unmoved, ..) => "lies as the reference does".into(),
+        (Status::Assumed, ..) if place.model == Some(Model::Unmoved) => "assumed to lie as the reference does".into(),
+        (Status::Assumed, Some([dx, dy]), Some(angle)) => {
+            format!("assumed: {}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
+        }
         (Status::Rejected, ..) => "could not be placed".into(),
         (Status::Excluded, ..) => "excluded by the user".into(),
         (Status::Flash, ..) => "excluded: the flash fired".into(),
         (Status::Aligned, Some([dx, dy]), Some(angle)) => {
             format!("{}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
         }
-        (Status::Aligned, ..) => String::new(),
+        (Status::Aligned | Status::Assumed, ..) => String::new(),
     }
 }
 

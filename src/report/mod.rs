@@ -166,11 +166,11 @@ pub struct AlignmentReport {
     pub inliers: Option<usize>,
     /// Keypoints found; null where features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error over the picture.
+    /// Our own estimate of the root mean square error over the picture; of a frame whose place is assumed, the error that 19 of 20 keep.
     pub error_px: Option<f64>,
     /// 0..1; under 0.5 is doubtful.
     pub confidence: f64,
-    /// Why it takes no part, or is taken as it lies.
+    /// Why it takes no part, or is taken as it lies, or what its place is assumed from.
     pub reason: Option<String>,
 }
 
@@ -244,6 +244,11 @@ impl Report {
     pub fn to_json(&self) -> String {
         // Strings, numbers and lists of them: nothing in it can fail. A number that is not finite would become null.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
+    /// Whether no frame that takes part moved, or is taken to have moved.
+    pub fn stood_still(&self) -> bool {
+        self.frames.iter().filter_map(|frame| frame.alignment.model).all(|model| model == Model::Unmoved)
     }
 
     /// Whether the result is less than what was asked for: with `--strict` the exit code is 3.

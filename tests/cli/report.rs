@@ -45,7 +45,7 @@ fn check_alignment(a: &Value) {
         ],
     );
     let status = text(a, "status");
-    assert!(["reference", "aligned", "unmoved", "rejected"].contains(&status), "{status}");
+    assert!(["reference", "aligned", "unmoved", "assumed", "rejected"].contains(&status), "{status}");
     assert!((0.0..=1.0).contains(&number(a, "confidence")));
     assert!(a["inliers"].is_null() || a["inliers"].is_u64());
     if !a["keypoints"].is_null() {

@@ -116,14 +116,17 @@ fn exif_gives_exposure_and_capture() {
         make: Some("Acme".into()),
         model: None,
         date: Some("2026:11:20 08:00:00".into()),
+        taken: frame.capture.taken,
         lens: Some("50 mm".into()),
         focal_length_mm: Some(50.0),
         exif: frame.capture.exif.clone(),
     };
     assert_eq!(frame.capture, wanted);
+    assert_eq!(wanted.taken.map(|moment| moment.to_string()), wanted.date);
     let carried = exif::Reader::new().read_raw(wanted.exif.unwrap()).unwrap();
     assert!(carried.get_field(Tag::LensModel, exif::In::PRIMARY).is_some());
-    assert_eq!(bracket.frames()[1].capture.date, None, "the clock was never set");
+    let unset = &bracket.frames()[1].capture;
+    assert_eq!((&unset.date, unset.taken), (&None, None), "the clock was never set");
 }
 
 #[test]

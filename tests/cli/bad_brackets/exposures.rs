@@ -196,6 +196,35 @@ fn a_blank_frame_beside_good_ones_is_left_out() {
     }
 }
 
+/// The lamp is 2000 times as bright as what the middle frame holds: only a frame that is black but for it shows how bright.
+#[test]
+fn a_black_frame_of_a_still_camera_is_assumed_and_has_the_lamp() {
+    let picture = frame(4);
+    let is_lamp = |x: u32, y: u32| x.abs_diff(90) < 8 && y.abs_diff(60) < 8;
+    // The picture's codes stand for a room of radiance 0 to 1.
+    let code = |radiance: f64| (255.0 * radiance.min(1.0).powf(1.0 / 2.2) + 0.5) as u8;
+    let taken = |time: f64| {
+        RgbImage::from_fn(300, 200, |x, y| {
+            let room = picture.get_pixel(x, y).0.map(|v| (f64::from(v) / 255.0).powf(2.2));
+            Rgb(room.map(|v| code(time * if is_lamp(x, y) { 1000.0 } else { v })))
+        })
+    };
+    let folder = Folder::empty();
+    let times = [(1, 2000), (1, 4), (1, 1), (4, 1)];
+    for (n, (num, denom)) in times.into_iter().enumerate() {
+        folder.put(&format!("f{n}.jpg"), &timed(&taken(f64::from(num) / f64::from(denom)), num, denom));
+    }
+    let names = "f0.jpg f1.jpg f2.jpg f3.jpg";
+    let found = merged(&folder, &format!("{names} --response-model srgb --strict"));
+    assert_eq!(found.status("f0.jpg"), "assumed");
+    assert!(found.warns(false, &["f0.jpg: too dark to be aligned", "stood still"]), "{:?}", found.warnings());
+    // The room's shortest frame clips at 4.
+    let brightest = |merged: &Merged| merged.radiance.iter().map(|p| p[1]).fold(0.0, f32::max);
+    let without = merged(&folder, &format!("{names} --response-model srgb --leave-out f0.jpg"));
+    let factor = brightest(&found) / brightest(&without);
+    assert!((factor / 250.0 - 1.0).abs() < 0.3, "{factor}");
+}
+
 /// `picture` with a light of the camera's own on what is near.
 fn lit(mut picture: RgbImage) -> RgbImage {
     for (x, y, pixel) in picture.enumerate_pixels_mut() {

@@ -1,0 +1,220 @@
+//! Filling: what frames of which the place is only assumed add to the mean of the others, where these clip or are black.
+//!
+//! In: the mean of the frames whose place is known, and what these and the others have of a row. Out: the radiance of the row. Cost: none where no place is
+//! assumed; else that of the mean once more.
+//!
+//! With P the mean of the frames whose place is known, and A that of those darker (brighter) than the reference whose place is assumed, radiance is
+//!
+//! ```text
+//! E = (1 - a) P + a max(A, L)        (1 - b) P + b min(A, U)
+//! ```
+//!
+//! - a rises from 0 to 1 over the codes at which the shortest of the known frames begins to clip and clips for sure, b as it falls to
+//!   black: where a frame in its place shows something, one that may be displaced has no part in it.
+//! - L is the least radiance that the clipped frames leave possible, U the most that the black ones do. So at the rim of a lamp, where a displaced
+//!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
+
+use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Tile};
+use super::mean::{Channels, Means};
+use crate::simd::{Loops, at_least, at_most};
+
+/// What is kept from row to row.
+pub(super) struct Filling {
+    means: Means,
+    /// The mean of the frames that fill, and the bound to which it is held.
+    filled: Channels,
+    bound: Channels,
+    /// How far they do, 0..=1.
+    part: [f32; COLUMNS],
+    meanings: [Meaning; COLUMNS],
+}
+
+/// Fills row `y` of a tile, whose mean over the frames whose place is known is in `known` and `radiance`.
+pub(super) struct FilledRow<'a, 'b> {
+    pub layers: &'a [Layer<'b>],
+    pub tiles: &'a [Tile],
+    /// How far each frame is believed, as of a [`MergedRow`](super::mean::MergedRow).
+    pub kept: &'a [&'a [f32]],
+    pub y: usize,
+    pub fill: Fill,
+    pub filling: &'a mut Filling,
+    pub known: &'a mut Means,
+    pub radiance: &'a mut [[f32; 3]],
+}
+
+impl Filling {
+    pub fn new() -> Self {
+        let none = [[0.0; COLUMNS]; 3];
+        Filling { means: Means::new(), filled: none, bound: none, part: [0.0; COLUMNS], meanings: [[0.0; 4]; COLUMNS] }
+    }
+
+    /// How far each pixel of the last row that was filled is what was filled in, 0..=1.
+    pub fn part(&self) -> &[f32; COLUMNS] {
+        &self.part
+    }
+}
+
+impl Loops for FilledRow<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let FilledRow { layers, tiles, kept, y, fill, filling, known, radiance } = self;
+        let Filling { means, filled, bound, part, meanings } = filling;
+        // The known frame that ends the range at each pixel: the first that is believed, or the last.
+        let mut end = [0.0f32; COLUMNS];
+        let mut is_seen = [0u32; COLUMNS];
+        for ((layer, tile), kept) in layers.iter().zip(tiles).zip(kept).filter(|((layer, _), _)| layer.fill.is_none()) {
+            let Some(row) = tile.row(y) else { continue };
+            let [red, green, blue] = row.codes;
+            let mut is_end = [0u32; COLUMNS];
+            for x in 0..COLUMNS {
+                let is_believed = red[x] >= 0.0 && kept.get(x).is_none_or(|&kept| kept >= 0.5);
+                let is_later = fill == Fill::Black || is_seen[x] == 0;
+                is_end[x] = u32::from(is_believed && is_later);
+                is_seen[x] |= u32::from(is_believed);
+                let top = at_least(at_least(red[x], green[x]), blue[x]);
+                let (begins, sure) = (CLIPS.0 as f32, CLIPS.1 as f32);
+                // As far from black as clipping is from the top.
+                let reaches = match fill {
+                    Fill::Clipped => top,
+                    Fill::Black => 255.0 - (top - layer.black),
+                };
+                let reaches = at_most(at_least((reaches - begins) * (1.0 / (sure - begins)), 0.0), 1.0);
+                end[x] = if is_end[x] != 0 { reaches } else { end[x] };
+            }
+            for c in 0..3 {
+                let codes = row.codes[c];
+                let shifted: [f32; COLUMNS] = match fill {
+                    Fill::Clipped => *codes,
+                    Fill::Black => codes.map(|code| code + LIFT as f32),
+                };
+                layer.look_up(c, &shifted, meanings);
+                for x in 0..COLUMNS {
+                    let [most, _, least, _] = meanings[x];
+                    let held = if fill == Fill::Clipped { least } else { most };
+                    bound[c][x] = if is_end[x] != 0 { held } else { bound[c][x] };
+                }
+            }
+        }
+        means.add_all(Some(fill), (layers, tiles, kept), y);
+        means.radiance(filled);
+        for x in 0..COLUMNS {
+            part[x] = if means.is_seen(x) && is_seen[x] != 0 { end[x] } else { 0.0 };
+        }
+        for (x, pixel) in radiance.iter_mut().enumerate().take(COLUMNS) {
+            for c in 0..3 {
+                let (value, bound) = (filled[c][x], bound[c][x]);
+                let value = if fill == Fill::Clipped { at_least(value, bound) } else { at_most(value, bound) };
+                pixel[c] += part[x] * (value - pixel[c]);
+            }
+            if part[x] >= 0.5 {
+                known.fill(x, fill, means);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::weight::Weight;
+    use super::super::{MergeOptions, Merged, Merging, merge};
+    use crate::align::{Alignment, Status};
+    use crate::bracket::Bracket;
+    use crate::response::ResponseCurve;
+    use crate::response::tests::still;
+
+    const SIZE: (usize, usize) = (300, 3);
+
+    /// Radiance over thirty stops from left to right.
+    fn ramp(x: usize) -> [f64; 3] {
+        [libm::exp2((x as f64 - 200.0) / 10.0); 3]
+    }
+
+    /// A still bracket, the reference in the middle.
+    fn bracket(scene: impl Fn(usize, usize) -> [f64; 3] + Sync) -> (Bracket, Alignment) {
+        still(SIZE, &[1.0 / 256.0, 1.0 / 16.0, 1.0, 16.0, 256.0], scene)
+    }
+
+    fn merged(bracket: &Bracket, alignment: &Alignment) -> (Vec<[f32; 3]>, Merged) {
+        let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
+        let (map, merged) = merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap();
+        (map.pixels.into_vec(), merged)
+    }
+
+    /// What frames 0 and 4 take part in.
+    fn with(alignment: &Alignment, status: Status) -> Alignment {
+        let mut alignment = alignment.clone();
+        for i in [0, 4] {
+            alignment.verdicts[i].status = status;
+            if status == Status::Rejected {
+                alignment.verdicts[i].warp = None;
+            }
+        }
+        alignment
+    }
+
+    #[test]
+    fn assumed_frames_have_part_in_what_the_others_clip_or_is_black_and_in_nothing_else() {
+        let (bracket, alignment) = bracket(|x, _| ramp(x));
+        let (all, whole) = merged(&bracket, &alignment);
+        let (without, fewer) = merged(&bracket, &with(&alignment, Status::Rejected));
+        let (filled, merged) = merged(&bracket, &with(&alignment, Status::Assumed));
+        let curve = ResponseCurve::srgb();
+        let unit = f64::from(curve.exposure(0, 255.0));
+        for x in 0..SIZE.0 {
+            let truth = ramp(x)[1] * unit;
+            // The shortest of the known has code 230 at 80 % of its top, the longest has code 25 at 1 % of it.
+            let is_held = ramp(x)[1] < 16.0 * f64::from(curve.exposure(0, 228.0)) / unit
+                && ramp(x)[1] * 16.0 > f64::from(curve.exposure(0, 27.0)) / unit;
+            if is_held {
+                assert_eq!(filled[x], without[x], "{x}");
+            }
+            // The five frames together reach from 2^-8 of 20 codes to 2^8.
+            if (16.5..240.0).contains(&ramp(x)[1]) || (4.0e-5..5.0e-4).contains(&ramp(x)[1]) {
+                let found = f64::from(filled[x][1]) / truth;
+                assert!((found - 1.0).abs() < 0.06, "{x}: {found}, {} with all", f64::from(all[x][1]) / truth);
+            }
+        }
+        assert!(fewer.all_clipped > merged.all_clipped && fewer.all_black > merged.all_black);
+        assert_eq!((merged.all_clipped, merged.frames), (whole.all_clipped, 5));
+    }
+
+    #[test]
+    fn displaced_frame_takes_nothing_off_what_is_known() {
+        // A lamp, and a frame in which it lies ten pixels to the right.
+        let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
+        let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
+        let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
+        alignment.verdicts[0].warp = Some(crate::align::warp::Warp::Rigid { dx: -10.0, dy: 0.0, angle: 0.0 });
+        let (filled, _) = merged(&bracket, &with(&alignment, Status::Assumed));
+        for x in 10..SIZE.0 - 10 {
+            let (old, new) = (without[x][1], filled[x][1]);
+            if lamp(150, x)[1] < 1.0 {
+                // Beside the lamp the displaced frame shows it.
+                assert_eq!(old, new, "{x}");
+            } else if x.abs_diff(150) <= 6 {
+                assert!(new > 10.0 * old, "{x}: {new} {old}");
+            } else {
+                // Six codes below the top: what the clipped frames leave possible.
+                assert!(new > 0.9 * old, "{x}: {new} {old}");
+            }
+        }
+    }
+
+    #[test]
+    fn shares_of_frames_that_fill_are_those_with_which_they_do() {
+        let (bracket, alignment) = bracket(|x, _| ramp(x));
+        let alignment = with(&alignment, Status::Assumed);
+        let options = MergeOptions { weight: Weight::Hat, region: alignment.overlap };
+        let curve = ResponseCurve::srgb();
+        let merging = Merging::of(&bracket, &alignment, &curve, &options, None).unwrap();
+        let shares = merging.shares((SIZE.0, 1)).unwrap();
+        for x in 0..SIZE.0 {
+            let all: f32 = shares.iter().map(|share| share.cells.at(x, 0)).sum();
+            assert!((all - 1.0).abs() < 1e-4, "{x}: {all}");
+        }
+        let of = |frame: usize, x: usize| shares[frame].cells.at(x, 0);
+        assert!(of(0, 290) > 0.99 && of(4, 2) > 0.99 && of(0, 150) == 0.0 && of(4, 150) == 0.0);
+    }
+}
