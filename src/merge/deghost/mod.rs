@@ -26,7 +26,7 @@ mod structure;
 mod usual;
 
 use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect};
+use crate::align::{Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};
@@ -127,6 +127,8 @@ struct Layer<'a> {
     frame: &'a Frame,
     warp: Warp,
     meaning: Meaning,
+    /// Whether its place is but [assumed](Status::Assumed): it shows what no other does, and is not compared.
+    is_assumed: bool,
 }
 
 /// Where in `region` each placed frame shows something else than the reference.
@@ -151,7 +153,7 @@ pub fn find(
                 reference = layers.len();
             }
             let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
-            layers.push(Layer { frame, warp, meaning });
+            layers.push(Layer { frame, warp, meaning, is_assumed: verdict.status == Status::Assumed });
         }
     }
     let side = side(region);
@@ -164,7 +166,7 @@ pub fn find(
             continue;
         }
         let mut standard = seen(reference)?;
-        for i in outwards {
+        for i in outwards.into_iter().filter(|&i| !layers[i].is_assumed) {
             let frame = seen(i)?;
             let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);
             take_over(&mut standard, &frame, &moved, &meanings);

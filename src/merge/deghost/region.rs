@@ -134,8 +134,10 @@ mod tests {
     fn gaps_are_closed_and_borders_stay() {
         let with_gap = plane(&["###..###"; 9]);
         assert_eq!(closed(&with_gap, 1), plane(&["########"; 9]));
-        let alone = plane(&[".......", "...#...", "......."]);
+        let alone = plane(&[".......", ".......", "...#...", ".......", "......."]);
         assert_eq!(closed(&alone, 1), alone);
+        // What moved at the border goes on beyond it.
+        assert_eq!(closed(&plane(&[".#.....", ".......", "......."]), 1), plane(&["##.....", ".......", "......."]));
     }
 
     #[test]
