@@ -146,7 +146,7 @@ fn averaged<T: Copy + Sync>(
     side: usize,
     number: u16,
 ) -> Plane<Cell> {
-    let Layer { frame, warp, meaning } = layer;
+    let Layer { frame, warp, meaning, .. } = layer;
     let (width, height) = (frame.width(), frame.height());
     let (right, bottom) = ((width - 1) as f64, (height - 1) as f64);
     let h = warp.matrix(width, height);

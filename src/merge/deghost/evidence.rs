@@ -11,8 +11,8 @@
 //! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
-//! differs. Of the connected parts that differ, and somewhere surely, those have
-//! moved in which the [structure] says so.
+//! differs. What differs surely has moved where the
+//! [structure] says so too, and so has all that is connected with it and differs half as much.
 
 use super::cells::{Cell, Meaning};
 use super::ghosts::place;
@@ -199,10 +199,8 @@ pub fn moved(
     if !differs.as_slice().contains(&true) {
         return differs;
     }
-    // At the very edge of what moved a cell differs less than within.
-    let parts = region::grown(&reach(limits.0), &differs);
-    let changed = structure::changed(pair.ratios(), &parts, limits.1);
-    region::grown(&parts, &changed)
+    let changed = structure::changed(pair.ratios(), &differs, limits.1);
+    region::grown(&reach(limits.0), &changed)
 }
 
 /// How strongly each cell differs, the three channels and all scales together, in standard deviations.

@@ -134,7 +134,7 @@ fn the_strength_has_a_range_and_is_obeyed() {
     for strength in [-0.1, 1.1, f64::NAN] {
         assert!(Deghost::Strength(strength).validate().unwrap_err().is_usage());
     }
-    let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.35 * e) } else { background(x, y) };
+    let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.6 * e) } else { background(x, y) };
     let (bracket, alignment) = bracket([&background, &background, &faint]);
     let share = |strength| {
         let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength).unwrap();
