@@ -122,7 +122,8 @@ fn doubts(report: &Report, room: usize) -> String {
     let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
     let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
     let flash = which(&|f| f.alignment.status == Status::Flash);
-    let named = rejected.len() + flash.len() + doubtful.len();
+    let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
+    let named = rejected.len() + flash.len() + doubtful.len() + usize::from(is_local);
     let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > named;
     let told = |most: usize| {
         let some = |label: &str, frames: &[&FrameReport]| {
@@ -131,7 +132,10 @@ fn doubts(report: &Report, room: usize) -> String {
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
         let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
-        let parts = [some(" left out", &rejected), some(" excluded", &excluded), some(" doubtful", &doubtful), guessed];
+        let local = is_local.then(|| "frames locally processed by the camera".to_owned());
+        let [rejected, excluded, doubtful] =
+            [(" left out", &rejected), (" excluded", &excluded), (" doubtful", &doubtful)].map(|(l, f)| some(l, f));
+        let parts = [rejected, excluded, doubtful, local, guessed];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
     // By name as far as there is room.

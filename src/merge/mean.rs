@@ -50,6 +50,9 @@ struct View {
     /// 1 where this is the first frame that is believed, and 1 where it is believed.
     is_first: [u32; COLUMNS],
     is_believed: [u32; COLUMNS],
+    /// What radiance is multiplied by, and its inverse.
+    gain: [f32; COLUMNS],
+    inverse: [f32; COLUMNS],
 }
 
 /// Pixels whose radiance is but a bound.
@@ -67,6 +70,8 @@ pub(super) struct MergedRow<'a, 'b> {
     pub tiles: &'a [Tile],
     /// How far each frame is believed at each of the pixels, 0..=1; wholly where it does not say.
     pub kept: &'a [&'a [f32]],
+    /// What each frame's radiance is multiplied by at each of the pixels; 1 where it does not say.
+    pub gain: &'a [&'a [f32]],
     pub y: usize,
     pub means: &'a mut Means,
     pub line: &'a mut [[f32; 3]],
@@ -78,9 +83,9 @@ impl Loops for MergedRow<'_, '_> {
     #[inline(always)]
     fn run(self) -> Bounds {
         self.means.clear();
-        for ((layer, tile), kept) in self.layers.iter().zip(self.tiles).zip(self.kept) {
+        for ((layer, tile), (kept, gain)) in self.layers.iter().zip(self.tiles).zip(self.kept.iter().zip(self.gain)) {
             if let Some(row) = tile.row(self.y) {
-                self.means.add(layer, &row, kept);
+                self.means.add(layer, &row, kept, gain);
             }
         }
         self.means.radiance(self.line)
@@ -93,6 +98,7 @@ pub(super) struct WeighedRow<'a, 'b> {
     pub tiles: &'a [Tile],
     /// As of a [`MergedRow`].
     pub kept: &'a [&'a [f32]],
+    pub gain: &'a [&'a [f32]],
     pub means: &'a mut Means,
     /// For each frame and pixel the weights of the three channels together, those that decide included.
     pub weights: &'a mut [[f32; COLUMNS]],
@@ -106,10 +112,11 @@ impl Loops for WeighedRow<'_, '_> {
         self.means.clear();
         // The last frame believed decides what is dark: which, and by how much.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
-        for (i, ((layer, tile), kept)) in self.layers.iter().zip(self.tiles).zip(self.kept).enumerate() {
+        let believed = self.kept.iter().zip(self.gain);
+        for (i, ((layer, tile), (kept, gain))) in self.layers.iter().zip(self.tiles).zip(believed).enumerate() {
             let Some(row) = tile.row(0) else { continue };
             let before = self.means.weight;
-            self.means.add(layer, &row, kept);
+            self.means.add(layer, &row, kept, gain);
             for x in 0..COLUMNS {
                 self.weights[i][x] = (0..3).map(|c| self.means.weight[c][x] - before[c][x]).sum();
                 if self.means.frame.is_believed[x] != 0 {
@@ -145,6 +152,8 @@ impl Means {
                 below_top: zero,
                 is_first: flags,
                 is_believed: flags,
+                gain: zero,
+                inverse: zero,
             },
         }
     }
@@ -158,10 +167,16 @@ impl Means {
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// Adds a frame's row, believed as far as `kept` says. A pixel that the frame does not reach is one that is not believed.
+    /// Adds a frame's row, believed as far as `kept` says and multiplied by `gain`. A pixel that the frame does not reach is one that is not believed.
     #[inline(always)]
-    fn add(&mut self, layer: &Layer, row: &Row, kept: &[f32]) {
-        let View { meanings, trust, v, below_top, is_first, is_believed } = &mut self.frame;
+    fn add(&mut self, layer: &Layer, row: &Row, kept: &[f32], gain: &[f32]) {
+        let View { meanings, trust, v, below_top, is_first, is_believed, gain: factor, inverse } = &mut self.frame;
+        let gain = &gain[..gain.len().min(COLUMNS)];
+        factor[..gain.len()].copy_from_slice(gain);
+        factor[gain.len()..].fill(1.0);
+        for x in 0..COLUMNS {
+            inverse[x] = 1.0 / factor[x];
+        }
         let kept = &kept[..kept.len().min(COLUMNS)];
         trust[..kept.len()].copy_from_slice(kept);
         trust[kept.len()..].fill(1.0);
@@ -191,9 +206,10 @@ impl Means {
             let (longest_sum, longest_weight) = (&mut self.longest_sum[c], &mut self.longest_weight[c]);
             for x in 0..COLUMNS {
                 let [radiance, trusted, vouches, _] = meanings[x];
-                let unclipped = at_most(at_least((sure - vouched[x]) * slope, below_top[x]), 1.0);
+                let radiance = radiance * factor[x];
+                let unclipped = at_most(at_least((sure - vouched[x] * inverse[x]) * slope, below_top[x]), 1.0);
                 let w = trusted * v[x] * unclipped;
-                vouched[x] = at_least(trust[x] * vouches, vouched[x]);
+                vouched[x] = at_least(trust[x] * vouches * factor[x], vouched[x]);
                 let (say, code) = (trust[x] * layer.say, codes[x] / 255.0);
                 let e = say * (DECIDE * code + LEAST);
                 let e = if is_first[x] != 0 { e } else { 0.0 };

@@ -20,6 +20,8 @@
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
 //!
+//! - Of frames that are locally processed, X_j / dt_j is multiplied by the frame's [gain](local) there, and so is what it vouches for and clips at.
+//!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
 //! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure, or have
@@ -30,6 +32,7 @@ pub mod deghost;
 pub mod flare;
 pub mod gamut;
 mod layer;
+pub mod local;
 mod mean;
 pub mod miniature;
 mod noise;
@@ -48,6 +51,7 @@ use crate::simd::vectorised;
 use calibration::Unit;
 use deghost::Ghosts;
 use layer::{COLUMNS, Layer, ROWS, Tile, layers};
+use local::LocalGain;
 use mean::{Bounds, Means, MergedRow};
 use serde::Serialize;
 use statistics::Statistics;
@@ -126,6 +130,7 @@ pub struct Merging<'a> {
     /// Which frame of the bracket each layer is.
     frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
+    local: Option<&'a LocalGain>,
 }
 
 /// Some rows of the result.
@@ -176,11 +181,24 @@ impl<'a> Merging<'a> {
             });
         }
         let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
-        if let Some(ghosts) = ghosts {
-            let paths: Vec<&Path> = frames.iter().map(|&i| bracket.frames()[i].path()).collect();
-            ghosts.check(region, &paths)?;
-        }
-        Ok(Merging { bracket, region, layers, frames, ghosts })
+        let merging = Merging { bracket, region, layers, frames, ghosts, local: None };
+        ghosts.map_or(Ok(()), |ghosts| ghosts.check(region, &merging.paths()))?;
+        Ok(merging)
+    }
+
+    /// The same merge of frames that are locally processed: the radiance of each is multiplied by its gain (found over the same region, with the same
+    /// alignment).
+    ///
+    /// # Errors
+    /// [`Error::Option`] where the gain is of another region or other frames.
+    pub fn with_local_gain(self, local: Option<&'a LocalGain>) -> Result<Self> {
+        local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
+        Ok(Merging { local, ..self })
+    }
+
+    /// The frames that take part, by rising exposure.
+    fn paths(&self) -> Vec<&'a Path> {
+        self.frames.iter().map(|&i| self.bracket.frames()[i].path()).collect()
     }
 
     /// Width and height of the result, in pixels.
@@ -217,6 +235,8 @@ impl<'a> Merging<'a> {
                 let rows = first + strip..first + strip + out.len() / width;
                 let kept = |i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, rows.clone()));
                 let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(kept).collect();
+                let gain = |i| self.local.map_or_else(Vec::new, |local| local.at(i, rows.clone()));
+                let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(gain).collect();
                 for left in (0..width).step_by(COLUMNS) {
                     let columns = left..(left + COLUMNS).min(width);
                     for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
@@ -224,12 +244,12 @@ impl<'a> Merging<'a> {
                         tile.read(layer, window, columns, y0 + rows.start..y0 + rows.end);
                     }
                     for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                        let kept: Vec<&[f32]> = kept
-                            .iter()
-                            .map(|kept| kept.get(y * width + columns.start..y * width + columns.end).unwrap_or(&[]))
-                            .collect();
-                        let line = &mut line[columns.clone()];
-                        let found = vectorised(MergedRow { layers: &self.layers, tiles, kept: &kept, y, means, line });
+                        let part = y * width + columns.start..y * width + columns.end;
+                        let kept: Vec<&[f32]> = kept.iter().map(|kept| kept.get(part.clone()).unwrap_or(&[])).collect();
+                        let gain: Vec<&[f32]> = gain.iter().map(|gain| gain.get(part.clone()).unwrap_or(&[])).collect();
+                        let (kept, gain, line) = (&kept, &gain, &mut line[columns.clone()]);
+                        let row = MergedRow { layers: &self.layers, tiles, kept, gain, y, means, line };
+                        let found = vectorised(row);
                         bounds.clipped += found.clipped;
                         bounds.black += found.black;
                     }

@@ -61,6 +61,8 @@ impl Merging<'_> {
         let mut counts = vec![0.0f32; across];
         let kept: Vec<Vec<f32>> =
             (0..self.layers.len()).map(|i| self.ghosts.map_or_else(Vec::new, |g| g.kept(i, y..y + 1))).collect();
+        let gain: Vec<Vec<f32>> =
+            (0..self.layers.len()).map(|i| self.local.map_or_else(Vec::new, |local| local.at(i, y..y + 1))).collect();
         let windows =
             self.layers.iter().map(|layer| layer.window(&(x0..x0 + width), &rows)).collect::<Result<Vec<_>>>()?;
         for left in (0..width).step_by(COLUMNS) {
@@ -70,11 +72,13 @@ impl Merging<'_> {
                 tile.read(layer, window, whole.clone(), rows.clone());
             }
             let kept: Vec<&[f32]> = kept.iter().map(|kept| kept.get(columns.clone()).unwrap_or(&[])).collect();
+            let gain: Vec<&[f32]> = gain.iter().map(|gain| gain.get(columns.clone()).unwrap_or(&[])).collect();
             let mut weights = vec![[0.0f32; COLUMNS]; self.layers.len()];
             vectorised(WeighedRow {
                 layers: &self.layers,
                 tiles: &tile,
                 kept: &kept,
+                gain: &gain,
                 means: &mut means,
                 weights: &mut weights,
             });

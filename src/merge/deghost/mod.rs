@@ -17,9 +17,10 @@
 //! On five truth brackets with a mover, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 in the place of all this has a PU21-PSNR 2 to 20 dB below
 //! that of leaving the ghosts in: it takes every frame's noise for motion.
 
-mod cells;
+pub(super) mod cells;
 mod evidence;
 
+use super::local::LocalGain;
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame};
@@ -107,10 +108,32 @@ pub struct GhostFrame {
 }
 
 /// A placed frame as it is compared.
-struct Layer<'a> {
-    frame: &'a Frame,
+pub(super) struct Layer<'a> {
+    pub(super) frame: &'a Frame,
     warp: Warp,
-    meaning: Meaning,
+    pub(super) meaning: Meaning,
+}
+
+/// The placed frames of `bracket` by rising exposure, and which of them is the reference.
+pub(super) fn layers<'a>(
+    bracket: &'a Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+) -> (Vec<Layer<'a>>, usize) {
+    let unit = bracket.reference().exposure.relative();
+    let placed = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
+    let mut layers = Vec::new();
+    let mut reference = 0;
+    for (index, (frame, verdict)) in placed {
+        if let Some(warp) = verdict.warp {
+            if index == bracket.reference_index() {
+                reference = layers.len();
+            }
+            let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
+            layers.push(Layer { frame, warp, meaning });
+        }
+    }
+    (layers, reference)
 }
 
 /// Where in `region` each placed frame shows something else than the reference.
@@ -124,24 +147,33 @@ pub fn find(
     region: Rect,
     options: &Deghost,
 ) -> Result<Ghosts> {
+    find_with_gain(bracket, alignment, curve, region, options, None)
+}
+
+/// As [`find`], of frames that are locally processed: the radiance of each is multiplied by its gain `local` before it is compared.
+///
+/// # Errors
+/// Those of [`find`].
+pub fn find_with_gain(
+    bracket: &Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+    region: Rect,
+    options: &Deghost,
+    local: Option<&LocalGain>,
+) -> Result<Ghosts> {
     options.validate()?;
-    let placed = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
-    let unit = bracket.reference().exposure.relative();
-    let mut layers = Vec::new();
-    let mut reference = 0;
-    for (index, (frame, verdict)) in placed {
-        if let Some(warp) = verdict.warp {
-            if index == bracket.reference_index() {
-                reference = layers.len();
-            }
-            let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
-            layers.push(Layer { frame, warp, meaning });
-        }
-    }
+    let (layers, reference) = layers(bracket, alignment, curve);
     let side = side(region);
     let mut frames: Vec<(String, Option<Plane<u8>>)> =
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
-    let seen = |i: usize| cells::average(&layers[i], region, side, i as u16);
+    let seen = |i: usize| {
+        let mut cells = cells::average(&layers[i], region, side, i as u16)?;
+        if let Some(local) = local {
+            local.scale(i, side, &mut cells);
+        }
+        Ok::<_, Error>(cells)
+    };
     for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {
         if outwards.is_empty() {
             continue;
