@@ -201,6 +201,15 @@ impl Means {
         }
         for c in 0..3 {
             layer.look_up(c, row.codes[c], &mut meanings[c]);
+        }
+        if layer.is_joint {
+            let [red, green, blue] = meanings;
+            for x in 0..COLUMNS {
+                let least = at_most(at_most(red[x][1], green[x][1]), blue[x][1]);
+                (red[x][1], green[x][1], blue[x][1]) = (least, least, least);
+            }
+        }
+        for c in 0..3 {
             let (codes, meanings, (sure, slope)) = (row.codes[c], &meanings[c], layer.clips[c]);
             let (sum, weight, vouched) = (&mut self.sum[c], &mut self.weight[c], &mut self.vouched[c]);
             let (longest_sum, longest_weight) = (&mut self.longest_sum[c], &mut self.longest_weight[c]);

@@ -193,7 +193,11 @@ impl<'a> Merging<'a> {
     /// [`Error::Option`] where the gain is of another region or other frames.
     pub fn with_local_gain(self, local: Option<&'a LocalGain>) -> Result<Self> {
         local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
-        Ok(Merging { local, ..self })
+        let mut merging = Merging { local, ..self };
+        if local.is_some() {
+            merging.layers.iter_mut().for_each(Layer::weigh_as_local);
+        }
+        Ok(merging)
     }
 
     /// The frames that take part, by rising exposure.

@@ -163,6 +163,11 @@ impl Places {
         pairs.map(all).collect()
     }
 
+    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    pub(super) fn black(&self) -> [f64; 3] {
+        std::array::from_fn(|channel| black(&[self], channel))
+    }
+
     /// Takes the exposures that `bracket`, of which the places are, has now.
     pub fn time(&mut self, bracket: &Bracket) {
         let reference = bracket.reference().exposure.relative();
