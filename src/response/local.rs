@@ -33,9 +33,9 @@ const REACH: f64 = 4.685;
 /// truth brackets of other kinds, and at most 0.032 on 16 photographed ones, among them movers, mist, film and a flash. The power says that frames of
 /// which all of a step is seen must vary much, as no camera's do, and those of which half is seen, little.
 const LOCAL: f64 = 0.04;
-const POWER: i32 = 5;
-/// How many times its standard error a variation must be to count: neighbours have more in common than noise is.
-const SURE: f64 = 8.0;
+const POWER: f64 = 5.0;
+/// Standard errors that are taken off a variance before it counts: neighbours have more in common than noise is.
+const ERRORS: f64 = 4.0;
 /// The share of an exposure step that only so many exceed is taken to be all of it: a tone mapping compresses and never expands.
 const MOST: f64 = 0.95;
 
@@ -50,15 +50,6 @@ pub struct Evidence {
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,
-}
-
-/// The variation of one pair of frames.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Variation {
-    /// Standard deviation over neighbourhoods, in stops.
-    stops: f64,
-    /// Its square over the standard error of that.
-    sureness: f64,
 }
 
 /// What the `places` of a bracket of frames whose longer side is `longer_side` pixels tell; none where they are too few.
@@ -89,13 +80,12 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
     fractions.sort_by(f64::total_cmp);
     let rank = |share: f64| fractions.get((share * fractions.len() as f64) as usize).copied();
     let (step_fraction, most_step_fraction) = (rank(0.5)?, rank(MOST)?);
-    let sure = variations.iter().filter(|v| v.sureness > SURE).map(|v| v.stops);
-    let variation_stops = sure.fold(0.0, f64::max);
+    let variation_stops = variations.into_iter().fold(0.0, f64::max);
     Some(Evidence {
         step_fraction,
         most_step_fraction,
         variation_stops,
-        is_local: variation_stops > LOCAL * step_fraction.max(0.0).powi(POWER),
+        is_local: variation_stops > LOCAL * libm::pow(step_fraction.max(0.0), POWER),
     })
 }
 
@@ -109,8 +99,9 @@ struct Ratio {
     stops: f64,
 }
 
-/// How the ratios vary over neighbourhoods of `side` pixels, beyond what a function of the code explains and beyond noise.
-fn variation(ratios: &[Ratio], side: usize) -> Option<Variation> {
+/// The standard deviation of the ratios over neighbourhoods of `side` pixels, in stops, beyond what a function of the code explains and beyond noise: its
+/// lower bound.
+fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     let mut residuals: Vec<((usize, usize), f64)> = Vec::new();
     for channel in 0..3 {
         let mut of: Vec<&Ratio> = ratios.iter().filter(|ratio| ratio.channel == channel).collect();
@@ -142,10 +133,9 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<Variation> {
         squares += square;
     }
     let (shared, all) = (products / f64::max(pairs, 1.0), squares / places.len() as f64);
-    let share = if all > 0.0 { shared / all } else { 0.0 };
-    // Products of independent values have the variance of the square of theirs; each pair was counted twice.
-    let sureness = share * (f64::max(pairs, 1.0) / 2.0).sqrt();
-    Some(Variation { stops: shared.max(0.0).sqrt(), sureness })
+    // Products of independent values have the square of their variance as variance; each pair was counted twice.
+    let error = all / (f64::max(pairs, 1.0) / 2.0).sqrt();
+    Some((shared - ERRORS * error).max(0.0).sqrt())
 }
 
 /// Level and median ratio of blocks of places, by rising level.

@@ -5,8 +5,8 @@
 //! Source: base and detail as in Durand & Dorsey 2002; the base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance by itself, whose
 //! coefficients are found on cells and interpolated (the fast guided filter, He & Sun 2015).
 //!
-//! A local tone mapping divides the logarithm of luminance into a base, whose differences are compressed, and details, which are kept. An edge of much more
-//! than a stop is part of the base: else there were halos.
+//! A local tone mapping divides the logarithm of luminance into a base, whose differences are compressed, and details, which are kept. An edge of some
+//! stops is part of the base: else there were halos.
 
 use super::LUMINANCE;
 use crate::merge::FLOOR;
@@ -19,8 +19,9 @@ use rayon::prelude::*;
 const CELLS: usize = 256;
 /// The filter's radius as a share of the longer side: a neighbourhood of a twelfth.
 const RADIUS: usize = 24;
-/// The variance from which on differences belong to the base, in square stops: an edge of a stop to either side.
-const EDGE: f64 = 1.0;
+/// The variance from which on half of the differences belong to the base, in square stops: an edge of 2.8 stops. On truth brackets of phones, 1 has a
+/// PU21-PSNR of details lower by 0.6 dB, and 0.5 by 2.5.
+const EDGE: f64 = 2.0;
 
 /// What is seen of a cell: the sums of the logarithm of luminance, in stops, and of its square, and pixels.
 type Sums = [f64; 3];
@@ -163,8 +164,8 @@ mod tests {
         let stops = |x: usize, y: usize| libm::log2f(pixels.at(x, y)[1]);
         // Far from the edge the base is the mean: -2 becomes -4, and the texture stays.
         assert!((stops(40, 100) + 3.9).abs() < 0.02 && (stops(41, 100) + 4.1).abs() < 0.02, "{}", stops(40, 100));
-        // At the edge of 4 stops the variance is 4: four fifths of it belong to the base.
-        assert!((stops(351, 101) - stops(349, 101)) > 6.5, "{}", stops(351, 101) - stops(349, 101));
+        // At the edge of 4 stops the variance is 4: two thirds of it belong to the base, of which the filter's window has most.
+        assert!((stops(351, 101) - stops(349, 101)) > 6.0, "{}", stops(351, 101) - stops(349, 101));
     }
 
     #[test]
