@@ -278,7 +278,8 @@ impl<'a> Line<'a> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let local = camera.local().map(|_| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
-            let ghosts = |d| deghost::find_with_gain(bracket, alignment, curve, region, &d, local.as_ref());
+            let gain = |i, x, y| local.as_ref().map_or(1.0, |local: &LocalGain| local.factor(i, x, y));
+            let ghosts = |d| deghost::find_with_gain(bracket, alignment, curve, region, &d, &gain);
             let ghosts = options.deghost.map(ghosts).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let merging = merging.with_local_gain(local.as_ref())?;

@@ -55,7 +55,7 @@ pub struct Evidence {
 /// What the `places` of a bracket of frames whose longer side is `longer_side` pixels tell; none where they are too few.
 pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
     let srgb = ResponseCurve::srgb();
-    let log = |code: f64| stops(fit::at(srgb.ln_exposure(0), code));
+    let level = |code: f64| stops(fit::at(srgb.ln_exposure(0), code));
     let black = places.black();
     let (mut fractions, mut variations) = (Vec::new(), Vec::new());
     for (exposed, steps) in places.steps(STEP) {
@@ -67,7 +67,7 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
             .iter()
             .filter(counts)
             .map(|step| {
-                let (a, b) = (log(step.codes.0), log(step.codes.1));
+                let (a, b) = (level(step.codes.0), level(step.codes.1));
                 Ratio { at: step.at, channel: step.channel, level: (a + b) / 2.0, stops: b - a }
             })
             .collect();

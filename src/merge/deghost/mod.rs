@@ -20,7 +20,6 @@
 pub(super) mod cells;
 mod evidence;
 
-use super::local::LocalGain;
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Frame};
@@ -147,10 +146,11 @@ pub fn find(
     region: Rect,
     options: &Deghost,
 ) -> Result<Ghosts> {
-    find_with_gain(bracket, alignment, curve, region, options, None)
+    find_with_gain(bracket, alignment, curve, region, options, &|_, _, _| 1.0)
 }
 
-/// As [`find`], of frames that are locally processed: the radiance of each is multiplied by its gain `local` before it is compared.
+/// As [`find`], of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising exposure) at column x and
+/// row y of the region is multiplied by `gain(i, x, y)`.
 ///
 /// # Errors
 /// Those of [`find`].
@@ -160,7 +160,7 @@ pub fn find_with_gain(
     curve: &ResponseCurve,
     region: Rect,
     options: &Deghost,
-    local: Option<&LocalGain>,
+    gain: &(dyn Fn(usize, usize, usize) -> f32 + Sync),
 ) -> Result<Ghosts> {
     options.validate()?;
     let (layers, reference) = layers(bracket, alignment, curve);
@@ -169,9 +169,12 @@ pub fn find_with_gain(
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
     let seen = |i: usize| {
         let mut cells = cells::average(&layers[i], region, side, i as u16)?;
-        if let Some(local) = local {
-            local.scale(i, side, &mut cells);
-        }
+        cells.fill_rows(|y, row| {
+            for (x, cell) in row.iter_mut().enumerate() {
+                let factor = gain(i, side * x + side / 2, side * y + side / 2);
+                cell.radiance.iter_mut().for_each(|v| *v *= factor);
+            }
+        });
         Ok::<_, Error>(cells)
     };
     for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {

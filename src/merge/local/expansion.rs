@@ -45,7 +45,7 @@ pub struct Expansion {
 }
 
 /// The logarithm of a pixel's luminance, in stops.
-fn log(pixel: &[f32; 3]) -> f32 {
+fn stops(pixel: &[f32; 3]) -> f32 {
     libm::log2f(luminance(*pixel, LUMINANCE).max(FLOOR))
 }
 
@@ -68,7 +68,7 @@ impl Seen {
             for y in (j * side).max(first)..((j + 1) * side).min(last) {
                 for (cell, pixels) in cells.iter_mut().zip(pixels.row(y - first).chunks(side)) {
                     for pixel in pixels {
-                        let v = f64::from(log(pixel));
+                        let v = f64::from(stops(pixel));
                         *cell = [cell[0] + v, cell[1] + v * v, cell[2] + 1.0];
                     }
                 }
@@ -130,7 +130,7 @@ impl Expansion {
                     let lower = below[left][k] + fx * (below[right][k] - below[left][k]);
                     upper + fy * (lower - upper)
                 });
-                let factor = libm::exp2f(self.more * (a * log(pixel) + b));
+                let factor = libm::exp2f(self.more * (a * stops(pixel) + b));
                 pixel.iter_mut().for_each(|v| *v = (*v * factor).max(FLOOR));
             }
         });

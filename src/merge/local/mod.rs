@@ -118,10 +118,10 @@ fn side(region: Rect, most: usize) -> usize {
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// What a cell shows of the luminance: its logarithm in stops, and the variance of that; infinite where it shows nothing.
+/// What a cell shows of the luminance: its logarithm, and the variance of that; infinite where it shows nothing.
 #[derive(Debug, Clone, Copy, Default)]
 struct Seen {
-    log: f32,
+    stops: f32,
     variance: f32,
 }
 
@@ -129,12 +129,12 @@ impl Seen {
     fn of(cell: &Cell, meanings: &[&cells::Meaning]) -> Seen {
         let luminance: f32 = (0..3).map(|c| LUMINANCE[c] * cell.radiance[c]).sum();
         if cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)) || luminance <= 0.0 {
-            return Seen { log: 0.0, variance: f32::INFINITY };
+            return Seen { stops: 0.0, variance: f32::INFINITY };
         }
         let noise = cell.relative_noise(1, meanings);
         // A share of the radiance is so many nepers.
-        let stops = std::f32::consts::LOG2_E * std::f32::consts::LOG2_E;
-        Seen { log: libm::log2f(luminance), variance: stops * (LEAST * LEAST + noise * noise) }
+        let square = std::f32::consts::LOG2_E * std::f32::consts::LOG2_E;
+        Seen { stops: libm::log2f(luminance), variance: square * (LEAST * LEAST + noise * noise) }
     }
 }
 
@@ -162,14 +162,14 @@ impl LocalGain {
                 let frame = seen(i)?;
                 let differences = Plane::from_rows(frame.width(), frame.height(), |y, row| {
                     for ((d, s), f) in row.iter_mut().zip(standard.row(y)).zip(frame.row(y)) {
-                        *d = Difference { stops: s.log - f.log, weight: LEAST * LEAST / (s.variance + f.variance) };
+                        *d = Difference { stops: s.stops - f.stops, weight: LEAST * LEAST / (s.variance + f.variance) };
                     }
                 });
                 let gain = smooth::smoothed(&differences, COARSER);
                 standard.fill_rows(|y, row| {
                     for (x, (s, f)) in row.iter_mut().zip(frame.row(y)).enumerate() {
                         if s.variance.is_infinite() && f.variance.is_finite() {
-                            *s = Seen { log: f.log + smooth::at(&gain, COARSER, x, y), variance: f.variance };
+                            *s = Seen { stops: f.stops + smooth::at(&gain, COARSER, x, y), variance: f.variance };
                         }
                     }
                 });
@@ -212,16 +212,12 @@ impl LocalGain {
         out
     }
 
-    /// Multiplies the radiance of `cells`, of `side` pixels each, by the factors of frame `layer`.
-    pub fn scale(&self, layer: usize, side: usize, cells: &mut Plane<Cell>) {
-        let Some((_, Some(map))) = self.frames.get(layer) else { return };
-        cells.fill_rows(|y, row| {
-            for (x, cell) in row.iter_mut().enumerate() {
-                let (cx, cy) = (side * x + side / 2, side * y + side / 2);
-                let factor = smooth::at(map, self.side, cx, cy);
-                cell.radiance.iter_mut().for_each(|v| *v *= factor);
-            }
-        });
+    /// The factor of frame `layer` at column `x` and row `y` of the region.
+    pub fn factor(&self, layer: usize, x: usize, y: usize) -> f32 {
+        match self.frames.get(layer) {
+            Some((_, Some(map))) => smooth::at(map, self.side, x, y),
+            _ => 1.0,
+        }
     }
 
     /// The range of the gain of each frame but the reference, by rising exposure.
