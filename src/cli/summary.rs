@@ -145,7 +145,8 @@ fn doubts(report: &Report, room: usize) -> String {
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
     let flash = which(&|f| f.alignment.status == Status::Flash);
-    let named = rejected.len() + flash.len() + assumed.len() + doubtful.len();
+    let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
+    let named = rejected.len() + flash.len() + assumed.len() + doubtful.len() + usize::from(is_local);
     let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > named;
     let told = |most: usize| {
         let some = |label: &str, frames: &[&FrameReport]| {
@@ -154,11 +155,13 @@ fn doubts(report: &Report, room: usize) -> String {
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
         let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
+        let local = is_local.then(|| "frames locally processed by the camera".to_owned());
         let parts = [
             some(" left out", &rejected),
             some(" excluded", &excluded),
             some(" assumed", &assumed),
             some(" doubtful", &doubtful),
+            local,
             guessed,
         ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")

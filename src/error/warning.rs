@@ -150,6 +150,16 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
+    /// The camera tone-mapped the frames locally: they are not functions of exposure alone.
+    #[error(
+        "{}: locally processed by the camera, brightness does not follow the exposure; merged with a local gain, radiance is approximate; \
+         to merge the frames as they are give --response-model srgb",
+        named(paths)
+    )]
+    LocallyProcessed {
+        /// The frames.
+        paths: Vec<PathBuf>,
+    },
     /// The response file is of another camera than the photographs, or they contradict it.
     #[error("{}: {detail}; recover that of the photographs by `hdralign response`, or leave --response out", path.display())]
     ResponseDoubtful {
@@ -216,6 +226,11 @@ pub enum Warning {
     },
 }
 
+/// Names of files, one after the other.
+fn named(paths: &[PathBuf]) -> String {
+    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
 impl Warning {
     /// Whether the result is less than what was asked for: a frame left out, assumed or doubtful, an exposure guessed, a curve assumed.
     pub fn degrades(&self) -> bool {
@@ -235,6 +250,7 @@ impl Warning {
                 | Warning::ExposureIncomplete { .. }
                 | Warning::ResponseFallback { .. }
                 | Warning::ResponseBorrowed { .. }
+                | Warning::LocallyProcessed { .. }
                 | Warning::ResponseDoubtful { .. }
                 | Warning::CamerasDiffer { .. }
                 | Warning::BracketLeftOut { .. }

@@ -15,7 +15,7 @@
 //!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Tile};
-use super::mean::{Channels, Means};
+use super::mean::{Channels, Means, Taken};
 use crate::simd::{Loops, at_least, at_most};
 
 /// What is kept from row to row.
@@ -33,8 +33,8 @@ pub(super) struct Filling {
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// How far each frame is believed, as of a [`MergedRow`](super::mean::MergedRow).
-    pub kept: &'a [&'a [f32]],
+    /// As of a [`MergedRow`](super::mean::MergedRow).
+    pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub fill: Fill,
     pub filling: &'a mut Filling,
@@ -59,12 +59,13 @@ impl Loops for FilledRow<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        let FilledRow { layers, tiles, kept, y, fill, filling, known, radiance } = self;
+        let FilledRow { layers, tiles, taken, y, fill, filling, known, radiance } = self;
         let Filling { means, filled, bound, part, meanings } = filling;
         // The known frame that ends the range at each pixel: the first that is believed, or the last.
         let mut end = [0.0f32; COLUMNS];
         let mut is_seen = [0u32; COLUMNS];
-        for ((layer, tile), kept) in layers.iter().zip(tiles).zip(kept).filter(|((layer, _), _)| layer.fill.is_none()) {
+        let known_ones = layers.iter().zip(tiles).zip(taken).filter(|((layer, _), _)| layer.fill.is_none());
+        for ((layer, tile), Taken { kept, gain }) in known_ones {
             let Some(row) = tile.row(y) else { continue };
             let [red, green, blue] = row.codes;
             let mut is_end = [0u32; COLUMNS];
@@ -93,11 +94,12 @@ impl Loops for FilledRow<'_, '_> {
                 for x in 0..COLUMNS {
                     let [most, _, least, _] = meanings[x];
                     let held = if fill == Fill::Clipped { least } else { most };
+                    let held = held * gain.get(x).copied().unwrap_or(1.0);
                     bound[c][x] = if is_end[x] != 0 { held } else { bound[c][x] };
                 }
             }
         }
-        means.add_all(Some(fill), (layers, tiles, kept), y);
+        means.add_all(Some(fill), (layers, tiles, taken), y);
         means.radiance(filled);
         for x in 0..COLUMNS {
             part[x] = if means.is_seen(x) && is_seen[x] != 0 { end[x] } else { 0.0 };

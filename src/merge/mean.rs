@@ -6,6 +6,7 @@
 use super::FLOOR;
 use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Tile};
 use crate::simd::{Loops, at_least, at_most};
+use std::ops::Range;
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
 /// on the hat. A smaller one would let a second frame that noise lifts from black by one code outvote the longest; a larger one would
@@ -50,6 +51,9 @@ struct View {
     /// 1 where this is the first frame that is believed, and 1 where it is believed.
     is_first: [u32; COLUMNS],
     is_believed: [u32; COLUMNS],
+    /// What radiance is multiplied by, and its inverse.
+    gain: [f32; COLUMNS],
+    inverse: [f32; COLUMNS],
 }
 
 /// Pixels whose radiance is but a bound.
@@ -61,12 +65,27 @@ pub(super) struct Bounds {
     pub black: usize,
 }
 
+/// How a row of a frame takes part.
+#[derive(Clone, Copy)]
+pub(super) struct Taken<'a> {
+    /// How far it is believed at each of the pixels, 0..=1; wholly where it does not say.
+    pub kept: &'a [f32],
+    /// What its radiance is multiplied by at each of the pixels; 1 where it does not say.
+    pub gain: &'a [f32],
+}
+
+impl<'a> Taken<'a> {
+    /// The pixels `part` of all that `kept` and `gain` say; they say nothing if they are empty.
+    pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
+        Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
+    }
+}
+
 /// Merges row `y` of a tile into `line`, of the frames whose place is known.
 pub(super) struct MergedRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// How far each frame is believed at each of the pixels, 0..=1; wholly where it does not say.
-    pub kept: &'a [&'a [f32]],
+    pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub means: &'a mut Means,
     pub line: &'a mut [[f32; 3]],
@@ -77,7 +96,7 @@ impl Loops for MergedRow<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        self.means.add_all(None, (self.layers, self.tiles, self.kept), self.y);
+        self.means.add_all(None, (self.layers, self.tiles, self.taken), self.y);
         let mut radiance = [[0.0; COLUMNS]; 3];
         self.means.radiance(&mut radiance);
         let [red, green, blue] = &radiance;
@@ -94,7 +113,7 @@ pub(super) struct WeighedRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
     /// As of a [`MergedRow`].
-    pub kept: &'a [&'a [f32]],
+    pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
     /// For each frame and pixel the weights of the three channels together, those that decide included.
     pub weights: &'a mut [[f32; COLUMNS]],
@@ -108,10 +127,10 @@ impl Loops for WeighedRow<'_, '_> {
         self.means.clear();
         // The last frame believed decides what is dark: which, and by how much.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
-        for (i, ((layer, tile), kept)) in self.layers.iter().zip(self.tiles).zip(self.kept).enumerate() {
+        for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
             let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };
             let before = self.means.weight;
-            self.means.add(layer, &row, kept);
+            self.means.add(layer, &row, *taken);
             for x in 0..COLUMNS {
                 self.weights[i][x] = (0..3).map(|c| self.means.weight[c][x] - before[c][x]).sum();
                 if self.means.frame.is_believed[x] != 0 {
@@ -147,6 +166,8 @@ impl Means {
                 below_top: zero,
                 is_first: flags,
                 is_believed: flags,
+                gain: zero,
+                inverse: zero,
             },
         }
     }
@@ -160,23 +181,29 @@ impl Means {
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// The means of row `y` over the frames that fill `fill`, or over those whose place is known: layers, tiles, and how far each is believed.
+    /// The means of row `y` over the frames that fill `fill`, or over those whose place is known: layers, tiles, and how each is taken.
     #[inline(always)]
-    pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, kept): (&[Layer], &[Tile], &[&[f32]]), y: usize) {
+    pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, taken): (&[Layer], &[Tile], &[Taken]), y: usize) {
         self.clear();
-        for ((layer, tile), kept) in layers.iter().zip(tiles).zip(kept) {
+        for ((layer, tile), taken) in layers.iter().zip(tiles).zip(taken) {
             if layer.fill == fill
                 && let Some(row) = tile.row(y)
             {
-                self.add(layer, &row, kept);
+                self.add(layer, &row, *taken);
             }
         }
     }
 
-    /// Adds a frame's row, believed as far as `kept` says. A pixel that the frame does not reach is one that is not believed.
+    /// Adds a frame's row, as it is `taken`. A pixel that the frame does not reach is one that is not believed.
     #[inline(always)]
-    fn add(&mut self, layer: &Layer, row: &Row, kept: &[f32]) {
-        let View { meanings, trust, v, below_top, is_first, is_believed } = &mut self.frame;
+    fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
+        let View { meanings, trust, v, below_top, is_first, is_believed, gain: factor, inverse } = &mut self.frame;
+        let gain = &gain[..gain.len().min(COLUMNS)];
+        factor[..gain.len()].copy_from_slice(gain);
+        factor[gain.len()..].fill(1.0);
+        for x in 0..COLUMNS {
+            inverse[x] = 1.0 / factor[x];
+        }
         let kept = &kept[..kept.len().min(COLUMNS)];
         trust[..kept.len()].copy_from_slice(kept);
         trust[kept.len()..].fill(1.0);
@@ -201,14 +228,24 @@ impl Means {
         }
         for c in 0..3 {
             layer.look_up(c, row.codes[c], &mut meanings[c]);
+        }
+        if layer.is_joint {
+            let [red, green, blue] = meanings;
+            for x in 0..COLUMNS {
+                let least = at_most(at_most(red[x][1], green[x][1]), blue[x][1]);
+                (red[x][1], green[x][1], blue[x][1]) = (least, least, least);
+            }
+        }
+        for c in 0..3 {
             let (codes, meanings, (sure, slope)) = (row.codes[c], &meanings[c], layer.clips[c]);
             let (sum, weight, vouched) = (&mut self.sum[c], &mut self.weight[c], &mut self.vouched[c]);
             let (longest_sum, longest_weight) = (&mut self.longest_sum[c], &mut self.longest_weight[c]);
             for x in 0..COLUMNS {
                 let [radiance, trusted, vouches, _] = meanings[x];
-                let unclipped = at_most(at_least((sure - vouched[x]) * slope, below_top[x]), 1.0);
+                let radiance = radiance * factor[x];
+                let unclipped = at_most(at_least((sure - vouched[x] * inverse[x]) * slope, below_top[x]), 1.0);
                 let w = trusted * v[x] * unclipped;
-                vouched[x] = at_least(trust[x] * vouches, vouched[x]);
+                vouched[x] = at_least(trust[x] * vouches * factor[x], vouched[x]);
                 let (say, code) = (trust[x] * layer.say, codes[x] / 255.0);
                 let e = say * (DECIDE * code + LEAST);
                 let e = if is_first[x] != 0 { e } else { 0.0 };

@@ -21,6 +21,7 @@
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
 //! - A frame of which the place is only [assumed](crate::align::Status::Assumed) is not among the j: it fills what they clip, or what is black in all of
 //!   them (`fill`).
+//! - Of frames that are locally processed, X_j / dt_j is multiplied by the frame's [gain](local) there, and so is what it vouches for and clips at.
 //!
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
@@ -33,6 +34,7 @@ mod fill;
 pub mod flare;
 pub mod gamut;
 mod layer;
+pub mod local;
 mod mean;
 pub mod miniature;
 mod noise;
@@ -52,7 +54,8 @@ use calibration::Unit;
 use deghost::Ghosts;
 use fill::{FilledRow, Filling};
 use layer::{COLUMNS, Fill, Layer, ROWS, Tile, layers};
-use mean::{Bounds, Means, MergedRow};
+use local::LocalGain;
+use mean::{Bounds, Means, MergedRow, Taken};
 use serde::Serialize;
 use statistics::Statistics;
 use std::ops::Range;
@@ -130,6 +133,7 @@ pub struct Merging<'a> {
     /// Which frame of the bracket each layer is.
     frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
+    local: Option<&'a LocalGain>,
 }
 
 /// Some rows of the result.
@@ -180,11 +184,28 @@ impl<'a> Merging<'a> {
             });
         }
         let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
-        if let Some(ghosts) = ghosts {
-            let paths: Vec<&Path> = frames.iter().map(|&i| bracket.frames()[i].path()).collect();
-            ghosts.check(region, &paths)?;
+        let merging = Merging { bracket, region, layers, frames, ghosts, local: None };
+        ghosts.map_or(Ok(()), |ghosts| ghosts.check(region, &merging.paths()))?;
+        Ok(merging)
+    }
+
+    /// The same merge of frames that are locally processed: the radiance of each is multiplied by its gain (found over the same region, with the same
+    /// alignment).
+    ///
+    /// # Errors
+    /// [`Error::Option`] where the gain is of another region or other frames.
+    pub fn with_local_gain(self, local: Option<&'a LocalGain>) -> Result<Self> {
+        local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
+        let mut merging = Merging { local, ..self };
+        if local.is_some() {
+            merging.layers.iter_mut().for_each(Layer::weigh_as_local);
         }
-        Ok(Merging { bracket, region, layers, frames, ghosts })
+        Ok(merging)
+    }
+
+    /// The frames that take part, by rising exposure.
+    fn paths(&self) -> Vec<&'a Path> {
+        self.frames.iter().map(|&i| self.bracket.frames()[i].path()).collect()
     }
 
     /// What frames of which the place is assumed are to fill.
@@ -197,6 +218,11 @@ impl<'a> Merging<'a> {
     fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
         let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
+    }
+
+    /// What the radiance of each pixel of layer `i` is multiplied by at `rows` of the region; nothing where by 1.
+    fn gain(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
+        self.local.map_or_else(Vec::new, |local| local.at(i, rows))
     }
 
     /// Width and height of the result, in pixels.
@@ -236,6 +262,7 @@ impl<'a> Merging<'a> {
             for (strip, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
                 let rows = first + strip..first + strip + out.len() / width;
                 let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, rows.clone())).collect();
+                let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.gain(i, rows.clone())).collect();
                 for left in (0..width).step_by(COLUMNS) {
                     let columns = left..(left + COLUMNS).min(width);
                     for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
@@ -243,17 +270,16 @@ impl<'a> Merging<'a> {
                         tile.read(layer, window, columns, y0 + rows.start..y0 + rows.end);
                     }
                     for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                        let kept: Vec<&[f32]> = kept
-                            .iter()
-                            .map(|kept| kept.get(y * width + columns.start..y * width + columns.end).unwrap_or(&[]))
-                            .collect();
+                        let part = y * width + columns.start..y * width + columns.end;
+                        let taken: Vec<Taken> =
+                            kept.iter().zip(&gain).map(|(kept, gain)| Taken::part(kept, gain, part.clone())).collect();
                         let line = &mut line[columns.clone()];
-                        vectorised(MergedRow { layers: &self.layers, tiles, kept: &kept, y, means, line });
+                        vectorised(MergedRow { layers: &self.layers, tiles, taken: &taken, y, means, line });
                         if let Some(filling) = filling {
                             for &fill in &fills {
-                                let (layers, kept, known) = (&self.layers, &kept[..], &mut *means);
+                                let (layers, taken, known) = (&self.layers, &taken[..], &mut *means);
                                 let radiance = &mut *line;
-                                vectorised(FilledRow { layers, tiles, kept, y, fill, filling, known, radiance });
+                                vectorised(FilledRow { layers, tiles, taken, y, fill, filling, known, radiance });
                             }
                         }
                         let found = means.bounds(line.len());

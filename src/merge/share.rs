@@ -5,7 +5,7 @@
 
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Tile};
-use super::mean::{Means, WeighedRow};
+use super::mean::{Means, Taken, WeighedRow};
 use super::{Merging, Rect};
 use crate::error::Result;
 use crate::plane::Plane;
@@ -61,6 +61,7 @@ impl Merging<'_> {
         let mut sums = vec![vec![0.0f32; across]; self.layers.len()];
         let mut counts = vec![0.0f32; across];
         let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, y..y + 1)).collect();
+        let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.gain(i, y..y + 1)).collect();
         let mut filling = Filling::new();
         let windows =
             self.layers.iter().map(|layer| layer.window(&(x0..x0 + width), &rows)).collect::<Result<Vec<_>>>()?;
@@ -70,16 +71,17 @@ impl Merging<'_> {
             for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut tile) {
                 tile.read(layer, window, whole.clone(), rows.clone());
             }
-            let kept: Vec<&[f32]> = kept.iter().map(|kept| kept.get(columns.clone()).unwrap_or(&[])).collect();
+            let taken: Vec<Taken> =
+                kept.iter().zip(&gain).map(|(kept, gain)| Taken::part(kept, gain, columns.clone())).collect();
             let mut weights = vec![[0.0f32; COLUMNS]; self.layers.len()];
-            let (layers, tiles, kept) = (&self.layers[..], &tile[..], &kept[..]);
-            vectorised(WeighedRow { fill: None, layers, tiles, kept, means: &mut means, weights: &mut weights });
+            let (layers, tiles, taken) = (&self.layers[..], &tile[..], &taken[..]);
+            vectorised(WeighedRow { fill: None, layers, tiles, taken, means: &mut means, weights: &mut weights });
             for fill in self.fills() {
                 let (y, mut line) = (0, [[0.0; 3]; COLUMNS]);
                 let (filling, known, radiance) = (&mut filling, &mut means, &mut line[..columns.len()]);
-                vectorised(FilledRow { layers, tiles, kept, y, fill, filling, known, radiance });
+                vectorised(FilledRow { layers, tiles, taken, y, fill, filling, known, radiance });
                 let (mut means, mut own) = (Means::new(), vec![[0.0f32; COLUMNS]; layers.len()]);
-                vectorised(WeighedRow { fill: Some(fill), layers, tiles, kept, means: &mut means, weights: &mut own });
+                vectorised(WeighedRow { fill: Some(fill), layers, tiles, taken, means: &mut means, weights: &mut own });
                 mix(&mut weights, &own, filling.part());
             }
             for (i, x) in columns.enumerate() {

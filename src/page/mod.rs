@@ -20,6 +20,7 @@ use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::inspect;
 use crate::merge::deghost::Ghosts;
+use crate::merge::local::LocalGain;
 use crate::merge::share::Share;
 use crate::merge::{MergeOptions, Merging};
 use crate::plane::Plane;
@@ -78,6 +79,8 @@ pub struct Developed<'a> {
     pub merging: MergeOptions,
     /// What was left out.
     pub ghosts: Option<&'a Ghosts>,
+    /// By what the frames were multiplied, where they are locally processed.
+    pub local: Option<&'a LocalGain>,
 }
 
 impl Page {
@@ -131,6 +134,7 @@ impl Page {
         let Some(developed) = developed else { return Ok(()) };
         self.curve = Some(developed.curve.clone());
         let merging = Merging::of(bracket, alignment, developed.curve, &developed.merging, developed.ghosts)?;
+        let merging = merging.with_local_gain(developed.local)?;
         let shares = merging.shares(within(merging.size(), FRAME))?;
         self.shares = Some(self.encoded(jpeg(&mixed(&shares, frames.len()), FINE, None))?);
         for share in &shares {

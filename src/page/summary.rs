@@ -5,6 +5,7 @@
 use super::markup::{escape, percent, signed};
 use crate::align::{Model, Status};
 use crate::inspect::text::file_name;
+use crate::merge::local::LocalReport;
 use crate::report::Report;
 use serde_json::Value;
 use std::fmt::Write;
@@ -36,6 +37,10 @@ pub(super) fn facts(report: &Report) -> String {
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
         facts.push(("Error left", format!("{worst:.2} px"), "our own estimate for the worst frame".into()));
+    }
+    if let Some((least, most)) = report.local_processing.as_ref().and_then(LocalReport::range_stops) {
+        let range = format!("{} to {} stops", signed(least, 1), signed(most, 1));
+        facts.push(("Local gain", range, "of frames that the camera tone-mapped".into()));
     }
     let crop = &report.crop;
     facts.push(("Result", format!("{} × {}", crop.width_px, crop.height_px), "pixels".into()));

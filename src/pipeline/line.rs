@@ -15,12 +15,14 @@ use crate::error::{Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
+use crate::merge::local::{self, LocalGain, LocalReport, expansion};
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
+use crate::response::local::{Evidence, evidence};
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
@@ -38,6 +40,28 @@ pub(super) struct Radiance {
     pub merged: Merged,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
+    /// By what the frames were multiplied, where they are locally processed.
+    pub local: Option<LocalGain>,
+}
+
+/// What codes mean, and what was found on the way to it.
+pub(super) struct Camera {
+    pub curve: ResponseCurve,
+    pub report: ResponseReport,
+    /// Whether frames are locally processed; none where that was not looked at.
+    pub evidence: Option<Evidence>,
+}
+
+impl Camera {
+    /// What is known of local processing, where frames are locally processed.
+    fn local(&self) -> Option<&Evidence> {
+        self.evidence.as_ref().filter(|evidence| evidence.is_local)
+    }
+
+    /// What the report says of local processing, with the `gain` that was merged with.
+    pub fn local_report(&self, gain: Option<&LocalGain>) -> Option<LocalReport> {
+        self.evidence.as_ref().map(|evidence| LocalReport::of(evidence, gain))
+    }
 }
 
 /// What rows of the picture come from.
@@ -99,6 +123,20 @@ fn contradicted_response(path: &Path, curve: &ResponseCurve, places: &Places) ->
         Warning::ResponseDoubtful { path: path.to_owned(), detail }
     };
     Ok(response::contradiction(curve, places)?.map(told))
+}
+
+/// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.
+fn expanded(slabs: Slabs, factor: f64) -> Result<Slabs> {
+    let mut seen = expansion::Seen::new(slabs.size());
+    slabs.each(|first, map| {
+        seen.see(first, &map.pixels);
+        Ok(())
+    })?;
+    let expansion = seen.expansion(factor);
+    slabs.changed(|first, mut map| {
+        expansion.expand(first, &mut map.pixels);
+        map
+    })
 }
 
 /// What headers say of a result.
@@ -181,14 +219,14 @@ impl<'a> Line<'a> {
         Ok((bracket, alignment))
     }
 
-    /// The bracket with the exposures that are divided out, and the curve.
+    /// The bracket with the exposures that are divided out, and what its codes mean.
     pub fn response(
         &mut self,
         bracket: Bracket,
         alignment: &Alignment,
         saved: Option<SavedResponse>,
         options: &Options,
-    ) -> Result<(Bracket, ResponseCurve, ResponseReport)> {
+    ) -> Result<(Bracket, Camera)> {
         let (done, time) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
             let is_sought = saved.is_none() && options.response.is_sought();
@@ -196,7 +234,18 @@ impl<'a> Line<'a> {
             let mut places = if is_needed { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
+            // A curve that the user states is taken at its word: then frames are functions of exposure.
+            let longer_side = bracket.width().max(bracket.height());
+            let evidence = if is_sought { evidence(&places, longer_side) } else { None };
+            let is_local = evidence.is_some_and(|evidence| evidence.is_local);
             let (curve, report) = match saved {
+                None if is_local => {
+                    let placed = alignment.placed(&bracket).map(|(_, frame, _)| frame.path().to_owned());
+                    warnings.push(Warning::LocallyProcessed { paths: placed.collect() });
+                    let curve = evidence.as_ref().map_or_else(ResponseCurve::srgb, local::curve);
+                    let fallback = Some("the frames are locally processed, which no curve explains".to_owned());
+                    (curve, ResponseReport { model: "srgb", fallback, ..ResponseReport::default() })
+                }
                 Some(saved) => {
                     let path = options.response_file.as_deref().unwrap_or(Path::new(""));
                     warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
@@ -209,29 +258,36 @@ impl<'a> Line<'a> {
                     (curve, report)
                 }
             };
-            Ok((bracket, curve, report, warnings))
+            Ok((bracket, Camera { curve, report, evidence }, warnings))
         });
-        let (bracket, curve, report, warnings) = done?;
+        let (bracket, camera, warnings) = done?;
         self.times.response = time;
         self.warnings.extend(warnings);
-        Ok((bracket, curve, report))
+        Ok((bracket, camera))
     }
 
     pub fn merge(
         &mut self,
         bracket: &Bracket,
         alignment: &Alignment,
-        curve: &ResponseCurve,
+        camera: &Camera,
         region: Rect,
         options: &Options,
     ) -> Result<Radiance> {
+        let curve = &camera.curve;
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
-            let ghosts = options.deghost.strength();
-            let ghosts = ghosts.map(|s| deghost::find(bracket, alignment, curve, region, s)).transpose()?;
+            let local = camera.local().map(|_| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
+            let gain = |i, x, y| local.as_ref().map_or(1.0, |local: &LocalGain| local.factor(i, x, y));
+            let ghosts = |strength| deghost::find_with_gain(bracket, alignment, curve, region, strength, &gain);
+            let ghosts = options.deghost.strength().map(ghosts).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+            let merging = merging.with_local_gain(local.as_ref())?;
             let (mut slabs, bounds) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
             let merged = merging.merged(bounds);
+            if let Some(evidence) = camera.local() {
+                slabs = expanded(slabs, local::expansion(evidence))?;
+            }
             let mut flare = None;
             if options.flare {
                 let mut cells = flare::Cells::new(slabs.size().0, slabs.size().1);
@@ -248,7 +304,7 @@ impl<'a> Line<'a> {
                     })?;
                 }
             }
-            Ok(Radiance { slabs, merged, ghosts, flare })
+            Ok(Radiance { slabs, merged, ghosts, flare, local })
         });
         self.times.merge = time;
         merged

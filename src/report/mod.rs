@@ -14,6 +14,7 @@ use crate::merge::MergeReport;
 use crate::merge::calibration::CalibrationReport;
 use crate::merge::deghost::GhostReport;
 use crate::merge::flare::FlareReport;
+use crate::merge::local::LocalReport;
 use crate::response::ResponseReport;
 use options::OptionsReport;
 use serde::Serialize;
@@ -68,6 +69,8 @@ pub struct Report {
     pub crop: Crop,
     /// The response that was used; none where frames were only aligned.
     pub response: Option<ResponseReport>,
+    /// Whether the frames were tone-mapped locally by the camera, and what was done about it; none where that was not looked at.
+    pub local_processing: Option<LocalReport>,
     /// What came of merging; none where frames were only aligned.
     pub radiance: Option<MergeReport>,
     /// How radiance was taken to cd/m2; null where it is relative.
@@ -224,6 +227,7 @@ impl Report {
             transforms_from: None,
             crop: crop.into(),
             response: None,
+            local_processing: None,
             radiance: None,
             calibration: None,
             colour: None,

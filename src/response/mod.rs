@@ -13,6 +13,7 @@ pub mod debevec;
 pub mod file;
 pub(crate) mod fit;
 mod least_squares;
+pub mod local;
 pub mod mitsunaga_nayar;
 mod monotone;
 pub mod ratios;

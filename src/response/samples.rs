@@ -61,6 +61,8 @@ struct Patch {
 /// A place as all frames saw it; none for a frame that does not cover it.
 #[derive(Debug, Clone)]
 struct Candidate {
+    /// Column and row of the patch's top-left pixel in the reference.
+    at: (usize, usize),
     patches: Vec<Option<[Patch; 3]>>,
     roughness: f64,
 }
@@ -71,6 +73,17 @@ pub struct Places {
     /// ln dt of each frame over the reference's, by rising exposure, and which of the bracket's it is.
     frames: Vec<(usize, f64)>,
     places: Vec<Candidate>,
+}
+
+/// One place in one channel, as a shorter and a longer exposure saw it; neither is clipped, nor at the black of the sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Step {
+    /// Column and row of the place in the reference.
+    pub at: (usize, usize),
+    /// 0, 1 or 2: R, G or B.
+    pub channel: usize,
+    /// The mean codes of the patch in the shorter and the longer exposure, on the scale 0..=255.
+    pub codes: (f64, f64),
 }
 
 /// What the scene shows of each channel.
@@ -128,6 +141,31 @@ impl Places {
             index * kept / all > (index - 1) * kept / all
         });
         self.places.shrink_to_fit();
+    }
+
+    /// For each frame the next that was exposed longer by `least` stops or more: by how many, and what the two saw of each place, place by
+    /// place.
+    pub(super) fn steps(&self, least: f64) -> Vec<(f64, Vec<Step>)> {
+        let stops = |i: usize, j: usize| (self.frames[j].1 - self.frames[i].1) / LN_2;
+        let next = |i: usize| (i + 1..self.frames.len()).find(|&j| stops(i, j) >= least).map(|j| (i, j));
+        let pairs = (0..self.frames.len()).filter_map(next);
+        let of = |place: &Candidate, channel: usize, i: usize, j: usize| {
+            let told = telling(place, &self.frames, channel);
+            let patch = |k: usize| place.patches[k].filter(|_| told.contains(&k)).map(|patch| patch[channel]);
+            let (shorter, longer) = (patch(i)?, patch(j)?);
+            let seen = shorter.seen && longer.seen;
+            seen.then_some(Step { at: place.at, channel, codes: (shorter.mean, longer.mean) })
+        };
+        let all = |(i, j): (usize, usize)| {
+            let steps = self.places.iter().flat_map(|place| (0..3).filter_map(move |c| of(place, c, i, j)));
+            (stops(i, j), steps.collect())
+        };
+        pairs.map(all).collect()
+    }
+
+    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    pub(super) fn black(&self) -> [f64; 3] {
+        std::array::from_fn(|channel| black(&[self], channel))
     }
 
     /// Takes the exposures that `bracket`, of which the places are, has now.
@@ -191,7 +229,7 @@ fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
         }
         patches.push(patch);
     }
-    (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { patches, roughness })
+    (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { at: (x, y), patches, roughness })
 }
 
 /// Whether no longer exposure is darker than a shorter one: what moves, is not.

@@ -20,6 +20,7 @@ mod memory;
 mod names;
 mod numbers;
 mod page;
+mod phones;
 mod places;
 mod refusals;
 mod report;

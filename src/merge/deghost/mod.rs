@@ -18,7 +18,7 @@
 //! On five truth brackets with a mover, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 in the place of all this has a PU21-PSNR 2 to 20 dB below
 //! that of leaving the ghosts in: it takes every frame's noise for motion.
 
-mod cells;
+pub(super) mod cells;
 mod evidence;
 mod ghosts;
 mod region;
@@ -123,12 +123,34 @@ fn limits(strength: f64) -> (f32, f32) {
 }
 
 /// A placed frame as it is compared.
-struct Layer<'a> {
-    frame: &'a Frame,
+pub(super) struct Layer<'a> {
+    pub(super) frame: &'a Frame,
     warp: Warp,
-    meaning: Meaning,
+    pub(super) meaning: Meaning,
     /// Whether its place is but [assumed](Status::Assumed): it shows what no other does, and is not compared.
     is_assumed: bool,
+}
+
+/// The placed frames of `bracket` by rising exposure, and which of them is the reference.
+pub(super) fn layers<'a>(
+    bracket: &'a Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+) -> (Vec<Layer<'a>>, usize) {
+    let unit = bracket.reference().exposure.relative();
+    let placed = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
+    let mut layers = Vec::new();
+    let mut reference = 0;
+    for (index, (frame, verdict)) in placed {
+        if let Some(warp) = verdict.warp {
+            if index == bracket.reference_index() {
+                reference = layers.len();
+            }
+            let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
+            layers.push(Layer { frame, warp, meaning, is_assumed: verdict.status == Status::Assumed });
+        }
+    }
+    (layers, reference)
 }
 
 /// Where in `region` each placed frame shows something else than the reference.
@@ -142,22 +164,35 @@ pub fn find(
     region: Rect,
     strength: f64,
 ) -> Result<Ghosts> {
+    find_with_gain(bracket, alignment, curve, region, strength, &|_, _, _| 1.0)
+}
+
+/// As [`find`], of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising exposure) at column x and
+/// row y of the region is multiplied by `gain(i, x, y)`.
+///
+/// # Errors
+/// Those of [`find`].
+pub fn find_with_gain(
+    bracket: &Bracket,
+    alignment: &Alignment,
+    curve: &ResponseCurve,
+    region: Rect,
+    strength: f64,
+    gain: &(dyn Fn(usize, usize, usize) -> f32 + Sync),
+) -> Result<Ghosts> {
     Deghost::Strength(strength).validate()?;
-    let placed = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
-    let unit = bracket.reference().exposure.relative();
-    let mut layers = Vec::new();
-    let mut reference = 0;
-    for (index, (frame, verdict)) in placed {
-        if let Some(warp) = verdict.warp {
-            if index == bracket.reference_index() {
-                reference = layers.len();
-            }
-            let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
-            layers.push(Layer { frame, warp, meaning, is_assumed: verdict.status == Status::Assumed });
-        }
-    }
+    let (layers, reference) = layers(bracket, alignment, curve);
     let side = side(region);
-    let seen = |i: usize| cells::average(&layers[i], region, side, i as u16);
+    let seen = |i: usize| {
+        let mut cells = cells::average(&layers[i], region, side, i as u16)?;
+        cells.fill_rows(|y, row| {
+            for (x, cell) in row.iter_mut().enumerate() {
+                let factor = gain(i, side * x + side / 2, side * y + side / 2);
+                cell.radiance.iter_mut().for_each(|v| *v *= factor);
+            }
+        });
+        Ok::<_, Error>(cells)
+    };
     let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();
     let mut frames: Vec<(String, Option<Plane<u8>>)> =
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
