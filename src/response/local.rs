@@ -29,7 +29,7 @@ const NEIGHBOURHOODS: usize = 24;
 /// Tukey's reach in robust standard deviations: beyond it a place shows what moved.
 const REACH: f64 = 4.685;
 /// Frames are locally processed whose variation over the picture, in stops, is more than this times the fifth power of the share of an exposure step that
-/// reaches them. The boundary is measured: the ratio of the two was 0.010, 0.056 and more on 38 brackets of phones (truth.py), at most 0.024 on 178
+/// reaches them. The boundary is measured: the ratio of the two was 0.010, 0.05 and more on 38 brackets of phones (truth.py), at most 0.023 on 181
 /// truth brackets of other kinds, and at most 0.032 on 16 photographed ones, among them movers, mist, film and a flash. The power says that frames of
 /// which all of a step is seen must vary much, as no camera's do, and those of which half is seen, little.
 const LOCAL: f64 = 0.04;
