@@ -18,7 +18,7 @@ use hdralign::align::threshold::Percentile;
 use hdralign::align::{AlignOptions, Alignment, Model, align, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::calibration::Unit;
-use hdralign::merge::deghost::{self, Deghost};
+use hdralign::merge::deghost;
 use hdralign::merge::statistics::Statistics;
 use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
 use hdralign::pipeline;
@@ -206,9 +206,8 @@ fn radiance(c: &mut Criterion) {
     group.bench_function("merge", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &options, None)));
     let by_noise = MergeOptions { weight: Weight::Noise, ..options };
     group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise, None)));
-    let deghost = Deghost::default();
     group.bench_function("deghost", |b| {
-        b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, &deghost));
+        b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, deghost::AUTO));
     });
     let (map, _) = merge(&bracket, &placed, &curve, &options, None).expect("a whole region");
     group.throughput(Throughput::Elements(all));

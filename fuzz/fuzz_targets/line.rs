@@ -136,8 +136,9 @@ fn options(u: &mut Unstructured, frames: usize) -> arbitrary::Result<Options> {
             Weight::Noise,
         ])?,
         deghost: match u.int_in_range(0..=2u8)? {
-            0 => Some(Deghost { strength: f64::from(u8::arbitrary(u)?) / 255.0 }),
-            _ => None,
+            0 => Deghost::Strength(f64::from(u8::arbitrary(u)?) / 255.0),
+            1 => Deghost::Auto,
+            _ => Deghost::Off,
         },
         // Its transforms are of one size, and take seconds here, however small the picture.
             flare: u.ratio(1, 100)?,

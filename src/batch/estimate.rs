@@ -48,7 +48,7 @@ impl Size {
         if !self.merges {
             return 0.3 + aligning;
         }
-        let merging = photographs * megapixels * if self.seeks_ghosts { 0.08 } else { 0.02 };
+        let merging = photographs * megapixels * if self.seeks_ghosts { 0.03 } else { 0.02 };
         let fusing = if self.fuses { 0.15 * photographs * megapixels } else { 0.0 };
         aligning + merging + fusing + 0.1 + 0.05 * megapixels
     }

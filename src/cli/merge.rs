@@ -16,7 +16,7 @@ Examples:
   hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
   hdralign merge *.jpg -o room.exr -o room.hdr -o room.jpg
   hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
-  hdralign merge --deghost --ghost-mask moved.png *.jpg   people who walked on; and where they were
+  hdralign merge --ghost-mask moved.png *.jpg         and where people walked on, who are left out
   hdralign merge --align none --crop none *.tif -o studio.exr";
 
 #[derive(Debug, clap::Args)]

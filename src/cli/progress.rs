@@ -37,7 +37,7 @@ impl Plan {
         let (frames, megapixels) = size(images);
         let all = frames * megapixels;
         let plan = Plan::align(images);
-        let merging = if seeks_ghosts { 0.1 } else { 0.035 };
+        let merging = if seeks_ghosts { 0.045 } else { 0.035 };
         let more = [
             (Stage::Response, 0.07),
             (Stage::Merge, merging * all),

@@ -74,7 +74,7 @@ fn the_page_of_a_merge_has_everything_and_needs_nothing() {
     for words in [
         "No warnings",
         "stops",
-        "<b>Ghosts.</b>",
+        "<b>Movement.</b>",
         "a.exr",
         "deghost strength",
         "sRGB curve",

@@ -207,7 +207,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
 fn results_are_no_photographs() {
     let folder = Folder::with_bracket();
     let frames = "w2.jpg w3.jpg w4.jpg";
-    folder.line(&format!("merge {frames} -o r.jpg -o r.png -o r.tif --deghost --ghost-mask mask.png")).done();
+    folder.line(&format!("merge {frames} -o r.jpg -o r.png -o r.tif --ghost-mask mask.png")).done();
     folder.line(&format!("align {frames} --save-aligned al_")).done();
     folder.line(&format!("response {frames} -o c.json --plot c.png")).done();
     folder.line("inspect w2.jpg w3.jpg -d look").done();
@@ -258,8 +258,8 @@ fn tips_and_usage_are_of_what_was_typed() {
     ] {
         refused(&folder, line, 2, &[tip]);
     }
-    let line = "merge w2.jpg w3.jpg --ghost-mask m.png -o a.exr";
-    refused(&folder, line, 2, &["--ghost-mask: there is no mask without --deghost; give both"]);
+    let line = "merge w2.jpg w3.jpg --deghost=off --ghost-mask m.png -o a.exr";
+    refused(&folder, line, 2, &["--ghost-mask: there is no mask where nothing is sought; take --deghost=off away"]);
 }
 
 #[test]

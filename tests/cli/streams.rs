@@ -54,7 +54,8 @@ fn no_bar_is_drawn_where_stderr_is_no_terminal() {
 #[test]
 fn six_lines_sum_up_and_a_file_gets_no_control_characters() {
     let folder = Folder::with_bracket();
-    let run = folder.line("merge w2.jpg w3.jpg w4.jpg --align none -o a.exr -o a.png").done();
+    // What is not aligned seems to move, and is told on a line more.
+    let run = folder.line("merge w2.jpg w3.jpg w4.jpg --align none --deghost=off -o a.exr -o a.png").done();
     let lines: Vec<&str> = run.stderr.lines().collect();
     let labels: Vec<&str> = lines.iter().rev().take(6).rev().map(|l| &l[..11]).collect();
     assert_eq!(labels, ["merged     ", "aligned    ", "doubts     ", "range      ", "files      ", "time       "]);

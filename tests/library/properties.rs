@@ -194,7 +194,7 @@ fn options() -> impl Strategy<Value = Options> {
                 exposures: if switches[0] { Exposures::FineTuned } else { Exposures::AsGiven },
                 response,
                 weight,
-                deghost: strength.map(|strength| Deghost { strength }),
+                deghost: strength.map_or(Deghost::Off, Deghost::Strength),
                 flare: switches[1],
                 crop: if switches[2] { Crop::Common } else { Crop::None },
                 colour,

@@ -118,7 +118,7 @@ fn vector_instructions_do_not_change_a_byte() {
         Options { outputs, write: write::Options { overwrite: true, ..Default::default() }, ..Options::default() };
     let asked_for = Options {
         weight: Weight::Noise,
-        deghost: Some(Deghost::default()),
+        deghost: Deghost::Auto,
         flare: true,
         colour: Some(Space::Acescg),
         calibration: Calibration { camera: true, factor: None },
