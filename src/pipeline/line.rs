@@ -8,7 +8,7 @@ use super::referred;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
-use crate::align::{Alignment, Rect};
+use crate::align::{AlignMode, Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
 use crate::error::{Result, Warning};
@@ -235,8 +235,10 @@ impl<'a> Line<'a> {
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
             // A curve that the user states is taken at its word: then frames are functions of exposure.
+            // Frames that are not aligned may lie elsewhere, and differ from place to place by that.
             let longer_side = bracket.width().max(bracket.height());
-            let evidence = if is_sought { evidence(&places, longer_side) } else { None };
+            let may_be_local = is_sought && options.align.mode != AlignMode::None;
+            let evidence = if may_be_local { evidence(&places, longer_side) } else { None };
             let is_local = evidence.is_some_and(|evidence| evidence.is_local);
             let (curve, report) = match saved {
                 None if is_local => {

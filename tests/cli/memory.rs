@@ -95,7 +95,9 @@ fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
         let frame = resize(&small(i), 3000, 2000, FilterType::Triangle);
         folder.put(&format!("w{i}.jpg"), &jpeg(&frame, Some(i)));
     }
-    folder.line("merge w2.jpg w3.jpg -q --align none --deghost=off -o a.exr -o a.tif -o a.png").done();
+    folder
+        .line("merge w2.jpg w3.jpg -q --align none --deghost=off --response-model srgb -o a.exr -o a.tif -o a.png")
+        .done();
     for (command, code) in [
         ("tonemap a.exr --threads 16 -o b.png -q --force", 1),
         ("tonemap a.tif -o b.png -q --force", 1),

@@ -31,7 +31,7 @@ fn folder(is_phone: bool) -> Folder {
     folder
 }
 
-const MERGE: &str = "merge a.png b.png c.png -e -2,0,2 --align none --reference b.png -o o.exr --force";
+const MERGE: &str = "merge a.png b.png c.png -e -2,0,2 --reference b.png -o o.exr --force";
 
 fn report(folder: &Folder) -> serde_json::Value {
     serde_json::from_slice(&folder.bytes("r.json")).expect("JSON")

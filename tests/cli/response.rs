@@ -225,8 +225,9 @@ fn a_response_that_misses_the_photographs_is_told_of() {
 fn what_a_polynomial_loses_is_what_radiance_is_off_by() {
     let folder = Folder::with_bracket();
     for frames in ["w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg", "w2.jpg w3.jpg w4.jpg"] {
-        let merge =
-            format!("merge {frames} --align none --deghost=off --exposures as-given --json --force --exr-type float -o a.exr");
+        let merge = format!(
+            "merge {frames} --align none --deghost=off --exposures as-given --json --force --exr-type float -o a.exr"
+        );
         let merged = |options: &str| {
             let report = json(&folder.line(&format!("{merge} {options}")).done().stdout);
             (report["warnings"].to_string(), hdralign::read::read(&folder.at("a.exr")).expect("radiance").0)

@@ -96,7 +96,8 @@ fn luminance_is_the_same_whichever_frame_is_the_reference() {
         for exposures in ["fine-tuned", "as-given"] {
             let luminance = |reference: usize| {
                 let images = [2, 3, 4].map(|i| format!("{set}{i}.jpg")).join(" ");
-                let options = "--align none --deghost=off --response-model srgb --absolute --exr-type float --json -q --force";
+                let options =
+                    "--align none --deghost=off --response-model srgb --absolute --exr-type float --json -q --force";
                 let reference = format!("--reference {set}{reference}.jpg --exposures {exposures}");
                 folder.line(&format!("merge {images} {options} {reference} -o a.exr")).done();
                 let mut all: Vec<f32> =
