@@ -95,6 +95,7 @@ fn gain_map(case: Case) {
         lens: words.lens,
         focal_length_mm: words.focal_length_mm,
         exif: words.exif,
+        ..Capture::default()
     };
     let metadata = Metadata {
         capture,
