@@ -30,13 +30,13 @@ const NEIGHBOURHOODS: usize = 24;
 const REACH: f64 = 4.685;
 /// Frames are locally processed whose variation over the picture, in stops, is more than this times the fifth power of the share of an exposure step that
 /// reaches them. The boundary is measured: the ratio of the two was 0.010, 0.05 and more on 38 brackets of phones (truth.py), at most 0.023 on 181
-/// truth brackets of other kinds, and at most 0.032 on 16 photographed ones, among them movers, mist, film and a flash. The power says that frames of
+/// truth brackets of other kinds, and at most 0.032 on 15 photographed ones, among them movers, mist, film and a flash (0.056 on one of water). The power says that frames of
 /// which all of a step is seen must vary much, as no camera's do, and those of which half is seen, little.
 const LOCAL: f64 = 0.04;
+const POWER: f64 = 5.0;
 /// Frames that differ by more than this share of an exposure step were not compressed, whatever else makes them vary. It was 0.40 to 1.02 on 24 brackets of
 /// phones (truth.py), and 1.17 to 1.59 on six photographed ones: cameras' curves are steeper than sRGB's. Water and moving lights had varied by 0.48 stops.
 const COMPRESSED: f64 = 1.2;
-const POWER: f64 = 5.0;
 /// Standard errors that are taken off a variance before it counts: neighbours have more in common than noise is.
 const ERRORS: f64 = 4.0;
 /// The share of an exposure step that only so many exceed is taken to be all of it: a tone mapping compresses and never expands.

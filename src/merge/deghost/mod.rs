@@ -196,11 +196,9 @@ pub fn find_with_gain(
     let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();
     let mut frames: Vec<(String, Option<Plane<u8>>)> =
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
+    let shown = seen(reference)?;
     for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {
-        if outwards.is_empty() {
-            continue;
-        }
-        let mut standard = seen(reference)?;
+        let mut standard = shown.clone();
         for i in outwards.into_iter().filter(|&i| !layers[i].is_assumed) {
             let frame = seen(i)?;
             let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);

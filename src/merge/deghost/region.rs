@@ -64,13 +64,13 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     truth(&greatest(&number(&wide, false), reach), 0.0)
 }
 
-/// 1 within `reach` cells of what is true, falling to 0 over `fade` more on either side.
+/// 1 within `reach` cells of what is true, falling to 0 over the next `2 fade`.
 pub fn widened(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<f32> {
     let mut wide = Plane::from_rows(plane.width(), plane.height(), |y, row: &mut [f32]| {
         row.iter_mut().zip(plane.row(y)).for_each(|(v, &is)| *v = f32::from(u8::from(is)));
     });
     wide = greatest(&wide, reach + fade);
-    // Twice the mean over 2 fade + 1 cells would reach 2 fade; half as wide, so that what is within `reach` stays 1.
+    // The mean reaches `fade` cells to both sides of the border: what is within `reach` stays 1.
     mean(&wide, fade)
 }
 
