@@ -35,7 +35,8 @@ use crate::error::{Error, Result};
 pub struct Options {
     /// Places drawn for each channel, at most; 24 or more.
     pub samples: usize,
-    /// The weight lambda of smoothness against the samples' mean square error; positive.
+    /// The weight lambda of smoothness against the samples' mean square error; positive. On 130 rendered brackets the default 30 has the error of 100 in
+    /// the middle of the codes and two thirds of it at either end; 10 lets noise and waves in, and weights after each bracket's own residual do, too.
     pub smoothness: f64,
     /// Rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
@@ -43,7 +44,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { samples: 2000, smoothness: 100.0, rounds: 3 }
+        Options { samples: 2000, smoothness: 30.0, rounds: 3 }
     }
 }
 
