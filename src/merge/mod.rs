@@ -368,7 +368,7 @@ mod tests {
         let (bracket, alignment) = still((64, 48), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let curve = ResponseCurve::srgb();
         let region = Rect { x0: 8, y0: 0, x1: 40, y1: 48 };
-        let ghosts = deghost::find(&bracket, &alignment, &curve, region, deghost::AUTO).unwrap();
+        let ghosts = deghost::find(&bracket, &alignment, &curve, region, deghost::AUTO, None).unwrap();
         let merged = |alignment: &Alignment, region| {
             merge(&bracket, alignment, &curve, &MergeOptions { weight: Weight::Hat, region }, Some(&ghosts))
         };

@@ -15,11 +15,11 @@
 //! [structure] says so too, and so has all that is connected with it and differs half as much.
 
 use super::cells::{Cell, Meaning};
-use super::ghosts::place;
 use super::region;
 use super::structure::{self, Ratio};
 use super::usual::{Usual, level};
 use crate::plane::Plane;
+use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
 /// The least share of the radiance by which frames may differ.
@@ -226,14 +226,8 @@ fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
 fn stronger(finer: &Plane<f32>, coarse: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (finer.width(), finer.height());
     Plane::from_rows(width, height, |y, row| {
-        let (above, below, fy) = place(y, 2, coarse.height());
-        let (above, below) = (coarse.row(above), coarse.row(below));
-        for (x, (v, here)) in row.iter_mut().zip(finer.row(y)).enumerate() {
-            let (left, right, fx) = place(x, 2, coarse.width());
-            let at = |line: &[f32]| line[left] + fx * (line[right] - line[left]);
-            let (a, b) = (at(above), at(below));
-            *v = here.max((a + fy * (b - a)).min(RAISE * here));
-        }
+        row_between_cells(coarse, 2, 1.0, y, row);
+        row.iter_mut().zip(finer.row(y)).for_each(|(v, here)| *v = here.max(v.min(RAISE * here)));
     })
 }
 

@@ -6,7 +6,7 @@ use super::region;
 use crate::align::Rect;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::{between_cells, row_between_cells};
 use serde::Serialize;
 use std::ops::Range;
 use std::path::Path;
@@ -84,25 +84,17 @@ impl Ghosts {
     /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
     pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
-        let (first, last) =
-            (place(rows.start, self.side, map.height()).0, place(rows.end - 1, self.side, map.height()).1);
+        let between = |y| between_cells(y, self.side, map.height());
+        let (first, last) = (between(rows.start).0, between(rows.end - 1).1);
         if map.rows(first..last + 1).iter().all(|&kept| kept == u8::MAX) {
             return Vec::new();
         }
-        let mut out = Vec::with_capacity(rows.len() * self.region.width());
-        let mut line = vec![0.0f32; map.width()];
-        for y in rows {
-            let (above, below, f) = place(y, self.side, map.height());
-            for ((v, a), b) in line.iter_mut().zip(map.row(above)).zip(map.row(below)) {
-                let (a, b) = (f32::from(*a), f32::from(*b));
-                *v = (a + f * (b - a)) * (1.0 / 255.0);
-            }
-            out.extend((0..self.region.width()).map(|x| {
-                let (left, right, f) = place(x, self.side, map.width());
-                line[left] + f * (line[right] - line[left])
-            }));
+        let width = self.region.width();
+        let mut kept = vec![0.0f32; rows.len() * width];
+        for (y, row) in rows.zip(kept.chunks_exact_mut(width)) {
+            row_between_cells(map, self.side, 1.0 / 255.0, y, row);
         }
-        out
+        kept
     }
 
     /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the reference are left
@@ -160,11 +152,4 @@ impl Ghosts {
         let map = self.frames.get(layer).and_then(|(_, map)| map.as_ref());
         map.is_none_or(|map| map.as_slice().iter().all(|&kept| kept == u8::MAX))
     }
-}
-
-/// As [`between_cells`]: sides are powers of 2, of which nothing is lost here.
-#[inline]
-pub(super) fn place(pixel: usize, side: usize, count: usize) -> (usize, usize, f32) {
-    let (first, second, f) = between_cells(pixel, side, count);
-    (first, second, f as f32)
 }

@@ -35,6 +35,7 @@ use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
 pub use ghosts::{GhostFrame, GhostRegion, GhostReport, Ghosts, MOST_REGIONS};
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 /// Most cells of a picture, but that none is larger than `LARGEST`.
@@ -153,7 +154,10 @@ pub(super) fn layers<'a>(
     (layers, reference)
 }
 
-/// Where in `region` each placed frame shows something else than the reference.
+/// By what the radiance of frame i (of the placed ones, by rising exposure) is multiplied at rows of the region; nothing where by 1.
+pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
+
+/// Where in `region` each placed frame shows something else than the reference. Frames that are locally processed are compared with their `gain`.
 ///
 /// # Errors
 /// [`Error::Option`] where the strength is out of its range; [`Error::Scratch`].
@@ -163,34 +167,24 @@ pub fn find(
     curve: &ResponseCurve,
     region: Rect,
     strength: f64,
-) -> Result<Ghosts> {
-    find_with_gain(bracket, alignment, curve, region, strength, &|_, _, _| 1.0)
-}
-
-/// As [`find`], of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising exposure) at column x and
-/// row y of the region is multiplied by `gain(i, x, y)`.
-///
-/// # Errors
-/// Those of [`find`].
-pub fn find_with_gain(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    curve: &ResponseCurve,
-    region: Rect,
-    strength: f64,
-    gain: &(dyn Fn(usize, usize, usize) -> f32 + Sync),
+    gain: Option<Gain>,
 ) -> Result<Ghosts> {
     Deghost::Strength(strength).validate()?;
     let (layers, reference) = layers(bracket, alignment, curve);
     let side = side(region);
     let seen = |i: usize| {
         let mut cells = cells::average(&layers[i], region, side, i as u16)?;
-        cells.fill_rows(|y, row| {
-            for (x, cell) in row.iter_mut().enumerate() {
-                let factor = gain(i, side * x + side / 2, side * y + side / 2);
-                cell.radiance.iter_mut().for_each(|v| *v *= factor);
-            }
-        });
+        if let Some(gain) = gain {
+            let middle = |cell: usize, size: usize| (side * cell + side / 2).min(size - 1);
+            cells.fill_rows(|y, row| {
+                let y = middle(y, region.height());
+                let factors = gain(i, y..y + 1);
+                for (x, cell) in row.iter_mut().enumerate() {
+                    let factor = factors.get(middle(x, region.width())).copied().unwrap_or(1.0);
+                    cell.radiance.iter_mut().for_each(|v| *v *= factor);
+                }
+            });
+        }
         Ok::<_, Error>(cells)
     };
     let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();

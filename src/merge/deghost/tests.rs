@@ -30,7 +30,7 @@ fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignmen
 }
 
 fn seek(bracket: &Bracket, alignment: &Alignment) -> Ghosts {
-    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, AUTO).unwrap()
+    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, AUTO, None).unwrap()
 }
 
 fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> Plane<[f32; 3]> {
@@ -123,7 +123,7 @@ fn the_same_on_any_number_of_threads_and_in_any_region_size() {
     for (width, height) in [(1, 1), (2, 3), (17, 1), (61, 67)] {
         let region = Rect { x0: 3, y0: 5, x1: 3 + width, y1: 5 + height };
         let curve = ResponseCurve::srgb();
-        let ghosts = find(&bracket, &alignment, &curve, region, AUTO).unwrap();
+        let ghosts = find(&bracket, &alignment, &curve, region, AUTO, None).unwrap();
         let mask = ghosts.mask();
         assert_eq!((mask.width(), mask.height()), (width, height));
     }
@@ -137,7 +137,7 @@ fn the_strength_has_a_range_and_is_obeyed() {
     let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.6 * e) } else { background(x, y) };
     let (bracket, alignment) = bracket([&background, &background, &faint]);
     let share = |strength| {
-        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength).unwrap();
+        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength, None).unwrap();
         ghosts.report().ghost_fraction
     };
     assert!(share(0.0) < share(0.5) && share(0.5) < share(1.0), "{} {} {}", share(0.0), share(0.5), share(1.0));

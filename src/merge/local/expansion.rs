@@ -12,7 +12,7 @@ use super::LUMINANCE;
 use crate::merge::FLOOR;
 use crate::merge::statistics::luminance;
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::between_cells;
 use rayon::prelude::*;
 
 /// Cells along the longer side, at most.
