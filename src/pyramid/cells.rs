@@ -1,8 +1,10 @@
 //! Cells: a picture known by the means over squares of its pixels.
 //!
-//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres. Cost: a few operations a pixel.
+//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres; and what lies around each cell. Cost: a few operations a pixel; 2 (2 reach + 1)
+//! a cell.
 
 use crate::plane::Plane;
+use std::ops::Range;
 
 /// Between which two of `count` cells, each `side` pixels long, the centre of a pixel lies, and how far towards the second, 0..1: for
 /// linear interpolation, of means over cells, at the pixels. Beyond the outer centres it is the outer cell. Where sides are powers of 2
@@ -29,6 +31,31 @@ pub fn row_between_cells<T: Copy + Into<f32>>(map: &Plane<T>, side: usize, scale
     }
 }
 
+/// What lies within `reach` of each place, to either side, above and below, put together by `add`, first along the rows: sums over squares, or, of truths, whether
+/// one is near. Beyond the border there is nothing.
+pub fn gathered<T: Copy + Default + Send + Sync>(
+    plane: &Plane<T>,
+    reach: usize,
+    add: impl Fn(&mut T, &T) + Sync,
+) -> Plane<T> {
+    let (width, height) = (plane.width(), plane.height());
+    let along = Plane::from_rows(width, height, |y, row: &mut [T]| {
+        for (x, v) in row.iter_mut().enumerate() {
+            plane.row(y)[near(x, reach, width)].iter().for_each(|of| add(v, of));
+        }
+    });
+    Plane::from_rows(width, height, |y, row: &mut [T]| {
+        for line in near(y, reach, height).map(|y| along.row(y)) {
+            row.iter_mut().zip(line).for_each(|(v, of)| add(v, of));
+        }
+    })
+}
+
+/// What is within `reach` of place `i` of `size`.
+pub fn near(i: usize, reach: usize, size: usize) -> Range<usize> {
+    i.saturating_sub(reach)..(i + reach + 1).min(size)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -53,5 +80,16 @@ mod tests {
         row_between_cells(&map, 2, 0.5, 1, &mut row);
         let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
         assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);
+    }
+
+    #[test]
+    fn gathered_is_the_double_sum_over_what_there_is() {
+        let plane = Plane::from_vec(7, 70, (0..490).map(|i: u32| i * i % 11).collect());
+        let sums = gathered(&plane, 2, |sum, v| *sum += v);
+        for (y, x) in (0..70).flat_map(|y| (0..7).map(move |x| (y, x))) {
+            let all = near(y, 2, 70).flat_map(|v| near(x, 2, 7).map(move |u| (u, v)));
+            assert_eq!(sums.at(x, y), all.map(|(u, v)| plane.at(u, v)).sum::<u32>(), "{x} {y}");
+        }
+        assert_eq!((near(0, 2, 7), near(6, 2, 7), near(3, 0, 7)), (0..3, 4..7, 3..4));
     }
 }

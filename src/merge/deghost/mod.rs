@@ -197,12 +197,7 @@ pub fn find(
             let frame = seen(i)?;
             let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);
             take_over(&mut standard, &frame, &moved, &meanings);
-            let left_out = region::widened(&moved, MARGIN, FADE);
-            frames[i].1 = Some(Plane::from_rows(moved.width(), moved.height(), |y, row| {
-                for (kept, m) in row.iter_mut().zip(left_out.row(y)) {
-                    *kept = (255.0 * (1.0 - m) + 0.5) as u8;
-                }
-            }));
+            frames[i].1 = Some(region::kept(&moved, MARGIN, FADE));
         }
     }
     Ok(Ghosts { region, side, strength, frames })
