@@ -28,7 +28,7 @@ pub struct GhostReport {
     pub strength: f64,
     /// The share of the result, by cells, in which some frame was left out by more than half.
     pub ghost_fraction: f64,
-    /// The frames but the reference, by rising exposure.
+    /// The frames that were compared, by rising exposure: neither the reference, nor those of which the place is but assumed.
     pub frames: Vec<GhostFrame>,
     /// The largest connected parts of the result in which some frame was left out by more than half, the largest first: at most [`MOST_REGIONS`].
     pub regions: Vec<GhostRegion>,
