@@ -182,6 +182,9 @@ impl<'a> Merging<'a> {
                         bounds.black += found.black;
                     }
                 }
+                if let Some(ghosts) = self.ghosts {
+                    ghosts.fill(rows.start, out);
+                }
             }
             // Whole numbers add up to the same in any order.
             all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);

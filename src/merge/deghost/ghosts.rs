@@ -2,6 +2,7 @@
 //!
 //! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns a pixel where something is left out.
 
+use super::holes::Holes;
 use super::region;
 use crate::align::Rect;
 use crate::error::{Error, Result};
@@ -19,6 +20,8 @@ pub struct Ghosts {
     pub(super) strength: f64,
     /// One for each placed frame by rising exposure: its path, and for each cell the factor times 255; none for the reference.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
+    /// What is continued where the reference clips and no frame is left that shows more.
+    pub(super) holes: Option<Holes>,
 }
 
 /// What was left out, for the report.
@@ -28,6 +31,8 @@ pub struct GhostReport {
     pub strength: f64,
     /// The share of the result, by cells, in which some frame was left out by more than half.
     pub ghost_fraction: f64,
+    /// The share of the result, by cells, in which the reference clips and the frames that show more were left out: radiance is continued from around.
+    pub continued_fraction: f64,
     /// The frames that were compared, by rising exposure: neither the reference, nor those of which the place is but assumed.
     pub frames: Vec<GhostFrame>,
     /// The largest connected parts of the result in which some frame was left out by more than half, the largest first: at most [`MOST_REGIONS`].
@@ -97,6 +102,15 @@ impl Ghosts {
         kept
     }
 
+    /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips and no frame is left that shows more.
+    pub(in crate::merge) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
+        if let Some(holes) = &self.holes {
+            for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
+                holes.fill(self.side, first + y, row);
+            }
+        }
+    }
+
     /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the reference are left
     /// out, in proportion between.
     pub fn mask(&self) -> Plane<u8> {
@@ -144,7 +158,13 @@ impl Ghosts {
             GhostRegion { x_px, y_px, width_px, height_px, ghost_fraction: share(part.len()) }
         };
         let regions = parts.iter().take(MOST_REGIONS).map(region).collect();
-        GhostReport { strength: self.strength, ghost_fraction: all, frames: maps().map(of).collect(), regions }
+        GhostReport {
+            strength: self.strength,
+            ghost_fraction: all,
+            continued_fraction: self.holes.as_ref().map_or(0.0, Holes::fraction),
+            frames: maps().map(of).collect(),
+            regions,
+        }
     }
 
     /// Whether frame `layer` takes part everywhere.

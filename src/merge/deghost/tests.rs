@@ -181,7 +181,13 @@ fn cells_are_the_means_of_exposures() {
 fn factors_between_cells_are_bilinear() {
     let map = Plane::from_vec(3, 2, vec![0u8, 255, 51, 102, 0, 204]);
     let region = Rect { x0: 0, y0: 0, x1: 5, y1: 4 };
-    let ghosts = Ghosts { region, side: 2, strength: 0.5, frames: vec![("a".into(), Some(map)), ("r".into(), None)] };
+    let ghosts = Ghosts {
+        region,
+        side: 2,
+        strength: 0.5,
+        frames: vec![("a".into(), Some(map)), ("r".into(), None)],
+        holes: None,
+    };
     let kept = ghosts.kept(0, 1..3);
     // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2 three quarters right.
     let (left, right) = (0.25 * 0.4, 0.75);
