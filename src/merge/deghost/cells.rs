@@ -99,6 +99,11 @@ impl Cell {
         self.flags & 7 != 0
     }
 
+    /// Whether some channel is a bound, so that the camera's colour processing has bent the others.
+    pub fn is_mixed(&self) -> bool {
+        self.flags & 0b11_1111 != 0
+    }
+
     /// The standard deviation of a channel over its radiance.
     #[inline]
     pub fn relative_noise(&self, channel: usize, meanings: &[&Meaning]) -> f32 {

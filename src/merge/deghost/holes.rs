@@ -1,7 +1,6 @@
 //! Holes: where the reference clips, and the frames that could show more show something that moved.
 //!
-//! In: for each cell what the reference shows, what is known when those that moved are left out, and how far the frames that do not clip there take part. Out:
-//! [`Holes`]: radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and
+//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]: radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and
 //! push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
 //! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before a bright sky, nothing that is left says
@@ -10,6 +9,7 @@
 
 use super::cells::Cell;
 use super::region;
+use crate::merge::FLOOR;
 use crate::merge::layer::CLIPS;
 use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
@@ -26,37 +26,58 @@ pub(super) struct Holes {
     clips: [(f32, f32); 3],
 }
 
-/// How far the frames that do not clip where the reference does take part.
-pub(super) struct Seen {
-    /// Times 255: of the frame that takes part most.
-    most: Plane<u8>,
-    /// Whether there is such a frame.
-    is_any: Plane<bool>,
+/// What the frames know that are shorter than the reference.
+#[derive(Debug, Clone, Copy, Default)]
+struct Known {
+    /// What the first frame shows that takes part wholly and does not clip, or else the shortest that takes part wholly: that is a lower bound.
+    radiance: [f32; 3],
+    /// Whether it is no bound.
+    is_sure: bool,
+    /// Whether a frame that does not clip is left out more or less, and the most that such a frame is kept, times 255.
+    is_missed: bool,
+    kept: u8,
+    /// Whether some frame is left out more or less.
+    is_touched: bool,
 }
 
-impl Seen {
-    /// Of no frame yet.
-    pub fn none(width: usize, height: usize) -> Self {
-        Seen { most: Plane::filled(width, height, 0), is_any: Plane::filled(width, height, false) }
+/// What the frames that are shorter than the reference know of what it clips.
+pub(super) struct Shorter {
+    known: Plane<Known>,
+}
+
+impl Shorter {
+    /// Of none of them yet.
+    pub fn than(reference: &Plane<Cell>) -> Self {
+        let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
+        let cells = reference.as_slice().iter().map(of).collect();
+        Shorter { known: Plane::from_vec(reference.width(), reference.height(), cells) }
     }
 
-    /// Of one more, which takes part as `kept` says.
+    /// Of one more, the next shorter, which takes part as `kept` says.
     pub fn add(&mut self, frame: &Plane<Cell>, kept: &Plane<u8>) {
-        let cells = frame.as_slice().iter().zip(kept.as_slice());
-        let seen = self.most.as_mut_slice().iter_mut().zip(self.is_any.as_mut_slice());
-        for ((most, is_any), (_, &kept)) in seen.zip(cells).filter(|(_, (cell, _))| !cell.is_outside() && !cell.clips())
-        {
-            (*most, *is_any) = (kept.max(*most), true);
-        }
+        self.known.fill_rows(|y, row| {
+            for ((known, cell), &kept) in row.iter_mut().zip(frame.row(y)).zip(kept.row(y)) {
+                if cell.is_outside() {
+                    continue;
+                }
+                if kept == u8::MAX && !known.is_sure {
+                    (known.radiance, known.is_sure) = (cell.radiance, !cell.clips());
+                }
+                if !cell.clips() {
+                    known.kept = known.kept.max(kept);
+                    known.is_missed |= kept < u8::MAX;
+                }
+                known.is_touched |= kept < u8::MAX;
+            }
+        });
     }
-}
 
-impl Holes {
-    /// The holes in what `reference` clips, where `known` is what the frames know that are left in; none where none can be filled.
-    pub fn of(reference: &Plane<Cell>, known: &Plane<Cell>, seen: &Seen, curve: &ResponseCurve) -> Option<Holes> {
-        let (width, height) = (reference.width(), reference.height());
-        let is_hole = |x: usize, y: usize| seen.is_any.at(x, y) && seen.most.at(x, y) < u8::MAX;
-        let is_source = |x: usize, y: usize| seen.most.at(x, y) == u8::MAX && !known.at(x, y).clips();
+    /// The holes in what `reference` clips; none where none can be filled.
+    pub fn holes(&self, reference: &Plane<Cell>, curve: &ResponseCurve) -> Option<Holes> {
+        let known = &self.known;
+        let (width, height) = (known.width(), known.height());
+        let is_hole = |(x, y): (usize, usize)| known.at(x, y).is_missed && known.at(x, y).kept < u8::MAX;
+        let is_source = |(x, y): (usize, usize)| known.at(x, y).kept == u8::MAX || !known.at(x, y).is_touched;
         let clipped = Plane::from_rows(width, height, |y, row: &mut [bool]| {
             row.iter_mut().zip(reference.row(y)).for_each(|(is, cell)| *is = cell.clips() && !cell.is_outside());
         });
@@ -64,11 +85,11 @@ impl Holes {
         let mut weights = Plane::filled(width, height, 0.0f32);
         for part in region::parts(&clipped) {
             // What is bright elsewhere says nothing of this.
-            if part.iter().any(|&(x, y)| is_hole(x, y)) && part.iter().any(|&(x, y)| is_source(x, y)) {
+            if part.iter().any(|&at| is_hole(at)) && part.iter().any(|&at| is_source(at)) {
                 for (x, y) in part {
-                    if is_hole(x, y) {
-                        counts.row_mut(y)[x] = u8::MAX - seen.most.at(x, y);
-                    } else if is_source(x, y) {
+                    if is_hole((x, y)) {
+                        counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept;
+                    } else if is_source((x, y)) {
                         weights.row_mut(y)[x] = 1.0;
                     }
                 }
@@ -79,8 +100,8 @@ impl Holes {
         }
         let radiance = std::array::from_fn(|c| {
             let stops = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-                for ((v, cell), weight) in row.iter_mut().zip(known.row(y)).zip(weights.row(y)) {
-                    *v = if *weight > 0.0 { libm::log2f(cell.radiance[c]) } else { 0.0 };
+                for ((v, known), weight) in row.iter_mut().zip(known.row(y)).zip(weights.row(y)) {
+                    *v = if *weight > 0.0 { libm::log2f(known.radiance[c].max(FLOOR)) } else { 0.0 };
                 }
             });
             let mut all = continued(&stops, &weights);
@@ -90,7 +111,9 @@ impl Holes {
         let clips = std::array::from_fn(|c| (curve.exposures(c)[CLIPS.0], curve.exposures(c)[CLIPS.1]));
         Some(Holes { radiance, counts, clips })
     }
+}
 
+impl Holes {
     /// The share of cells in which more than half is continued.
     pub fn fraction(&self) -> f64 {
         let counts = self.counts.as_slice();
