@@ -4,7 +4,7 @@
 //! Cost: four taps for every four pixels.
 //!
 //! Means are of exposures, not of codes: the mean code of an edge means another exposure in every frame. Of a cell with a clipped code the
-//! mean is a lower bound, of one with a black code an upper one.
+//! mean is a lower bound; of one with a black code an upper one, where it is hardly brighter than that code.
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
 use crate::align::warp::map;
@@ -21,7 +21,11 @@ const NOISE: f64 = 1.5;
 /// Steps of a [`Meaning`]'s noise to an octave of radiance: floats that share exponent and first three bits.
 const SHIFT: u32 = 20;
 
+/// How many times as bright as what a black code may be a cell is whose black codes matter no more: they bend its mean by a quarter at most.
+const BRIGHTER: f32 = 4.0;
+
 const OUTSIDE: u8 = 1 << 6;
+const MIXED: u8 = 1 << 7;
 
 /// What a frame's codes mean.
 pub struct Meaning {
@@ -67,7 +71,7 @@ fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
 pub struct Cell {
     /// Radiance.
     pub radiance: [f32; 3],
-    /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell.
+    /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell; 7: some code is black.
     flags: u8,
     /// The frame, among those placed.
     frame: u16,
@@ -99,9 +103,9 @@ impl Cell {
         self.flags & 7 != 0
     }
 
-    /// Whether some channel is a bound, so that the camera's colour processing has bent the others.
+    /// Whether some channel clips or has black codes: the camera's colour processing has bent the others, and what was black the mean.
     pub fn is_mixed(&self) -> bool {
-        self.flags & 0b11_1111 != 0
+        self.clips() || self.flags & MIXED != 0
     }
 
     /// The standard deviation of a channel over its radiance.
@@ -181,17 +185,25 @@ fn averaged<T: Copy + Sync>(
                     (under * width + next, fx * fy),
                 ];
                 for (pixel, weight) in taps {
+                    let (mut least, mut most) = (f32::INFINITY, 0.0f32);
                     for c in 0..3 {
                         let (code, radiance) = of(codes[3 * pixel + c], c);
                         sum[c] += weight * radiance;
                         flags |= u8::from(code > CLIPPED) << c | u8::from(code <= meaning.black[c]) << (3 + c);
+                        (least, most) = (least.min(code), most.max(code));
                     }
+                    // No light has a channel at the top and another at 0: the colour is painted, as the borders of registered scans are.
+                    flags |= if least <= 0.5 && most >= 254.5 { OUTSIDE } else { 0 };
                 }
             }
             let mut cell_radiance = sum.map(|s| s * share);
             for c in 0..3 {
                 if flags >> (3 + c) & 1 != 0 {
+                    flags |= MIXED;
                     cell_radiance[c] = cell_radiance[c].max(meaning.black_radiance[c]);
+                    if cell_radiance[c] >= BRIGHTER * meaning.black_radiance[c] {
+                        flags &= !(1 << (3 + c));
+                    }
                 }
             }
             *cell = Cell { radiance: cell_radiance, flags, frame: number };

@@ -33,6 +33,8 @@ struct Known {
     radiance: [f32; 3],
     /// Whether it is no bound.
     is_sure: bool,
+    /// The shortest frame that takes part wholly and clips, by how many are shorter than the reference up to it.
+    clipping: u8,
     /// Whether a frame that does not clip is left out more or less, and the most that such a frame is kept, times 255.
     is_missed: bool,
     kept: u8,
@@ -43,6 +45,7 @@ struct Known {
 /// What the frames that are shorter than the reference know of what it clips.
 pub(super) struct Shorter {
     known: Plane<Known>,
+    frames: u8,
 }
 
 impl Shorter {
@@ -50,11 +53,13 @@ impl Shorter {
     pub fn than(reference: &Plane<Cell>) -> Self {
         let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
         let cells = reference.as_slice().iter().map(of).collect();
-        Shorter { known: Plane::from_vec(reference.width(), reference.height(), cells) }
+        Shorter { known: Plane::from_vec(reference.width(), reference.height(), cells), frames: 0 }
     }
 
     /// Of one more, the next shorter, which takes part as `kept` says.
     pub fn add(&mut self, frame: &Plane<Cell>, kept: &Plane<u8>) {
+        self.frames = self.frames.saturating_add(1);
+        let number = self.frames;
         self.known.fill_rows(|y, row| {
             for ((known, cell), &kept) in row.iter_mut().zip(frame.row(y)).zip(kept.row(y)) {
                 if cell.is_outside() {
@@ -62,6 +67,7 @@ impl Shorter {
                 }
                 if kept == u8::MAX && !known.is_sure {
                     (known.radiance, known.is_sure) = (cell.radiance, !cell.clips());
+                    known.clipping = if cell.clips() { number } else { known.clipping };
                 }
                 if !cell.clips() {
                     known.kept = known.kept.max(kept);
@@ -78,42 +84,65 @@ impl Shorter {
         let (width, height) = (known.width(), known.height());
         let is_hole = |(x, y): (usize, usize)| known.at(x, y).is_missed && known.at(x, y).kept < u8::MAX;
         let is_source = |(x, y): (usize, usize)| known.at(x, y).kept == u8::MAX || !known.at(x, y).is_touched;
+        if !(0..height).any(|y| (0..width).any(|x| is_hole((x, y)) && reference.at(x, y).clips())) {
+            return None;
+        }
         let clipped = Plane::from_rows(width, height, |y, row: &mut [bool]| {
             row.iter_mut().zip(reference.row(y)).for_each(|(is, cell)| *is = cell.clips() && !cell.is_outside());
         });
-        let mut counts = Plane::filled(width, height, 0u8);
-        let mut weights = Plane::filled(width, height, 0.0f32);
-        for part in region::parts(&clipped) {
-            // What is bright elsewhere says nothing of this.
-            if part.iter().any(|&at| is_hole(at)) && part.iter().any(|&at| is_source(at)) {
-                for (x, y) in part {
-                    if is_hole((x, y)) {
-                        counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept;
-                    } else if is_source((x, y)) {
-                        weights.row_mut(y)[x] = 1.0;
-                    }
+        let parts = region::parts(&clipped);
+        let mut holes: Option<Holes> = None;
+        // Only what clips in the same frame is an example of what a hole hides.
+        for clipping in 0..=self.frames {
+            let mut counts = Plane::filled(width, height, 0u8);
+            let mut weights = Plane::filled(width, height, 0.0f32);
+            for part in &parts {
+                let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
+                let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
+                // What is bright elsewhere says nothing of a part.
+                if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
+                    part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
+                    part.iter().filter(is_of).for_each(|&(x, y)| counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept);
                 }
             }
+            if counts.as_slice().iter().any(|&count| count > 0) {
+                let radiance = std::array::from_fn(|c| self.continued(c, &weights));
+                let more = Holes { radiance, counts, clips: [(0.0, 0.0); 3] };
+                holes = Some(match holes {
+                    Some(holes) => holes.with(more),
+                    None => more,
+                });
+            }
         }
-        if counts.as_slice().iter().all(|&count| count == 0) {
-            return None;
-        }
-        let radiance = std::array::from_fn(|c| {
-            let stops = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-                for ((v, known), weight) in row.iter_mut().zip(known.row(y)).zip(weights.row(y)) {
-                    *v = if *weight > 0.0 { libm::log2f(known.radiance[c].max(FLOOR)) } else { 0.0 };
-                }
-            });
-            let mut all = continued(&stops, &weights);
-            all.as_mut_slice().iter_mut().for_each(|v| *v = libm::exp2f(*v));
-            all
-        });
         let clips = std::array::from_fn(|c| (curve.exposures(c)[CLIPS.0], curve.exposures(c)[CLIPS.1]));
-        Some(Holes { radiance, counts, clips })
+        holes.map(|holes| Holes { clips, ..holes })
+    }
+
+    /// The radiance of channel `c`, continued from where `weights` are.
+    fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
+        let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
+            for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {
+                *v = if *weight > 0.0 { libm::log2f(known.radiance[c].max(FLOOR)) } else { 0.0 };
+            }
+        });
+        let mut all = continued(&stops, weights);
+        all.as_mut_slice().iter_mut().for_each(|v| *v = libm::exp2f(*v));
+        all
     }
 }
 
 impl Holes {
+    /// These and `more`, which are other cells.
+    fn with(mut self, more: Holes) -> Holes {
+        for (plane, more_of) in self.radiance.iter_mut().zip(&more.radiance) {
+            let cells = plane.as_mut_slice().iter_mut().zip(more_of.as_slice()).zip(more.counts.as_slice());
+            cells.filter(|(_, count)| **count > 0).for_each(|((v, more), _)| *v = *more);
+        }
+        let counts = self.counts.as_mut_slice().iter_mut().zip(more.counts.as_slice());
+        counts.for_each(|(count, more)| *count = (*count).max(*more));
+        self
+    }
+
     /// The share of cells in which more than half is continued.
     pub fn fraction(&self) -> f64 {
         let counts = self.counts.as_slice();

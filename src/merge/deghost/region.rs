@@ -1,25 +1,13 @@
 //! Regions: from evidence cell by cell to what is left out.
 //!
-//! In: for each cell how far a frame differs, and how surely that is motion. Out: yes or no for each cell; a factor that rises around it. Cost: some 10 ns
+//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a factor that rises around it. Cost: some 10 ns
 //! a cell.
 //!
-//! Of what differs the connected parts that somewhere surely moved are left out, wholly: a mover's middle may look like what it hides, and a tenth
-//! of a long exposure's weight may still be ten times the reference's.
+//! Of what differs the connected parts that moved are left out, wholly: a mover's middle may look like what it hides, and a tenth of a long exposure's weight may
+//! still be ten times the reference's.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{gathered, near};
-
-/// Where of the connected parts of `may` that have something of `is` in them lies something.
-pub fn grown(may: &Plane<bool>, is: &Plane<bool>) -> Plane<bool> {
-    let mut left = may.clone();
-    let mut grown = Plane::filled(may.width(), may.height(), false);
-    for y in 0..may.height() {
-        for x in (0..may.width()).filter(|&x| is.at(x, y)) {
-            taken(&mut left, (x, y)).into_iter().for_each(|(x, y)| grown.row_mut(y)[x] = true);
-        }
-    }
-    grown
-}
 
 /// The connected parts of `plane`, from top to bottom: the columns and rows of each.
 pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
@@ -47,6 +35,12 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
         }
     }
     part
+}
+
+/// Whether a cell of `plane` that is true has one beside, above or below it that is not, or that is not there.
+pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
+    let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
+    !is_inside || !(plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
 }
 
 /// What is true, and what is within `reach` cells of it to either side, above and below.
@@ -90,12 +84,12 @@ mod tests {
     }
 
     #[test]
-    fn what_may_have_moved_goes_with_what_did_where_they_are_connected() {
-        let may = plane(&["##...##", "..#..##", "...#...", "#......"]);
-        let is = plane(&["#......", "....#..", ".......", "......."]);
-        // By corners too; that which may not have moved is none, and the other parts stay.
-        assert_eq!(grown(&may, &is), plane(&["##.....", "..#....", "...#...", "......."]));
-        assert_eq!(parts(&may).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4, 1]);
+    fn parts_are_connected_by_corners_too_and_their_borders_are_seen() {
+        let all = plane(&["##...##", "..#..##", "...#...", "#......"]);
+        assert_eq!(parts(&all).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4, 1]);
+        let square = plane(&[".....", ".###.", ".###.", ".###.", "....."]);
+        assert_eq!(parts(&square)[0].iter().filter(|&&at| is_border(&square, at)).count(), 8);
+        assert!(is_border(&Plane::filled(3, 3, true), (0, 1)) && !is_border(&Plane::filled(3, 3, true), (1, 1)));
     }
 
     #[test]
