@@ -25,7 +25,6 @@ const SHIFT: u32 = 20;
 const BRIGHTER: f32 = 4.0;
 
 const OUTSIDE: u8 = 1 << 6;
-const MIXED: u8 = 1 << 7;
 
 /// What a frame's codes mean.
 pub struct Meaning {
@@ -71,7 +70,7 @@ fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
 pub struct Cell {
     /// Radiance.
     pub radiance: [f32; 3],
-    /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell; 7: some code is black.
+    /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell.
     flags: u8,
     /// The frame, among those placed.
     frame: u16,
@@ -101,11 +100,6 @@ impl Cell {
     /// Whether some channel is clipped.
     pub fn clips(&self) -> bool {
         self.flags & 7 != 0
-    }
-
-    /// Whether some channel clips or has black codes: the camera's colour processing has bent the others, and what was black the mean.
-    pub fn is_mixed(&self) -> bool {
-        self.clips() || self.flags & MIXED != 0
     }
 
     /// The standard deviation of a channel over its radiance.
@@ -199,7 +193,6 @@ fn averaged<T: Copy + Sync>(
             let mut cell_radiance = sum.map(|s| s * share);
             for c in 0..3 {
                 if flags >> (3 + c) & 1 != 0 {
-                    flags |= MIXED;
                     cell_radiance[c] = cell_radiance[c].max(meaning.black_radiance[c]);
                     if cell_radiance[c] >= BRIGHTER * meaning.black_radiance[c] {
                         flags &= !(1 << (3 + c));

@@ -25,7 +25,7 @@ use crate::simd::log2;
 
 /// The least share of the radiance by which frames may differ.
 const LEAST: f32 = 0.06;
-/// ... and that by which they may where a channel clips or is black: the camera has mixed it into the others. Seen on saturated colours of four cameras.
+/// ... and that by which they may where a channel clips: the camera has mixed it into the others. Seen on saturated colours of four cameras.
 const SHIFTED: f32 = 0.25;
 /// Octaves for each share of 1, of small ones.
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
@@ -96,7 +96,7 @@ impl Pair<'_> {
                 if s.is_outside() || f.is_outside() {
                     continue;
                 }
-                let least = if s.is_mixed() || f.is_mixed() { SHIFTED } else { LEAST };
+                let least = if s.clips() || f.clips() { SHIFTED } else { LEAST };
                 *out = std::array::from_fn(|c| {
                     let Channel { radiance: [a, b], noise, spread, is_within } = self.channel(s, f, c);
                     if is_within {
@@ -119,8 +119,8 @@ impl Pair<'_> {
                     *ratio = Ratio::unknown();
                     continue;
                 }
-                // Of both, and of the edge between what is mixed and what is not, which is as far off again.
-                let least = if s.is_mixed() || f.is_mixed() { 2.0 * SHIFTED } else { 0.0 };
+                // Of both, and of the edge between what clips and what does not, which is as far off again.
+                let least = if s.clips() || f.clips() { 2.0 * SHIFTED } else { 0.0 };
                 for c in 0..3 {
                     let Channel { radiance: [a, b], noise, spread, is_within } = self.channel(s, f, c);
                     let usual = spread.max(least);

@@ -12,8 +12,8 @@
 //!    only a bound. What is `usual` between the two in the whole picture is no motion.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger cells: what alignment,
 //!    noise and JPEG leave cancels, what moved adds up. The strongest scale decides; the three channels have one verdict: `evidence`.
-//! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs and is connected with that is left
-//!    out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
+//! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs, is connected with that and has such an edge
+//!    all around is left out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
 //! 5. Where the reference clips and the frames that show more are left out, radiance is continued from around: `holes`.
 //!
 //! On five truth brackets with a mover, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 in the place of all this has a PU21-PSNR 2 to 20 dB below
