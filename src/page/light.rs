@@ -185,7 +185,7 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
             })
             .collect();
         let continued = match ghosts.continued_fraction {
-            none if none == 0.0 => String::new(),
+            0.0 => String::new(),
             share => format!(" Where the reference clips there, light is continued from around: {}.", percent(share)),
         };
         let caption = match ghosts.regions.is_empty() {

@@ -4,7 +4,7 @@
 //! Cost: four taps for every four pixels.
 //!
 //! Means are of exposures, not of codes: the mean code of an edge means another exposure in every frame. Of a cell with a clipped code the
-//! mean is a lower bound; of one with a black code an upper one, where it is hardly brighter than that code.
+//! mean is a lower bound, of one with a black code an upper one.
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
 use crate::align::warp::map;
@@ -20,9 +20,6 @@ const NOISE: f64 = 1.5;
 
 /// Steps of a [`Meaning`]'s noise to an octave of radiance: floats that share exponent and first three bits.
 const SHIFT: u32 = 20;
-
-/// How many times as bright as what a black code may be a cell is whose black codes matter no more: they bend its mean by a quarter at most.
-const BRIGHTER: f32 = 4.0;
 
 const OUTSIDE: u8 = 1 << 6;
 
@@ -194,9 +191,6 @@ fn averaged<T: Copy + Sync>(
             for c in 0..3 {
                 if flags >> (3 + c) & 1 != 0 {
                     cell_radiance[c] = cell_radiance[c].max(meaning.black_radiance[c]);
-                    if cell_radiance[c] >= BRIGHTER * meaning.black_radiance[c] {
-                        flags &= !(1 << (3 + c));
-                    }
                 }
             }
             *cell = Cell { radiance: cell_radiance, flags, frame: number };

@@ -8,8 +8,7 @@
 //! - the noise of both codes, through the curve's slope;
 //! - a share of the radiance itself: at least `LEAST`, for the curve and the exposures are not known better, and as much as is
 //!   [usual](super::usual) in the bracket; the usual bias is divided out first. Where another channel clips, more: it is mixed into this one;
-//! - the lesser of both changes from cell to cell there, times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge. An edge that only
-//!   one of them shows is no excuse.
+//! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
 //! differs. What differs surely has moved where the [structure] says so too, and so has all that is connected with it and differs half as much, if the ratio changes all along
@@ -20,7 +19,7 @@ use super::region;
 use super::structure::{Ratio, Scales};
 use super::usual::{Usual, level};
 use crate::plane::Plane;
-use crate::pyramid::cells::{near, row_between_cells};
+use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
 /// The least share of the radiance by which frames may differ.
@@ -86,16 +85,16 @@ impl Pair<'_> {
     /// How far each cell of the frame differs from the standard, in standard deviations, brighter being positive.
     fn differences(&self) -> Plane<[f32; 3]> {
         let (width, height) = (self.standard.width(), self.standard.height());
-        let astray = ASTRAY / self.side as f32;
+        let astray = (ASTRAY / self.side as f32) * (ASTRAY / self.side as f32);
         Plane::from_rows(width, height, |y, row| {
             let three = [y.max(1) - 1, y, (y + 1).min(height - 1)];
             let (of_standard, of_frame) = (three.map(|y| self.standard.row(y)), three.map(|y| self.frame.row(y)));
-            let steep = [of_standard, of_frame].map(steepness);
             for (x, out) in row.iter_mut().enumerate() {
                 let (s, f) = (&of_standard[1][x], &of_frame[1][x]);
                 if s.is_outside() || f.is_outside() {
                     continue;
                 }
+                let (steep_s, steep_f) = (steepness(of_standard, x), steepness(of_frame, x));
                 let least = if s.clips() || f.clips() { SHIFTED } else { LEAST };
                 *out = std::array::from_fn(|c| {
                     let Channel { radiance: [a, b], noise, spread, is_within } = self.channel(s, f, c);
@@ -103,8 +102,8 @@ impl Pair<'_> {
                         return 0.0;
                     }
                     let share = least.max(spread) * a.max(b);
-                    let edge = steep[0][x][c].min(steep[1][x][c]) * astray;
-                    let variance = share * share + a * a * noise[0] + b * b * noise[1] + edge * edge;
+                    let edge = steep_s[c].max(steep_f[c]) * astray;
+                    let variance = share * share + a * a * noise[0] + b * b * noise[1] + edge;
                     ((b - a) / variance.sqrt()).clamp(-ENOUGH, ENOUGH)
                 });
             }
@@ -133,24 +132,15 @@ impl Pair<'_> {
     }
 }
 
-/// By how much the middle one of three rows changes about each cell, per cell: half the range of the nine cells there, so that an edge that lies a cell beside is
-/// the same edge.
-fn steepness(rows: [&[Cell]; 3]) -> Vec<[f32; 3]> {
-    let down = |of: fn(f32, f32) -> f32| -> Vec<[f32; 3]> {
-        let at =
-            |x: usize| std::array::from_fn(|c| rows.iter().map(|row| row[x].radiance[c]).reduce(of).unwrap_or(0.0));
-        (0..rows[1].len()).map(at).collect()
-    };
-    let (least, most) = (down(f32::min), down(f32::max));
-    let along = |x: usize| {
-        let near = near(x, 1, least.len());
-        std::array::from_fn(|c| {
-            let (least, most) = (least[near.clone()].iter(), most[near.clone()].iter());
-            let least = least.fold(f32::INFINITY, |a, b| a.min(b[c]));
-            0.5 * (most.fold(0.0f32, |a, b| a.max(b[c])) - least)
-        })
-    };
-    (0..least.len()).map(along).collect()
+/// The squares of the gradient at column `x` of the middle one of three rows, per cell: by central differences.
+#[inline]
+fn steepness([above, row, below]: [&[Cell]; 3], x: usize) -> [f32; 3] {
+    let (left, right) = (&row[x.max(1) - 1].radiance, &row[(x + 1).min(row.len() - 1)].radiance);
+    let (up, down) = (&above[x].radiance, &below[x].radiance);
+    std::array::from_fn(|c| {
+        let (dx, dy) = (right[c] - left[c], down[c] - up[c]);
+        0.25 * (dx * dx + dy * dy)
+    })
 }
 
 /// The plane smoothed by (1, 4, 6, 4, 1) / 16 along both axes; the border stands for what is beyond. [`crate::pyramid::binomial`] is another:

@@ -40,7 +40,7 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
 /// Whether a cell of `plane` that is true has one beside, above or below it that is not, or that is not there.
 pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
     let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
-    !is_inside || !(plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
+    !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
 }
 
 /// What is true, and what is within `reach` cells of it to either side, above and below.
