@@ -207,7 +207,7 @@ fn radiance(c: &mut Criterion) {
     let by_noise = MergeOptions { weight: Weight::Noise, ..options };
     group.bench_function("merge by noise", |b| b.iter(|| merge(black_box(&bracket), &placed, &curve, &by_noise, None)));
     group.bench_function("deghost", |b| {
-        b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, deghost::AUTO));
+        b.iter(|| deghost::find(black_box(&bracket), &placed, &curve, placed.overlap, deghost::AUTO, None));
     });
     let (map, _) = merge(&bracket, &placed, &curve, &options, None).expect("a whole region");
     group.throughput(Throughput::Elements(all));

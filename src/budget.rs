@@ -35,10 +35,10 @@ const THREAD: u64 = 4 << 20;
 const SCALE_SPACE: u64 = 4 * 6 * 4 / 3;
 /// Bytes that a thread adds for each column: bands of 64 rows of radiance, of the picture and of what is encoded of them. Measured likewise.
 const COLUMN: u64 = 64 * 20;
-/// Bytes of a cell of deghosting: two frames', and what is made of them.
-const CELL: u64 = 140;
+/// Bytes of a cell of deghosting: two frames', what is made of them, and what is known where the reference clips.
+const CELL: u64 = 156;
 /// Bytes of a cell while a frame is averaged beside the standard.
-const AVERAGED: u64 = 32;
+const AVERAGED: u64 = 48;
 /// Bytes of a pixel of radiance: three floats.
 const RADIANCE: u64 = 12;
 /// Bytes of a cell of the overview while an operator works on it: the pyramids of `natural`, which has the most. Measured.

@@ -5,6 +5,7 @@
 //! section 3 (the Gaussian scale space is separable).
 
 pub mod burt_adelson;
+pub mod cells;
 
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
@@ -73,16 +74,6 @@ pub fn double(plane: &Plane<f32>) -> Plane<f32> {
             pair[1] = 0.5 * (here + next);
         }
     })
-}
-
-/// Between which two of `count` cells, each `side` pixels long, the centre of a pixel lies, and how far towards the second, 0..1: for
-/// linear interpolation, of means over cells, at the pixels. Beyond the outer centres it is the outer cell. Where sides are powers of 2
-/// all is exact, and the last fits an `f32`.
-#[inline]
-pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
-    let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
-    let first = at as usize;
-    (first, (first + 1).min(count - 1), at - first as f64)
 }
 
 /// The plane convolved with a Gaussian of standard deviation `sigma` pixels, cut off at 4 sigma; the border pixel stands for those beyond.
@@ -305,18 +296,6 @@ mod tests {
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }
-    }
-
-    #[test]
-    fn a_pixel_lies_between_the_centres_of_cells() {
-        // Cells of 4 pixels have their centres at 1.5, 5.5, 9.5.
-        assert_eq!(
-            [0, 1, 2, 5, 6].map(|x| between_cells(x, 4, 3)),
-            [(0, 1, 0.0), (0, 1, 0.0), (0, 1, 0.125), (0, 1, 0.875), (1, 2, 0.125)]
-        );
-        assert_eq!(between_cells(11, 4, 3), (2, 2, 0.0));
-        // In sixteenths: 8 cells of 8 pixels, told exactly.
-        assert!((0..64).all(|x| (16.0 * between_cells(x, 8, 8).2).fract() == 0.0));
     }
 
     #[test]

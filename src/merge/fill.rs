@@ -15,7 +15,8 @@
 //!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Tile};
-use super::mean::{Channels, Means, Taken};
+use super::mean::{Channels, Means};
+use super::rows::Taken;
 use crate::simd::{Loops, at_least, at_most};
 
 /// What is kept from row to row.
@@ -33,7 +34,7 @@ pub(super) struct Filling {
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// As of a [`MergedRow`](super::mean::MergedRow).
+    /// As of a [`MergedRow`](super::rows::MergedRow).
     pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub fill: Fill,

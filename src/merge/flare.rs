@@ -15,7 +15,7 @@
 use super::statistics::{BT709, luminance};
 use super::{FLOOR, RadianceMap};
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::between_cells;
 use serde::Serialize;
 use std::f64::consts::PI;
 

@@ -5,8 +5,8 @@
 
 use super::FLOOR;
 use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Tile};
-use crate::simd::{Loops, at_least, at_most};
-use std::ops::Range;
+use super::rows::Taken;
+use crate::simd::{at_least, at_most};
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
 /// on the hat. A smaller one would let a second frame that noise lifts from black by one code outvote the longest; a larger one would
@@ -25,12 +25,12 @@ pub(super) type Channels = [[f32; COLUMNS]; 3];
 /// The means of a row's pixels so far.
 pub(super) struct Means {
     sum: Channels,
-    weight: Channels,
+    pub(super) weight: Channels,
     /// The radiance that the scene has here at least, as shorter exposures vouch for it.
     vouched: Channels,
     /// e X / dt and e of the longest exposure so far.
     longest_sum: Channels,
-    longest_weight: Channels,
+    pub(super) longest_weight: Channels,
     /// 1 where a frame was believed; where some channel is at its top code even in the shortest exposure; where all channels are at code 0
     /// even in the longest.
     is_seen: [u32; COLUMNS],
@@ -65,88 +65,6 @@ pub(super) struct Bounds {
     pub black: usize,
 }
 
-/// How a row of a frame takes part.
-#[derive(Clone, Copy)]
-pub(super) struct Taken<'a> {
-    /// How far it is believed at each of the pixels, 0..=1; wholly where it does not say.
-    pub kept: &'a [f32],
-    /// What its radiance is multiplied by at each of the pixels; 1 where it does not say.
-    pub gain: &'a [f32],
-}
-
-impl<'a> Taken<'a> {
-    /// The pixels `part` of all that `kept` and `gain` say; they say nothing if they are empty.
-    pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
-        Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
-    }
-}
-
-/// Merges row `y` of a tile into `line`, of the frames whose place is known.
-pub(super) struct MergedRow<'a, 'b> {
-    pub layers: &'a [Layer<'b>],
-    pub tiles: &'a [Tile],
-    pub taken: &'a [Taken<'a>],
-    pub y: usize,
-    pub means: &'a mut Means,
-    pub line: &'a mut [[f32; 3]],
-}
-
-impl Loops for MergedRow<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.means.add_all(None, (self.layers, self.tiles, self.taken), self.y);
-        let mut radiance = [[0.0; COLUMNS]; 3];
-        self.means.radiance(&mut radiance);
-        let [red, green, blue] = &radiance;
-        for (x, pixel) in self.line.iter_mut().enumerate().take(COLUMNS) {
-            *pixel = [red[x], green[x], blue[x]];
-        }
-    }
-}
-
-/// Weighs what each frame gives of a tile's first row, for people to look at.
-pub(super) struct WeighedRow<'a, 'b> {
-    /// The frames that are weighed: those that fill this, or those whose place is known.
-    pub fill: Option<Fill>,
-    pub layers: &'a [Layer<'b>],
-    pub tiles: &'a [Tile],
-    /// As of a [`MergedRow`].
-    pub taken: &'a [Taken<'a>],
-    pub means: &'a mut Means,
-    /// For each frame and pixel the weights of the three channels together, those that decide included.
-    pub weights: &'a mut [[f32; COLUMNS]],
-}
-
-impl Loops for WeighedRow<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.means.clear();
-        // The last frame believed decides what is dark: which, and by how much.
-        let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
-        for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
-            let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };
-            let before = self.means.weight;
-            self.means.add(layer, &row, *taken);
-            for x in 0..COLUMNS {
-                self.weights[i][x] = (0..3).map(|c| self.means.weight[c][x] - before[c][x]).sum();
-                if self.means.frame.is_believed[x] != 0 {
-                    last[x] = Some(i);
-                    decides[x] = (0..3).map(|c| self.means.longest_weight[c][x]).sum();
-                }
-            }
-        }
-        for x in 0..COLUMNS {
-            if let Some(i) = last[x] {
-                self.weights[i][x] += decides[x];
-            }
-        }
-    }
-}
-
 impl Means {
     pub fn new() -> Self {
         let (none, zero, flags) = ([[0.0; COLUMNS]; 3], [0.0; COLUMNS], [0; COLUMNS]);
@@ -173,7 +91,7 @@ impl Means {
     }
 
     #[inline(always)]
-    fn clear(&mut self) {
+    pub fn clear(&mut self) {
         for of in [&mut self.sum, &mut self.weight, &mut self.vouched, &mut self.longest_sum, &mut self.longest_weight]
         {
             *of = [[0.0; COLUMNS]; 3];
@@ -196,7 +114,7 @@ impl Means {
 
     /// Adds a frame's row, as it is `taken`. A pixel that the frame does not reach is one that is not believed.
     #[inline(always)]
-    fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
+    pub fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
         let View { meanings, trust, v, below_top, is_first, is_believed, gain: factor, inverse } = &mut self.frame;
         let gain = &gain[..gain.len().min(COLUMNS)];
         factor[..gain.len()].copy_from_slice(gain);
@@ -274,6 +192,12 @@ impl Means {
     #[inline(always)]
     pub fn is_seen(&self, x: usize) -> bool {
         self.is_seen[x] != 0
+    }
+
+    /// Whether the frame that was added last is believed at pixel `x`.
+    #[inline(always)]
+    pub fn is_last_believed(&self, x: usize) -> bool {
+        self.frame.is_believed[x] != 0
     }
 
     /// What is known of pixel `x` beyond the range of these frames, because `other` ones fill it.

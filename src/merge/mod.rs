@@ -36,31 +36,22 @@ pub mod gamut;
 mod layer;
 pub mod local;
 mod mean;
+mod merging;
 pub mod miniature;
 mod noise;
 pub mod normalisation;
+mod rows;
 pub mod share;
 pub mod statistics;
 pub mod weight;
 
-use crate::align::{Alignment, Rect};
-use crate::bracket::Bracket;
+use crate::align::Rect;
 use crate::bracket::colour::Primaries;
-use crate::error::{Error, Result};
 use crate::plane::Plane;
-use crate::response::ResponseCurve;
-use crate::simd::vectorised;
 use calibration::Unit;
-use deghost::Ghosts;
-use fill::{FilledRow, Filling};
-use layer::{COLUMNS, Fill, Layer, ROWS, Tile, layers};
-use local::LocalGain;
-use mean::{Bounds, Means, MergedRow, Taken};
+pub use merging::{Merging, Slab, merge};
 use serde::Serialize;
 use statistics::Statistics;
-use std::ops::Range;
-use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use weight::Weight;
 
 /// The least radiance: below what any curve and exposure give, so that no value is 0.
@@ -125,200 +116,13 @@ pub struct MergeReport {
     pub radiance: Statistics,
 }
 
-/// A merge that is ready to be done, as a whole or slab by slab: the frames that take part, and what their codes mean.
-pub struct Merging<'a> {
-    bracket: &'a Bracket,
-    region: Rect,
-    layers: Vec<Layer<'a>>,
-    /// Which frame of the bracket each layer is.
-    frames: Vec<usize>,
-    ghosts: Option<&'a Ghosts>,
-    local: Option<&'a LocalGain>,
-}
-
-/// Some rows of the result.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Slab {
-    /// Their radiance.
-    pub map: RadianceMap,
-    /// See [`Merged::all_clipped`].
-    pub all_clipped: usize,
-    /// See [`Merged::all_black`].
-    pub all_black: usize,
-}
-
-impl<'a> Merging<'a> {
-    /// The merge of `options.region`.
-    ///
-    /// Frames that are rejected take no part, nor does a frame where it does not cover the pixel. What `ghosts` (found over the same
-    /// region, with the same alignment) leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less
-    /// than half is kept decides nothing.
-    ///
-    /// # Errors
-    /// [`Error::Option`] where the region is empty or not within the reference, where no frame was placed, or where `ghosts` are of another
-    /// region or other frames; [`Error::Scratch`].
-    pub fn of(
-        bracket: &'a Bracket,
-        alignment: &'a Alignment,
-        curve: &ResponseCurve,
-        options: &MergeOptions,
-        ghosts: Option<&'a Ghosts>,
-    ) -> Result<Self> {
-        let region = options.region;
-        let Rect { x0, y0, x1, y1 } = region;
-        if !(x0 < x1 && y0 < y1 && x1 <= bracket.width() && y1 <= bracket.height()) {
-            return Err(Error::Option {
-                option: "--crop",
-                reason: format!(
-                    "columns {x0}..{x1} and rows {y0}..{y1} are no part of a picture of {}x{} pixels",
-                    bracket.width(),
-                    bracket.height()
-                ),
-            });
-        }
-        let layers = layers(bracket, alignment, curve, options.weight)?;
-        if layers.is_empty() {
-            return Err(Error::Option {
-                option: "--align",
-                reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
-            });
-        }
-        let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
-        let merging = Merging { bracket, region, layers, frames, ghosts, local: None };
-        ghosts.map_or(Ok(()), |ghosts| ghosts.check(region, &merging.paths()))?;
-        Ok(merging)
-    }
-
-    /// The same merge of frames that are locally processed: the radiance of each is multiplied by its gain (found over the same region, with the same
-    /// alignment).
-    ///
-    /// # Errors
-    /// [`Error::Option`] where the gain is of another region or other frames.
-    pub fn with_local_gain(self, local: Option<&'a LocalGain>) -> Result<Self> {
-        local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
-        let mut merging = Merging { local, ..self };
-        if local.is_some() {
-            merging.layers.iter_mut().for_each(Layer::weigh_as_local);
-        }
-        Ok(merging)
-    }
-
-    /// The frames that take part, by rising exposure.
-    fn paths(&self) -> Vec<&'a Path> {
-        self.frames.iter().map(|&i| self.bracket.frames()[i].path()).collect()
-    }
-
-    /// What frames of which the place is assumed are to fill.
-    fn fills(&self) -> Vec<Fill> {
-        let is_asked = |fill: &Fill| self.layers.iter().any(|layer| layer.fill == Some(*fill));
-        [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
-    }
-
-    /// How far each pixel of layer `i` is believed at `rows` of the region; nothing where wholly. A frame that fills is not compared with what it fills.
-    fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
-        let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
-        ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
-    }
-
-    /// What the radiance of each pixel of layer `i` is multiplied by at `rows` of the region; nothing where by 1.
-    fn gain(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
-        self.local.map_or_else(Vec::new, |local| local.at(i, rows))
-    }
-
-    /// Width and height of the result, in pixels.
-    pub fn size(&self) -> (usize, usize) {
-        (self.region.width(), self.region.height())
-    }
-
-    /// What came of it, where `bounds` are the [`Slab::all_clipped`] and [`Slab::all_black`] of all slabs together.
-    pub fn merged(&self, (all_clipped, all_black): (usize, usize)) -> Merged {
-        let reference_exposure = self.bracket.reference().exposure.relative();
-        Merged { frames: self.layers.len(), all_clipped, all_black, reference_exposure }
-    }
-
-    /// The rows `rows` of the result, which do not depend on where the slab begins and ends.
-    ///
-    /// # Errors
-    /// [`Error::Scratch`], where frames are on disk.
-    ///
-    /// # Panics
-    /// When the result has no such rows.
-    pub fn slab(&self, rows: Range<usize>) -> Result<Slab> {
-        let Rect { x0, y0, x1, .. } = self.region;
-        assert!(rows.start < rows.end && rows.end <= self.region.height());
-        let (first, columns) = (rows.start, x0..x1);
-        let whole = y0 + rows.start..y0 + rows.end;
-        let windows = self.layers.iter().map(|layer| layer.window(&columns, &whole)).collect::<Result<Vec<_>>>()?;
-        let (all_clipped, all_black) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let width = self.region.width();
-        let mut pixels = Plane::filled(width, rows.len(), [0.0; 3]);
-        let fills = self.fills();
-        let scratch = || {
-            let filling = (!fills.is_empty()).then(Filling::new);
-            (Means::new(), filling, self.layers.iter().map(|_| Tile::new()).collect::<Vec<_>>())
-        };
-        pixels.fill_bands_with(scratch, |(means, filling, tiles), rows, band| {
-            let mut bounds = Bounds::default();
-            for (strip, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
-                let rows = first + strip..first + strip + out.len() / width;
-                let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, rows.clone())).collect();
-                let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.gain(i, rows.clone())).collect();
-                for left in (0..width).step_by(COLUMNS) {
-                    let columns = left..(left + COLUMNS).min(width);
-                    for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
-                        let columns = x0 + columns.start..x0 + columns.end;
-                        tile.read(layer, window, columns, y0 + rows.start..y0 + rows.end);
-                    }
-                    for (y, line) in out.chunks_exact_mut(width).enumerate() {
-                        let part = y * width + columns.start..y * width + columns.end;
-                        let taken: Vec<Taken> =
-                            kept.iter().zip(&gain).map(|(kept, gain)| Taken::part(kept, gain, part.clone())).collect();
-                        let line = &mut line[columns.clone()];
-                        vectorised(MergedRow { layers: &self.layers, tiles, taken: &taken, y, means, line });
-                        if let Some(filling) = filling {
-                            for &fill in &fills {
-                                let (layers, taken, known) = (&self.layers, &taken[..], &mut *means);
-                                let radiance = &mut *line;
-                                vectorised(FilledRow { layers, tiles, taken, y, fill, filling, known, radiance });
-                            }
-                        }
-                        let found = means.bounds(line.len());
-                        bounds.clipped += found.clipped;
-                        bounds.black += found.black;
-                    }
-                }
-            }
-            // Whole numbers add up to the same in any order.
-            all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);
-            all_black.fetch_add(bounds.black, Ordering::Relaxed);
-        });
-        let map = RadianceMap { pixels, primaries: self.bracket.reference().primaries() };
-        Ok(Slab { map, all_clipped: all_clipped.into_inner(), all_black: all_black.into_inner() })
-    }
-}
-
-/// All of a [merge](Merging) at once.
-///
-/// # Errors
-/// Those of [`Merging::of`].
-pub fn merge(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    curve: &ResponseCurve,
-    options: &MergeOptions,
-    ghosts: Option<&Ghosts>,
-) -> Result<(RadianceMap, Merged)> {
-    let merging = Merging::of(bracket, alignment, curve, options, ghosts)?;
-    let slab = merging.slab(0..merging.size().1)?;
-    let merged = merging.merged((slab.all_clipped, slab.all_black));
-    Ok((slab.map, merged))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::Status;
     use crate::align::warp::Warp;
+    use crate::align::{Alignment, Status};
+    use crate::bracket::Bracket;
+    use crate::response::ResponseCurve;
     use crate::response::tests::still;
 
     fn run(bracket: &Bracket, alignment: &Alignment, weight: Weight) -> (RadianceMap, Merged) {
@@ -368,7 +172,7 @@ mod tests {
         let (bracket, alignment) = still((64, 48), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let curve = ResponseCurve::srgb();
         let region = Rect { x0: 8, y0: 0, x1: 40, y1: 48 };
-        let ghosts = deghost::find(&bracket, &alignment, &curve, region, deghost::AUTO).unwrap();
+        let ghosts = deghost::find(&bracket, &alignment, &curve, region, deghost::AUTO, None).unwrap();
         let merged = |alignment: &Alignment, region| {
             merge(&bracket, alignment, &curve, &MergeOptions { weight: Weight::Hat, region }, Some(&ghosts))
         };

@@ -5,7 +5,8 @@
 
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Tile};
-use super::mean::{Means, Taken, WeighedRow};
+use super::mean::Means;
+use super::rows::{Taken, WeighedRow};
 use super::{Merging, Rect};
 use crate::error::Result;
 use crate::plane::Plane;

@@ -184,11 +184,15 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
                 )
             })
             .collect();
+        let continued = match ghosts.continued_fraction {
+            0.0 => String::new(),
+            share => format!(" Where the reference clips there, light is continued from around: {}.", percent(share)),
+        };
         let caption = match ghosts.regions.is_empty() {
             true => "<b>Movement.</b> None was found: every frame takes part everywhere.".to_owned(),
             false => format!(
                 "<b>Movement.</b> Where something moved, and other frames were left out in favour of what the reference shows: black nothing, white all \
-                 of them; strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.",
+                 of them; strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.{continued}",
                 ghosts.strength,
                 percent(ghosts.ghost_fraction)
             ),

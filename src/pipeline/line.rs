@@ -31,6 +31,7 @@ use crate::tonemap::overview::Overview;
 use crate::tonemap::tones::Tones;
 use crate::write::{self, Files, Metadata, Pending, Settled, Written, aligned};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -280,8 +281,9 @@ impl<'a> Line<'a> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let local = camera.local().map(|_| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
-            let gain = |i, x, y| local.as_ref().map_or(1.0, |local: &LocalGain| local.factor(i, x, y));
-            let ghosts = |strength| deghost::find_with_gain(bracket, alignment, curve, region, strength, &gain);
+            let gain = local.as_ref().map(|local| move |layer: usize, rows: Range<usize>| local.at(layer, rows));
+            let gain = gain.as_ref().map(|gain| gain as deghost::Gain);
+            let ghosts = |strength| deghost::find(bracket, alignment, curve, region, strength, gain);
             let ghosts = options.deghost.strength().map(ghosts).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let merging = merging.with_local_gain(local.as_ref())?;

@@ -7,7 +7,7 @@
 //! small and to show large become a straight line.
 
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::between_cells;
 
 /// The tone of every place: v = a l + b.
 #[derive(Debug, Clone, PartialEq)]

@@ -176,11 +176,15 @@ fn averaged<T: Copy + Sync>(
                     (under * width + next, fx * fy),
                 ];
                 for (pixel, weight) in taps {
+                    let (mut least, mut most) = (f32::INFINITY, 0.0f32);
                     for c in 0..3 {
                         let (code, radiance) = of(codes[3 * pixel + c], c);
                         sum[c] += weight * radiance;
                         flags |= u8::from(code > CLIPPED) << c | u8::from(code <= meaning.black[c]) << (3 + c);
+                        (least, most) = (least.min(code), most.max(code));
                     }
+                    // No light has a channel at the top and another at 0: the colour is painted, as the borders of registered scans are.
+                    flags |= if least <= 0.5 && most >= 254.5 { OUTSIDE } else { 0 };
                 }
             }
             let mut cell_radiance = sum.map(|s| s * share);

@@ -2,11 +2,12 @@
 //!
 //! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns a pixel where something is left out.
 
+use super::holes::Holes;
 use super::region;
 use crate::align::Rect;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::{between_cells, row_between_cells};
 use serde::Serialize;
 use std::ops::Range;
 use std::path::Path;
@@ -19,6 +20,8 @@ pub struct Ghosts {
     pub(super) strength: f64,
     /// One for each placed frame by rising exposure: its path, and for each cell the factor times 255; none for the reference.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
+    /// What is continued where the reference clips and no frame is left that shows more.
+    pub(super) holes: Option<Holes>,
 }
 
 /// What was left out, for the report.
@@ -28,7 +31,9 @@ pub struct GhostReport {
     pub strength: f64,
     /// The share of the result, by cells, in which some frame was left out by more than half.
     pub ghost_fraction: f64,
-    /// The frames but the reference, by rising exposure.
+    /// The share of the result, by cells, in which the reference clips and the frames that show more were left out: radiance is continued from around.
+    pub continued_fraction: f64,
+    /// The frames that were compared, by rising exposure: neither the reference, nor those of which the place is but assumed.
     pub frames: Vec<GhostFrame>,
     /// The largest connected parts of the result in which some frame was left out by more than half, the largest first: at most [`MOST_REGIONS`].
     pub regions: Vec<GhostRegion>,
@@ -84,25 +89,26 @@ impl Ghosts {
     /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
     pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
-        let (first, last) =
-            (place(rows.start, self.side, map.height()).0, place(rows.end - 1, self.side, map.height()).1);
+        let between = |y| between_cells(y, self.side, map.height());
+        let (first, last) = (between(rows.start).0, between(rows.end - 1).1);
         if map.rows(first..last + 1).iter().all(|&kept| kept == u8::MAX) {
             return Vec::new();
         }
-        let mut out = Vec::with_capacity(rows.len() * self.region.width());
-        let mut line = vec![0.0f32; map.width()];
-        for y in rows {
-            let (above, below, f) = place(y, self.side, map.height());
-            for ((v, a), b) in line.iter_mut().zip(map.row(above)).zip(map.row(below)) {
-                let (a, b) = (f32::from(*a), f32::from(*b));
-                *v = (a + f * (b - a)) * (1.0 / 255.0);
-            }
-            out.extend((0..self.region.width()).map(|x| {
-                let (left, right, f) = place(x, self.side, map.width());
-                line[left] + f * (line[right] - line[left])
-            }));
+        let width = self.region.width();
+        let mut kept = vec![0.0f32; rows.len() * width];
+        for (y, row) in rows.zip(kept.chunks_exact_mut(width)) {
+            row_between_cells(map, self.side, 1.0 / 255.0, y, row);
         }
-        out
+        kept
+    }
+
+    /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips and no frame is left that shows more.
+    pub(in crate::merge) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
+        if let Some(holes) = &self.holes {
+            for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
+                holes.fill(self.side, first + y, row);
+            }
+        }
     }
 
     /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the reference are left
@@ -152,7 +158,13 @@ impl Ghosts {
             GhostRegion { x_px, y_px, width_px, height_px, ghost_fraction: share(part.len()) }
         };
         let regions = parts.iter().take(MOST_REGIONS).map(region).collect();
-        GhostReport { strength: self.strength, ghost_fraction: all, frames: maps().map(of).collect(), regions }
+        GhostReport {
+            strength: self.strength,
+            ghost_fraction: all,
+            continued_fraction: self.holes.as_ref().map_or(0.0, Holes::fraction),
+            frames: maps().map(of).collect(),
+            regions,
+        }
     }
 
     /// Whether frame `layer` takes part everywhere.
@@ -160,11 +172,4 @@ impl Ghosts {
         let map = self.frames.get(layer).and_then(|(_, map)| map.as_ref());
         map.is_none_or(|map| map.as_slice().iter().all(|&kept| kept == u8::MAX))
     }
-}
-
-/// As [`between_cells`]: sides are powers of 2, of which nothing is lost here.
-#[inline]
-pub(super) fn place(pixel: usize, side: usize, count: usize) -> (usize, usize, f32) {
-    let (first, second, f) = between_cells(pixel, side, count);
-    (first, second, f as f32)
 }

@@ -1,7 +1,7 @@
 //! Deghosting: where the other frames show something else than the reference.
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: [`Ghosts`], for each frame and pixel how far it may take part.
-//! Cost: some 200 ns of one core for each cell of each frame, and 200 more where something differs: of 12 MP 4 ns a pixel; 140 bytes for each of
+//! Cost: some 200 ns of one core for each cell of each frame, and 200 more where something differs: of 12 MP 4 ns a pixel; 156 bytes for each of
 //! at most 262,144 cells (more only beyond 16 MP), whatever the number of frames, and a byte for each cell of each frame. Source:
 //! the reference as the standard, and the frame's departure from it against what noise allows, are those of Ward's hdrgen (option `-g`);
 //! the noise model, the chain of standards, the scales, and that an edge must tell motion from misfit are ours.
@@ -12,8 +12,9 @@
 //!    only a bound. What is `usual` between the two in the whole picture is no motion.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger cells: what alignment,
 //!    noise and JPEG leave cancels, what moved adds up. The strongest scale decides; the three channels have one verdict: `evidence`.
-//! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs and is connected with that is left
-//!    out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
+//! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs, is connected with that and has such an edge
+//!    all around is left out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
+//! 5. Where the reference clips and the frames that show more are left out, radiance is continued from around: `holes`.
 //!
 //! On five truth brackets with a mover, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 in the place of all this has a PU21-PSNR 2 to 20 dB below
 //! that of leaving the ghosts in: it takes every frame's noise for motion.
@@ -21,6 +22,7 @@
 pub(super) mod cells;
 mod evidence;
 mod ghosts;
+mod holes;
 mod region;
 mod structure;
 mod usual;
@@ -34,7 +36,9 @@ use crate::plane::Plane;
 use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
 pub use ghosts::{GhostFrame, GhostRegion, GhostReport, Ghosts, MOST_REGIONS};
+use holes::Shorter;
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 /// Most cells of a picture, but that none is larger than `LARGEST`.
@@ -153,7 +157,10 @@ pub(super) fn layers<'a>(
     (layers, reference)
 }
 
-/// Where in `region` each placed frame shows something else than the reference.
+/// By what the radiance of frame i (of the placed ones, by rising exposure) is multiplied at rows of the region; nothing where by 1.
+pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
+
+/// Where in `region` each placed frame shows something else than the reference. Frames that are locally processed are compared with their `gain`.
 ///
 /// # Errors
 /// [`Error::Option`] where the strength is out of its range; [`Error::Scratch`].
@@ -163,55 +170,45 @@ pub fn find(
     curve: &ResponseCurve,
     region: Rect,
     strength: f64,
-) -> Result<Ghosts> {
-    find_with_gain(bracket, alignment, curve, region, strength, &|_, _, _| 1.0)
-}
-
-/// As [`find`], of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising exposure) at column x and
-/// row y of the region is multiplied by `gain(i, x, y)`.
-///
-/// # Errors
-/// Those of [`find`].
-pub fn find_with_gain(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    curve: &ResponseCurve,
-    region: Rect,
-    strength: f64,
-    gain: &(dyn Fn(usize, usize, usize) -> f32 + Sync),
+    gain: Option<Gain>,
 ) -> Result<Ghosts> {
     Deghost::Strength(strength).validate()?;
     let (layers, reference) = layers(bracket, alignment, curve);
     let side = side(region);
     let seen = |i: usize| {
         let mut cells = cells::average(&layers[i], region, side, i as u16)?;
-        cells.fill_rows(|y, row| {
-            for (x, cell) in row.iter_mut().enumerate() {
-                let factor = gain(i, side * x + side / 2, side * y + side / 2);
-                cell.radiance.iter_mut().for_each(|v| *v *= factor);
-            }
-        });
+        if let Some(gain) = gain {
+            let middle = |cell: usize, size: usize| (side * cell + side / 2).min(size - 1);
+            cells.fill_rows(|y, row| {
+                let y = middle(y, region.height());
+                let factors = gain(i, y..y + 1);
+                for (x, cell) in row.iter_mut().enumerate() {
+                    let factor = factors.get(middle(x, region.width())).copied().unwrap_or(1.0);
+                    cell.radiance.iter_mut().for_each(|v| *v *= factor);
+                }
+            });
+        }
         Ok::<_, Error>(cells)
     };
     let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();
     let mut frames: Vec<(String, Option<Plane<u8>>)> =
         layers.iter().map(|layer| (layer.frame.path().to_string_lossy().into_owned(), None)).collect();
     let shown = seen(reference)?;
+    let mut shorter = Shorter::than(&shown);
     for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {
         let mut standard = shown.clone();
         for i in outwards.into_iter().filter(|&i| !layers[i].is_assumed) {
             let frame = seen(i)?;
             let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);
             take_over(&mut standard, &frame, &moved, &meanings);
-            let left_out = region::widened(&moved, MARGIN, FADE);
-            frames[i].1 = Some(Plane::from_rows(moved.width(), moved.height(), |y, row| {
-                for (kept, m) in row.iter_mut().zip(left_out.row(y)) {
-                    *kept = (255.0 * (1.0 - m) + 0.5) as u8;
-                }
-            }));
+            let kept = region::kept(&moved, MARGIN, FADE);
+            if i < reference {
+                shorter.add(&frame, &kept);
+            }
+            frames[i].1 = Some(kept);
         }
     }
-    Ok(Ghosts { region, side, strength, frames })
+    Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
 }
 
 /// The side of a cell in pixels.

@@ -1,24 +1,13 @@
 //! Regions: from evidence cell by cell to what is left out.
 //!
-//! In: for each cell how far a frame differs, and how surely that is motion. Out: 0 or 1 for each cell; a factor that falls off around it. Cost: some 10 ns
+//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a factor that rises around it. Cost: some 10 ns
 //! a cell.
 //!
-//! Of what differs the connected parts that somewhere surely moved are left out, wholly: a mover's middle may look like what it hides, and a tenth
-//! of a long exposure's weight may still be ten times the reference's.
+//! Of what differs the connected parts that moved are left out, wholly: a mover's middle may look like what it hides, and a tenth of a long exposure's weight may
+//! still be ten times the reference's.
 
 use crate::plane::Plane;
-
-/// Where of the connected parts of `may` that have something of `is` in them lies something.
-pub fn grown(may: &Plane<bool>, is: &Plane<bool>) -> Plane<bool> {
-    let mut left = may.clone();
-    let mut grown = Plane::filled(may.width(), may.height(), false);
-    for y in 0..may.height() {
-        for x in (0..may.width()).filter(|&x| is.at(x, y)) {
-            taken(&mut left, (x, y)).into_iter().for_each(|(x, y)| grown.row_mut(y)[x] = true);
-        }
-    }
-    grown
-}
+use crate::pyramid::cells::{gathered, near};
 
 /// The connected parts of `plane`, from top to bottom: the columns and rows of each.
 pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
@@ -48,65 +37,38 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     part
 }
 
+/// Whether a cell of `plane` that is true has one beside, above or below it that is not, or that is not there.
+pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
+    let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
+    !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
+}
+
+/// What is true, and what is within `reach` cells of it to either side, above and below.
+fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
+    gathered(plane, reach, |is, near| *is |= near)
+}
+
 /// With the gaps closed that are less than 2 `reach` cells wide.
 pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
-    let number = |is: &Plane<bool>, of: bool| {
-        Plane::from_rows(is.width(), is.height(), |y, row: &mut [f32]| {
-            row.iter_mut().zip(is.row(y)).for_each(|(v, &is)| *v = f32::from(u8::from(is == of)));
-        })
+    let not = |mut plane: Plane<bool>| {
+        plane.as_mut_slice().iter_mut().for_each(|is| *is = !*is);
+        plane
     };
-    let truth = |of: &Plane<f32>, when: f32| {
-        Plane::from_rows(of.width(), of.height(), |y, row: &mut [bool]| {
-            row.iter_mut().zip(of.row(y)).for_each(|(is, &v)| *is = v == when);
-        })
-    };
-    let wide = truth(&greatest(&number(plane, true), reach), 1.0);
-    truth(&greatest(&number(&wide, false), reach), 0.0)
+    not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// 1 within `reach` cells of what is true, falling to 0 over the next `2 fade`.
-pub fn widened(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<f32> {
-    let mut wide = Plane::from_rows(plane.width(), plane.height(), |y, row: &mut [f32]| {
-        row.iter_mut().zip(plane.row(y)).for_each(|(v, &is)| *v = f32::from(u8::from(is)));
-    });
-    wide = greatest(&wide, reach + fade);
-    // The mean reaches `fade` cells to both sides of the border: what is within `reach` stays 1.
-    mean(&wide, fade)
-}
-
-/// The mean within `reach` cells to either side, above and below.
-fn mean(plane: &Plane<f32>, reach: usize) -> Plane<f32> {
+/// How far a frame takes part, times 255: not at all within `reach` cells of what is true, and more and more over the next `2 fade`.
+pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
-    let window = |i: usize, size: usize| i.saturating_sub(reach)..(i + reach + 1).min(size);
-    let along = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-        for (x, v) in row.iter_mut().enumerate() {
-            let of = &plane.row(y)[window(x, width)];
-            *v = of.iter().sum::<f32>() / of.len() as f32;
-        }
-    });
-    Plane::from_rows(width, height, |y, row: &mut [f32]| {
-        let rows = window(y, height);
-        let count = rows.len() as f32;
-        for line in rows.map(|y| along.row(y)) {
-            row.iter_mut().zip(line).for_each(|(v, &l)| *v += l);
-        }
-        row.iter_mut().for_each(|v| *v /= count);
-    })
-}
-
-/// The greatest value within `reach` cells to either side, above and below.
-fn greatest(plane: &Plane<f32>, reach: usize) -> Plane<f32> {
-    let (width, height) = (plane.width(), plane.height());
-    let window = |i: usize, size: usize| i.saturating_sub(reach)..(i + reach + 1).min(size);
-    let along = Plane::from_rows(width, height, |y, row| {
-        let line = plane.row(y);
-        for (x, v) in row.iter_mut().enumerate() {
-            *v = line[window(x, width)].iter().fold(0.0, |a: f32, &b| a.max(b));
-        }
-    });
-    Plane::from_rows(width, height, |y, row: &mut [f32]| {
-        for line in window(y, height).map(|y| along.row(y)) {
-            row.iter_mut().zip(line).for_each(|(v, &l)| *v = v.max(l));
+    // The mean reaches `fade` cells to both sides of the border: what is within `reach` stays out.
+    let wide = grown_by(plane, reach + fade);
+    let free = Plane::from_vec(width, height, wide.as_slice().iter().map(|&is| usize::from(!is)).collect());
+    let free = gathered(&free, fade, |sum, number| *sum += number);
+    Plane::from_rows(width, height, |y, row: &mut [u8]| {
+        let rows = near(y, fade, height).len();
+        for (x, (kept, free)) in row.iter_mut().zip(free.row(y)).enumerate() {
+            let all = rows * near(x, fade, width).len();
+            *kept = ((255 * free + all / 2) / all) as u8;
         }
     })
 }
@@ -122,12 +84,12 @@ mod tests {
     }
 
     #[test]
-    fn what_may_have_moved_goes_with_what_did_where_they_are_connected() {
-        let may = plane(&["##...##", "..#..##", "...#...", "#......"]);
-        let is = plane(&["#......", "....#..", ".......", "......."]);
-        // By corners too; that which may not have moved is none, and the other parts stay.
-        assert_eq!(grown(&may, &is), plane(&["##.....", "..#....", "...#...", "......."]));
-        assert_eq!(parts(&may).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4, 1]);
+    fn parts_are_connected_by_corners_too_and_their_borders_are_seen() {
+        let all = plane(&["##...##", "..#..##", "...#...", "#......"]);
+        assert_eq!(parts(&all).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4, 1]);
+        let square = plane(&[".....", ".###.", ".###.", ".###.", "....."]);
+        assert_eq!(parts(&square)[0].iter().filter(|&&at| is_border(&square, at)).count(), 8);
+        assert!(is_border(&Plane::filled(3, 3, true), (0, 1)) && !is_border(&Plane::filled(3, 3, true), (1, 1)));
     }
 
     #[test]
@@ -141,13 +103,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_widened_is_whole_within_reach_and_fades_beyond() {
+    fn what_is_kept_is_none_within_reach_and_more_beyond() {
         let mut plane = Plane::filled(40, 30, false);
         plane.row_mut(15)[20] = true;
-        let wide = widened(&plane, 2, 2);
-        assert!((18..=22).all(|x| (wide.at(x, 15) - 1.0).abs() < 1e-6), "{:?}", wide.row(15));
-        assert!((23..27).all(|x| wide.at(x, 15) < wide.at(x - 1, 15)) && wide.at(27, 15) == 0.0, "{:?}", wide.row(15));
-        let sure = Plane::filled(9, 9, true);
-        assert!(widened(&sure, 2, 2).as_slice().iter().all(|v| (v - 1.0).abs() < 1e-6));
+        let kept = kept(&plane, 2, 2);
+        assert!((18..=22).all(|x| kept.at(x, 15) == 0), "{:?}", kept.row(15));
+        // A fifth more with each cell.
+        assert_eq!(&kept.row(15)[22..28], [0, 51, 102, 153, 204, 255]);
+        let all = super::kept(&Plane::filled(9, 9, true), 2, 2);
+        assert!(all.as_slice().iter().all(|&v| v == 0));
     }
 }

@@ -17,6 +17,8 @@ const LEAST: f32 = 0.04;
 const COMMON: f32 = 0.35;
 /// Halvings at which cells are compared, the cells themselves included.
 const SCALES: usize = 4;
+/// Those of them at which the border of what differs is followed: the cells of the largest are as large as many movers.
+const SMALLER: usize = 3;
 /// The share of the variance that is left in the mean of four cells: between the quarter of independent ones and all of like ones.
 const LEFT: f32 = 0.5;
 
@@ -95,18 +97,36 @@ fn change_at(plane: &Plane<Ratio>, x: usize, y: usize) -> f32 {
     pairs[0].max(pairs[1])
 }
 
-/// Where of `asked` something surely changes, by `least` standard deviations, at one of the scales.
-pub fn changed(ratios: Plane<Ratio>, asked: &Plane<bool>, least: f32) -> Plane<bool> {
-    let mut scales = vec![ratios];
-    while scales.len() < SCALES {
-        scales.extend(scales.last().map(halved));
-    }
-    Plane::from_rows(asked.width(), asked.height(), |y, row: &mut [bool]| {
-        for (x, is) in row.iter_mut().enumerate() {
-            let at = |(i, plane): (usize, &Plane<Ratio>)| change_at(plane, x >> i, y >> i) >= least;
-            *is = asked.at(x, y) && scales.iter().enumerate().any(at);
+/// The log ratios at all scales.
+pub struct Scales {
+    planes: Vec<Plane<Ratio>>,
+}
+
+impl Scales {
+    /// Of the cells' own.
+    pub fn of(ratios: Plane<Ratio>) -> Self {
+        let mut planes = vec![ratios];
+        while planes.len() < SCALES {
+            planes.extend(planes.last().map(halved));
         }
-    })
+        Scales { planes }
+    }
+
+    /// How surely something changes at a cell, by its column and row, at each of the scales, in standard deviations.
+    fn changes(&self, (x, y): (usize, usize)) -> impl Iterator<Item = f32> + '_ {
+        self.planes.iter().enumerate().map(move |(i, plane)| change_at(plane, x >> i, y >> i))
+    }
+
+    /// Whether something surely changes at a cell, by `least` standard deviations, at one of the scales.
+    pub fn is_changed(&self, at: (usize, usize), least: f32) -> bool {
+        self.changes(at).any(|change| change >= least)
+    }
+
+    /// The mean over some cells of how surely something changes at the smaller scales, in standard deviations.
+    pub fn mean(&self, cells: &[(usize, usize)]) -> f32 {
+        let all: f32 = cells.iter().map(|&at| self.changes(at).take(SMALLER).sum::<f32>()).sum();
+        all / (SMALLER * cells.len()).max(1) as f32
+    }
 }
 
 #[cfg(test)]
@@ -122,8 +142,8 @@ mod tests {
                     Ratio { standard: [standard(x, y); 3], ratio: [ratio(x, y); 3], variance: [1e-4; 3] };
             }
         }
-        let changed = changed(plane, &Plane::filled(32, 32, true), 4.0);
-        changed.as_slice().iter().filter(|is| **is).count()
+        let scales = Scales::of(plane);
+        (0..32 * 32).filter(|i| scales.is_changed((i % 32, i / 32), 4.0)).count()
     }
 
     fn half(x: usize) -> f32 {
@@ -143,9 +163,21 @@ mod tests {
     }
 
     #[test]
+    fn the_mean_over_a_border_is_of_the_change_there() {
+        let mut plane = Plane::filled(32, 32, Ratio { variance: [1e-4; 3], ..Ratio::default() });
+        (0..32).for_each(|y| plane.row_mut(y)[16..].iter_mut().for_each(|r| r.ratio = [0.1; 3]));
+        let scales = Scales::of(plane);
+        let column = |x: usize| (0..32).map(|y| (x, y)).collect::<Vec<_>>();
+        // 0.1 over the root of LEAST^2 and two variances is 2.36; of larger cells less varies.
+        assert!((2.36..2.5).contains(&scales.mean(&column(15))), "{}", scales.mean(&column(15)));
+        assert_eq!((scales.mean(&column(2)), scales.mean(&[])), (0.0, 0.0));
+    }
+
+    #[test]
     fn what_is_not_covered_has_no_edge() {
         let mut plane = Plane::filled(32, 32, Ratio { ratio: [1.0; 3], ..Ratio::default() });
         (0..32).for_each(|y| plane.row_mut(y)[20..].fill(Ratio::unknown()));
-        assert!(!changed(plane, &Plane::filled(32, 32, true), 4.0).as_slice().contains(&true));
+        let scales = Scales::of(plane);
+        assert!(!(0..32 * 32).any(|i| scales.is_changed((i % 32, i / 32), 4.0)));
     }
 }

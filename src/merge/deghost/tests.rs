@@ -30,7 +30,7 @@ fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignmen
 }
 
 fn seek(bracket: &Bracket, alignment: &Alignment) -> Ghosts {
-    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, AUTO).unwrap()
+    find(bracket, alignment, &ResponseCurve::srgb(), alignment.overlap, AUTO, None).unwrap()
 }
 
 fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> Plane<[f32; 3]> {
@@ -101,6 +101,61 @@ fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
 }
 
 #[test]
+fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
+    // A sky that doubles from left to right, and clips in the reference; the only shorter frame has a dark mover before it. Below is ground that no frame clips.
+    let sky = |x: usize, y: usize| if y < 150 { [2.0 + 2.0 * x as f64 / SIZE.0 as f64; 3] } else { [0.2; 3] };
+    let mover = |x: usize, y: usize| if disc(x, y, (120, 90)) { [0.2, 0.15, 0.15] } else { sky(x, y) };
+    let times = [0.125, 1.0];
+    let (shorter, reference) =
+        (still(SIZE, &times, mover).0.frames()[0].clone(), still(SIZE, &times, sky).0.frames()[1].clone());
+    let bracket = Bracket::new(vec![shorter, reference], &crate::bracket::ReferenceChoice::Number(2)).unwrap();
+    let alignment = Alignment::unmoved(&bracket);
+    let ghosts = seek(&bracket, &alignment);
+    let found = merged(&bracket, &alignment, Some(&ghosts));
+    let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
+    for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
+        // Steps of one in some 120 codes are 2 %; between means over at most 64 pixels the sky rises by a tenth to either side.
+        let expected = scale * sky(x, y)[1];
+        assert!(
+            (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
+            "{x} {y}: {} for {expected}",
+            found.at(x, y)[1]
+        );
+    }
+    let fraction = ghosts.report().continued_fraction;
+    // The disc is 4.2 % of the picture, and a margin of up to 14 pixels around it is left out too.
+    assert!((0.04..0.1).contains(&fraction), "{fraction}");
+    // The ground is what all frames show, and a still bracket has nothing to continue.
+    assert_eq!(found.row(170), merged(&bracket, &alignment, None).row(170));
+    let (still, alignment) = self::bracket([&sky; 3]);
+    assert_eq!(seek(&still, &alignment).report().continued_fraction, 0.0);
+}
+
+#[test]
+fn a_faint_large_mover_is_found() {
+    // A disc that is 35 % brighter than what it hides.
+    let smooth = |x: usize, y: usize| [0.1 + 0.0004 * x as f64, 0.1 + 0.0003 * y as f64, 0.12];
+    let faint = |x: usize, y: usize| if disc(x, y, (100, 80)) { smooth(x, y).map(|e| 1.35 * e) } else { smooth(x, y) };
+    let (moved, alignment) = bracket([&smooth, &smooth, &faint]);
+    let found = seek(&moved, &alignment).report().ghost_fraction;
+    assert!((0.03..0.105).contains(&found), "{found}");
+}
+
+#[test]
+fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
+    let wall = |x: usize, y: usize| if x < 80 { background(x, y) } else { [0.3, 0.12, 0.06] };
+    let speck = |x: usize, y: usize| (180..192).contains(&x) && (80..92).contains(&y);
+    let misfit = |x: usize, y: usize| {
+        let [r, g, b] = wall(x, y);
+        if speck(x, y) { [0.02; 3] } else { [if x < 80 { r } else { 1.2 * r }, g, b] }
+    };
+    let (bracket, alignment) = bracket([&wall, &wall, &misfit]);
+    let found = seek(&bracket, &alignment).report().ghost_fraction;
+    // The speck is a third of a percent, and up to 26 pixels square with its margin.
+    assert!((0.002..0.025).contains(&found), "{found}");
+}
+
+#[test]
 fn a_frame_that_is_brighter_all_over_has_not_moved() {
     // The exposure is a sixth of a stop off: 12 %, twice the least share that is allowed for.
     let (mut frames, alignment) = bracket([&background; 3]);
@@ -123,7 +178,7 @@ fn the_same_on_any_number_of_threads_and_in_any_region_size() {
     for (width, height) in [(1, 1), (2, 3), (17, 1), (61, 67)] {
         let region = Rect { x0: 3, y0: 5, x1: 3 + width, y1: 5 + height };
         let curve = ResponseCurve::srgb();
-        let ghosts = find(&bracket, &alignment, &curve, region, AUTO).unwrap();
+        let ghosts = find(&bracket, &alignment, &curve, region, AUTO, None).unwrap();
         let mask = ghosts.mask();
         assert_eq!((mask.width(), mask.height()), (width, height));
     }
@@ -137,7 +192,7 @@ fn the_strength_has_a_range_and_is_obeyed() {
     let faint = |x, y| if disc(x, y, (100, 80)) { background(x, y).map(|e| 1.6 * e) } else { background(x, y) };
     let (bracket, alignment) = bracket([&background, &background, &faint]);
     let share = |strength| {
-        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength).unwrap();
+        let ghosts = find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap, strength, None).unwrap();
         ghosts.report().ghost_fraction
     };
     assert!(share(0.0) < share(0.5) && share(0.5) < share(1.0), "{} {} {}", share(0.0), share(0.5), share(1.0));
@@ -181,7 +236,13 @@ fn cells_are_the_means_of_exposures() {
 fn factors_between_cells_are_bilinear() {
     let map = Plane::from_vec(3, 2, vec![0u8, 255, 51, 102, 0, 204]);
     let region = Rect { x0: 0, y0: 0, x1: 5, y1: 4 };
-    let ghosts = Ghosts { region, side: 2, strength: 0.5, frames: vec![("a".into(), Some(map)), ("r".into(), None)] };
+    let ghosts = Ghosts {
+        region,
+        side: 2,
+        strength: 0.5,
+        frames: vec![("a".into(), Some(map)), ("r".into(), None)],
+        holes: None,
+    };
     let kept = ghosts.kept(0, 1..3);
     // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2 three quarters right.
     let (left, right) = (0.25 * 0.4, 0.75);

@@ -12,7 +12,7 @@ use super::LUMINANCE;
 use crate::merge::FLOOR;
 use crate::merge::statistics::luminance;
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::{between_cells, gathered};
 use rayon::prelude::*;
 
 /// Cells along the longer side, at most.
@@ -79,7 +79,7 @@ impl Seen {
     /// The expansion by `factor` stops for each stop of the base.
     pub fn expansion(&self, factor: f64) -> Expansion {
         let radius = (self.size.0.max(self.size.1) as f64 / (RADIUS * self.side) as f64).round().max(1.0) as usize;
-        let moments = boxed(&self.sums, radius);
+        let moments = gathered(&self.sums, radius, add);
         let coefficients = Plane::from_rows(moments.width(), moments.height(), |y, row: &mut [Sums]| {
             for (out, [sum, square, count]) in row.iter_mut().zip(moments.row(y)) {
                 let mean = sum / count;
@@ -88,7 +88,7 @@ impl Seen {
                 *out = [a, mean - a * mean, 1.0];
             }
         });
-        let means = boxed(&coefficients, radius);
+        let means = gathered(&coefficients, radius, add);
         let coefficients = Plane::from_rows(means.width(), means.height(), |y, row: &mut [[f32; 2]]| {
             for (out, [a, b, count]) in row.iter_mut().zip(means.row(y)) {
                 *out = [(a / count) as f32, (b / count) as f32];
@@ -98,21 +98,9 @@ impl Seen {
     }
 }
 
-/// The sums over squares of `2 radius + 1` cells; of those that there are.
-fn boxed(plane: &Plane<Sums>, radius: usize) -> Plane<Sums> {
-    let (width, height) = (plane.width(), plane.height());
-    let add = |a: &mut Sums, b: &Sums| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-    let window = |i: usize, size: usize| i.saturating_sub(radius)..(i + radius + 1).min(size);
-    let along = Plane::from_rows(width, height, |y, row: &mut [Sums]| {
-        for (x, out) in row.iter_mut().enumerate() {
-            plane.row(y)[window(x, width)].iter().for_each(|v| add(out, v));
-        }
-    });
-    Plane::from_rows(width, height, |y, row: &mut [Sums]| {
-        for line in window(y, height).map(|y| along.row(y)) {
-            row.iter_mut().zip(line).for_each(|(out, v)| add(out, v));
-        }
-    })
+/// Adds the sums of another cell.
+fn add(a: &mut Sums, b: &Sums) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
 }
 
 impl Expansion {

@@ -22,7 +22,7 @@ use crate::align::{Alignment, Rect};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
-use crate::pyramid::between_cells;
+use crate::pyramid::cells::row_between_cells;
 use crate::response::ResponseCurve;
 use crate::response::local::Evidence;
 use serde::Serialize;
@@ -167,9 +167,11 @@ impl LocalGain {
                 });
                 let gain = smooth::smoothed(&differences, COARSER);
                 standard.fill_rows(|y, row| {
-                    for (x, (s, f)) in row.iter_mut().zip(frame.row(y)).enumerate() {
+                    let mut gains = vec![0.0f32; row.len()];
+                    row_between_cells(&gain, COARSER, 1.0, y, &mut gains);
+                    for ((s, f), gain) in row.iter_mut().zip(frame.row(y)).zip(gains) {
                         if s.variance.is_infinite() && f.variance.is_finite() {
-                            *s = Seen { stops: f.stops + smooth::at(&gain, COARSER, x, y), variance: f.variance };
+                            *s = Seen { stops: f.stops + gain, variance: f.variance };
                         }
                     }
                 });
@@ -197,27 +199,12 @@ impl LocalGain {
     /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
     pub fn at(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
-        let mut out = Vec::with_capacity(rows.len() * self.region.width());
-        let mut line = vec![0.0f32; map.width()];
-        for y in rows {
-            let (above, below, f) = between_cells(y, self.side, map.height());
-            for ((v, a), b) in line.iter_mut().zip(map.row(above)).zip(map.row(below)) {
-                *v = a + f as f32 * (b - a);
-            }
-            out.extend((0..self.region.width()).map(|x| {
-                let (left, right, f) = between_cells(x, self.side, map.width());
-                line[left] + f as f32 * (line[right] - line[left])
-            }));
+        let width = self.region.width();
+        let mut factors = vec![0.0f32; rows.len() * width];
+        for (y, row) in rows.zip(factors.chunks_exact_mut(width)) {
+            row_between_cells(map, self.side, 1.0, y, row);
         }
-        out
-    }
-
-    /// The factor of frame `layer` at column `x` and row `y` of the region.
-    pub fn factor(&self, layer: usize, x: usize, y: usize) -> f32 {
-        match self.frames.get(layer) {
-            Some((_, Some(map))) => smooth::at(map, self.side, x, y),
-            _ => 1.0,
-        }
+        factors
     }
 
     /// The range of the gain of each frame but the reference, by rising exposure.

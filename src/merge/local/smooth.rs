@@ -5,7 +5,8 @@
 //! there are enough cells to tell.
 
 use crate::plane::Plane;
-use crate::pyramid::{between_cells, gaussian};
+use crate::pyramid::cells::row_between_cells;
+use crate::pyramid::gaussian;
 
 /// Standard deviations of the neighbourhoods, in cells of the map: from an eighth of the longer side to a sixty-fourth.
 const SCALES: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
@@ -19,15 +20,6 @@ pub(super) struct Difference {
     pub weight: f32,
 }
 
-/// The value at (x, y) of a map whose cells have `side` of the units in which x and y are counted.
-pub(super) fn at(map: &Plane<f32>, side: usize, x: usize, y: usize) -> f32 {
-    let (above, below, fy) = between_cells(y, side, map.height());
-    let (left, right, fx) = between_cells(x, side, map.width());
-    let along = |row: &[f32]| row[left] + fx as f32 * (row[right] - row[left]);
-    let (a, b) = (along(map.row(above)), along(map.row(below)));
-    a + fy as f32 * (b - a)
-}
-
 /// The map of `differences`, each of its cells `side` of theirs wide; 0 where there is none at all.
 pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f32> {
     let (width, height) = (differences.width().div_ceil(side), differences.height().div_ceil(side));
@@ -38,15 +30,15 @@ pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f3
     let mut map = Plane::filled(width, height, if weight > 0.0 { (sum / weight) as f32 } else { 0.0 });
     for sigma in SCALES {
         let sums = Plane::from_rows(width, height, |j, row: &mut [(f32, f32)]| {
-            for (i, (left, weight)) in row.iter_mut().enumerate() {
-                for y in side * j..(side * (j + 1)).min(differences.height()) {
-                    let cells = &differences.row(y)[side * i..(side * (i + 1)).min(differences.width())];
-                    for (x, d) in (side * i..).zip(cells) {
-                        if d.weight > 0.0 {
-                            *left += d.weight * (d.stops - at(&map, side, x, y));
-                            *weight += d.weight;
-                        }
-                    }
+            let mut known = vec![0.0f32; differences.width()];
+            for y in side * j..(side * (j + 1)).min(differences.height()) {
+                row_between_cells(&map, side, 1.0, y, &mut known);
+                for (i, (known, d)) in
+                    known.iter().zip(differences.row(y)).enumerate().filter(|(_, (_, d))| d.weight > 0.0)
+                {
+                    let (left, weight) = &mut row[i / side];
+                    *left += d.weight * (d.stops - known);
+                    *weight += d.weight;
                 }
             }
         });
@@ -75,9 +67,11 @@ mod tests {
     fn smoothed_of_a_ramp_known_everywhere_is_the_ramp() {
         let ramp = |x: usize| 0.02 * x as f32;
         let map = smoothed(&plane(|x, _| Difference { stops: ramp(x), weight: 1.0 }), 4);
+        let mut row = [0.0f32; 96];
+        row_between_cells(&map, 4, 1.0, 32, &mut row);
         for x in 16..80 {
             // A cell of the map is 4 wide, and the smallest neighbourhood as large.
-            assert!((at(&map, 4, x, 32) - ramp(x)).abs() < 0.03, "{x}: {}", at(&map, 4, x, 32));
+            assert!((row[x] - ramp(x)).abs() < 0.03, "{x}: {}", row[x]);
         }
     }
 

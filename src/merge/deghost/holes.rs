@@ -1,0 +1,224 @@
+//! Holes: where the reference clips, and the frames that could show more show something that moved.
+//!
+//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]: radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and
+//! push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
+//!
+//! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before a bright sky, nothing that is left says
+//! more, and the mean would be a grey patch in the mover's shape. What the reference clips about it, connected with it, is about as bright: the
+//! logarithm of that is continued into the hole, by the finest cells that know something. It only adds light, and only where the reference clips.
+
+use super::cells::Cell;
+use super::region;
+use crate::merge::FLOOR;
+use crate::merge::layer::CLIPS;
+use crate::plane::Plane;
+use crate::pyramid::cells::row_between_cells;
+use crate::response::ResponseCurve;
+
+/// What is continued into the holes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Holes {
+    /// Radiance, by cells, for each channel.
+    radiance: [Plane<f32>; 3],
+    /// How far it counts, times 255.
+    counts: Plane<u8>,
+    /// Radiance from which on the reference may clip, and from which on it does, for each channel.
+    clips: [(f32, f32); 3],
+}
+
+/// What the frames know that are shorter than the reference.
+#[derive(Debug, Clone, Copy, Default)]
+struct Known {
+    /// What the first frame shows that takes part wholly and does not clip, or else the shortest that takes part wholly: that is a lower bound.
+    radiance: [f32; 3],
+    /// Whether it is no bound.
+    is_sure: bool,
+    /// The shortest frame that takes part wholly and clips, by how many are shorter than the reference up to it.
+    clipping: u8,
+    /// Whether a frame that does not clip is left out more or less, and the most that such a frame is kept, times 255.
+    is_missed: bool,
+    kept: u8,
+    /// Whether some frame is left out more or less.
+    is_touched: bool,
+}
+
+/// What the frames that are shorter than the reference know of what it clips.
+pub(super) struct Shorter {
+    known: Plane<Known>,
+    frames: u8,
+}
+
+impl Shorter {
+    /// Of none of them yet.
+    pub fn than(reference: &Plane<Cell>) -> Self {
+        let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
+        let cells = reference.as_slice().iter().map(of).collect();
+        Shorter { known: Plane::from_vec(reference.width(), reference.height(), cells), frames: 0 }
+    }
+
+    /// Of one more, the next shorter, which takes part as `kept` says.
+    pub fn add(&mut self, frame: &Plane<Cell>, kept: &Plane<u8>) {
+        self.frames = self.frames.saturating_add(1);
+        let number = self.frames;
+        self.known.fill_rows(|y, row| {
+            for ((known, cell), &kept) in row.iter_mut().zip(frame.row(y)).zip(kept.row(y)) {
+                if cell.is_outside() {
+                    continue;
+                }
+                if kept == u8::MAX && !known.is_sure {
+                    (known.radiance, known.is_sure) = (cell.radiance, !cell.clips());
+                    known.clipping = if cell.clips() { number } else { known.clipping };
+                }
+                if !cell.clips() {
+                    known.kept = known.kept.max(kept);
+                    known.is_missed |= kept < u8::MAX;
+                }
+                known.is_touched |= kept < u8::MAX;
+            }
+        });
+    }
+
+    /// The holes in what `reference` clips; none where none can be filled.
+    pub fn holes(&self, reference: &Plane<Cell>, curve: &ResponseCurve) -> Option<Holes> {
+        let known = &self.known;
+        let (width, height) = (known.width(), known.height());
+        let is_hole = |(x, y): (usize, usize)| known.at(x, y).is_missed && known.at(x, y).kept < u8::MAX;
+        let is_source = |(x, y): (usize, usize)| known.at(x, y).kept == u8::MAX || !known.at(x, y).is_touched;
+        if !(0..height).any(|y| (0..width).any(|x| is_hole((x, y)) && reference.at(x, y).clips())) {
+            return None;
+        }
+        let clipped = Plane::from_rows(width, height, |y, row: &mut [bool]| {
+            row.iter_mut().zip(reference.row(y)).for_each(|(is, cell)| *is = cell.clips() && !cell.is_outside());
+        });
+        let parts = region::parts(&clipped);
+        let mut holes: Option<Holes> = None;
+        // Only what clips in the same frame is an example of what a hole hides.
+        for clipping in 0..=self.frames {
+            let mut counts = Plane::filled(width, height, 0u8);
+            let mut weights = Plane::filled(width, height, 0.0f32);
+            for part in &parts {
+                let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
+                let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
+                // What is bright elsewhere says nothing of a part.
+                if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
+                    part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
+                    part.iter().filter(is_of).for_each(|&(x, y)| counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept);
+                }
+            }
+            if counts.as_slice().iter().any(|&count| count > 0) {
+                let radiance = std::array::from_fn(|c| self.continued(c, &weights));
+                let more = Holes { radiance, counts, clips: [(0.0, 0.0); 3] };
+                holes = Some(match holes {
+                    Some(holes) => holes.with(more),
+                    None => more,
+                });
+            }
+        }
+        let clips = std::array::from_fn(|c| (curve.exposures(c)[CLIPS.0], curve.exposures(c)[CLIPS.1]));
+        holes.map(|holes| Holes { clips, ..holes })
+    }
+
+    /// The radiance of channel `c`, continued from where `weights` are.
+    fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
+        let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
+            for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {
+                *v = if *weight > 0.0 { libm::log2f(known.radiance[c].max(FLOOR)) } else { 0.0 };
+            }
+        });
+        let mut all = continued(&stops, weights);
+        all.as_mut_slice().iter_mut().for_each(|v| *v = libm::exp2f(*v));
+        all
+    }
+}
+
+impl Holes {
+    /// These and `more`, which are other cells.
+    fn with(mut self, more: Holes) -> Holes {
+        for (plane, more_of) in self.radiance.iter_mut().zip(&more.radiance) {
+            let cells = plane.as_mut_slice().iter_mut().zip(more_of.as_slice()).zip(more.counts.as_slice());
+            cells.filter(|(_, count)| **count > 0).for_each(|((v, more), _)| *v = *more);
+        }
+        let counts = self.counts.as_mut_slice().iter_mut().zip(more.counts.as_slice());
+        counts.for_each(|(count, more)| *count = (*count).max(*more));
+        self
+    }
+
+    /// The share of cells in which more than half is continued.
+    pub fn fraction(&self) -> f64 {
+        let counts = self.counts.as_slice();
+        counts.iter().filter(|&&count| count > u8::MAX / 2).count() as f64 / counts.len().max(1) as f64
+    }
+
+    /// Fills row `y` of the region, of which cells are `side` pixels long.
+    pub fn fill(&self, side: usize, y: usize, pixels: &mut [[f32; 3]]) {
+        let mut counts = vec![0.0f32; pixels.len()];
+        row_between_cells(&self.counts, side, 1.0 / 255.0, y, &mut counts);
+        if counts.iter().all(|&count| count == 0.0) {
+            return;
+        }
+        let mut more = vec![0.0f32; pixels.len()];
+        for (c, (plane, (begins, sure))) in self.radiance.iter().zip(self.clips).enumerate() {
+            row_between_cells(plane, side, 1.0, y, &mut more);
+            for ((pixel, count), more) in pixels.iter_mut().zip(&counts).zip(&more) {
+                let clipped = ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0);
+                pixel[c] += count * clipped * (more - pixel[c]).max(0.0);
+            }
+        }
+    }
+}
+
+/// `values` as far as `weights` (0..=1) know them; elsewhere the mean of what is known around, of as few cells as know something. 0 where nothing is known at
+/// all.
+fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
+    let (width, height) = (values.width(), values.height());
+    if width * height <= 1 {
+        return values.clone();
+    }
+    let mut sums = Plane::filled(width.div_ceil(2), height.div_ceil(2), (0.0f32, 0.0f32));
+    sums.fill_rows(|y, row| {
+        for y in 2 * y..(2 * y + 2).min(height) {
+            for (x, (v, w)) in values.row(y).iter().zip(weights.row(y)).enumerate() {
+                let (sum, weight) = &mut row[x / 2];
+                (*sum, *weight) = (*sum + w * v, *weight + w);
+            }
+        }
+    });
+    let plane = |of: fn(&(f32, f32)) -> f32| {
+        Plane::from_vec(sums.width(), sums.height(), sums.as_slice().iter().map(of).collect())
+    };
+    let means = plane(|(sum, weight)| if *weight > 0.0 { sum / weight } else { 0.0 });
+    let coarse = continued(&means, &plane(|(_, weight)| weight.min(1.0)));
+    Plane::from_rows(width, height, |y, row| {
+        row_between_cells(&coarse, 2, 1.0, y, row);
+        for ((v, value), weight) in row.iter_mut().zip(values.row(y)).zip(weights.row(y)) {
+            *v += weight * (value - *v);
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn continued_keeps_what_is_known_and_goes_on_between() {
+        let known = |x: usize| if (20..40).contains(&x) { 0.0 } else { 1.0 };
+        let ramp = Plane::from_rows(64, 48, |_, row: &mut [f32]| {
+            row.iter_mut().enumerate().for_each(|(x, v)| *v = known(x) * 0.1 * x as f32);
+        });
+        let weights = Plane::from_rows(64, 48, |_, row: &mut [f32]| {
+            row.iter_mut().enumerate().for_each(|(x, v)| *v = known(x));
+        });
+        let all = continued(&ramp, &weights);
+        assert!((0..20).chain(40..64).all(|x| all.at(x, 30) == ramp.at(x, 30)));
+        // From 2 to 4 across the gap of 20 cells, by means over at most 32.
+        assert!((20..40).all(|x| (all.at(x, 30) - 0.1 * x as f32).abs() < 0.8), "{:?}", all.row(30));
+        assert!((20..40).all(|x| all.at(x, 30) >= all.at(x - 1, 30) - 0.15), "{:?}", all.row(30));
+    }
+
+    #[test]
+    fn continued_of_nothing_is_nothing() {
+        let none = Plane::filled(13, 7, 0.0f32);
+        assert_eq!(continued(&none, &none), none);
+    }
+}

@@ -1,0 +1,95 @@
+//! Cells: a picture known by the means over squares of its pixels.
+//!
+//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres; and what lies around each cell. Cost: a few operations a pixel; 2 (2 reach + 1)
+//! a cell.
+
+use crate::plane::Plane;
+use std::ops::Range;
+
+/// Between which two of `count` cells, each `side` pixels long, the centre of a pixel lies, and how far towards the second, 0..1: for
+/// linear interpolation, of means over cells, at the pixels. Beyond the outer centres it is the outer cell. Where sides are powers of 2
+/// all is exact, and the last fits an `f32`.
+#[inline]
+pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
+    let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
+    let first = at as usize;
+    (first, (first + 1).min(count - 1), at - first as f64)
+}
+
+/// Row `y` of a picture of which `map` is known by cells, each `side` pixels long and wide, times `scale`: linear [between the cells](between_cells),
+/// first down and then along.
+pub fn row_between_cells<T: Copy + Into<f32>>(map: &Plane<T>, side: usize, scale: f32, y: usize, row: &mut [f32]) {
+    let (above, below, f) = between_cells(y, side, map.height());
+    let between = |(&a, &b): (&T, &T)| {
+        let (a, b) = (a.into(), b.into());
+        (a + f as f32 * (b - a)) * scale
+    };
+    let down: Vec<f32> = map.row(above).iter().zip(map.row(below)).map(between).collect();
+    for (x, v) in row.iter_mut().enumerate() {
+        let (left, right, f) = between_cells(x, side, map.width());
+        *v = down[left] + f as f32 * (down[right] - down[left]);
+    }
+}
+
+/// What lies within `reach` of each place, to either side, above and below, put together by `add`, first along the rows: sums over squares, or, of truths, whether
+/// one is near. Beyond the border there is nothing.
+pub fn gathered<T: Copy + Default + Send + Sync>(
+    plane: &Plane<T>,
+    reach: usize,
+    add: impl Fn(&mut T, &T) + Sync,
+) -> Plane<T> {
+    let (width, height) = (plane.width(), plane.height());
+    let along = Plane::from_rows(width, height, |y, row: &mut [T]| {
+        for (x, v) in row.iter_mut().enumerate() {
+            plane.row(y)[near(x, reach, width)].iter().for_each(|of| add(v, of));
+        }
+    });
+    Plane::from_rows(width, height, |y, row: &mut [T]| {
+        for line in near(y, reach, height).map(|y| along.row(y)) {
+            row.iter_mut().zip(line).for_each(|(v, of)| add(v, of));
+        }
+    })
+}
+
+/// What is within `reach` of place `i` of `size`.
+pub fn near(i: usize, reach: usize, size: usize) -> Range<usize> {
+    i.saturating_sub(reach)..(i + reach + 1).min(size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_lies_between_the_centres_of_cells() {
+        // Cells of 4 pixels have their centres at 1.5, 5.5, 9.5.
+        assert_eq!(
+            [0, 1, 2, 5, 6].map(|x| between_cells(x, 4, 3)),
+            [(0, 1, 0.0), (0, 1, 0.0), (0, 1, 0.125), (0, 1, 0.875), (1, 2, 0.125)]
+        );
+        assert_eq!(between_cells(11, 4, 3), (2, 2, 0.0));
+        // In sixteenths: 8 cells of 8 pixels, told exactly.
+        assert!((0..64).all(|x| (16.0 * between_cells(x, 8, 8).2).fract() == 0.0));
+    }
+
+    #[test]
+    fn rows_between_cells_are_bilinear_and_scaled() {
+        let map = Plane::from_vec(2, 2, vec![0u8, 8, 16, 40]);
+        let mut row = [0.0f32; 4];
+        // Cells of 2 pixels: row 1 lies a quarter, pixels 1 and 2 a quarter and three quarters of the way.
+        row_between_cells(&map, 2, 0.5, 1, &mut row);
+        let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
+        assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);
+    }
+
+    #[test]
+    fn gathered_is_the_double_sum_over_what_there_is() {
+        let plane = Plane::from_vec(7, 70, (0..490).map(|i: u32| i * i % 11).collect());
+        let sums = gathered(&plane, 2, |sum, v| *sum += v);
+        for (y, x) in (0..70).flat_map(|y| (0..7).map(move |x| (y, x))) {
+            let all = near(y, 2, 70).flat_map(|v| near(x, 2, 7).map(move |u| (u, v)));
+            assert_eq!(sums.at(x, y), all.map(|(u, v)| plane.at(u, v)).sum::<u32>(), "{x} {y}");
+        }
+        assert_eq!((near(0, 2, 7), near(6, 2, 7), near(3, 0, 7)), (0..3, 4..7, 3..4));
+    }
+}
