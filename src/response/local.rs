@@ -126,19 +126,23 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     let cell = |(x, y): (usize, usize)| (y / side, x / side);
     places.sort_by(|a, b| cell(a.0).cmp(&cell(b.0)).then(a.0.cmp(&b.0)));
     // The mean product of two places of one neighbourhood is the variance of what they share.
-    let (mut products, mut pairs, mut squares) = (0.0, 0.0, 0.0);
+    let (mut products, mut pairs, mut spread) = (0.0, 0.0, 0.0);
     for group in places.chunk_by(|a, b| cell(a.0) == cell(b.0)) {
         let sum: f64 = group.iter().map(|(_, v)| v).sum();
         let square: f64 = group.iter().map(|(_, v)| v * v).sum();
+        let fourth: f64 = group.iter().map(|(_, v)| v * v * v * v).sum();
         let n = group.len() as f64;
         products += sum * sum - square;
+        spread += square * square - fourth;
         pairs += n * (n - 1.0);
-        squares += square;
     }
-    let (shared, all) = (products / f64::max(pairs, 1.0), squares / places.len() as f64);
-    // Products of independent values have the square of their variance as variance; each pair was counted twice.
-    let error = all / (f64::max(pairs, 1.0) / 2.0).sqrt();
-    Some((shared - ERRORS * error).max(0.0).sqrt())
+    if pairs < 1.0 {
+        return None;
+    }
+    // If the values are independent, the variance of the mean product is the sum of the squared products over the squared number of pairs, each counted
+    // once. Dark places are noisier than others, and lie together: the mean noise would tell too little.
+    let error = (spread / 2.0).max(0.0).sqrt() / (pairs / 2.0);
+    Some((products / pairs - ERRORS * error).max(0.0).sqrt())
 }
 
 /// Level and median ratio of blocks of places, by rising level.
