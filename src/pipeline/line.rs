@@ -11,7 +11,7 @@ use crate::align::given::SavedAlignment;
 use crate::align::{AlignMode, Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
-use crate::error::{Result, Warning};
+use crate::error::{Error, Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
@@ -125,14 +125,22 @@ fn contradicted_response(path: &Path, curve: &ResponseCurve, places: &Places) ->
     Ok(response::contradiction(curve, places)?.map(told))
 }
 
+/// What `places` of `bracket` tell of local processing; none where a curve is given, for that is taken at its word, and where frames are not aligned: they may lie
+/// elsewhere, and differ from place to place by that.
+pub(super) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
+    let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
+    let longer_side = bracket.width().max(bracket.height());
+    if may_be_local { evidence(places, longer_side) } else { None }
+}
+
 /// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.
 fn expanded(slabs: Slabs, factor: f64) -> Result<Slabs> {
-    let mut seen = expansion::Seen::new(slabs.size());
+    let mut sums = expansion::Sums::new(slabs.size());
     slabs.each(|first, map| {
-        seen.see(first, &map.pixels);
+        sums.add(first, &map.pixels);
         Ok(())
     })?;
-    let expansion = seen.expansion(factor);
+    let expansion = sums.expansion(factor);
     slabs.changed(|first, mut map| {
         expansion.expand(first, &mut map.pixels);
         map
@@ -234,14 +242,13 @@ impl<'a> Line<'a> {
             let mut places = if is_needed { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            // A curve that the user states is taken at its word: then frames are functions of exposure.
-            // Frames that are not aligned may lie elsewhere, and differ from place to place by that.
-            let longer_side = bracket.width().max(bracket.height());
-            let may_be_local = is_sought && options.align.mode != AlignMode::None;
-            let evidence = if may_be_local { evidence(&places, longer_side) } else { None };
+            let evidence = saved.is_none().then(|| processing(&bracket, &places, options)).flatten();
             let is_local = evidence.is_some_and(|evidence| evidence.is_local);
             let (curve, report) = match saved {
                 None if is_local => {
+                    if options.save_response.is_some() {
+                        return Err(Error::LocallyProcessed { path: bracket.reference().path().to_owned() });
+                    }
                     let placed = alignment.placed(&bracket).map(|(_, frame, _)| frame.path().to_owned());
                     warnings.push(Warning::LocallyProcessed { paths: placed.collect() });
                     let curve = evidence.as_ref().map_or_else(ResponseCurve::srgb, local::curve);
@@ -280,8 +287,9 @@ impl<'a> Line<'a> {
         let merging = MergeOptions { weight: options.weight, region };
         let (merged, time) = self.timed(Stage::Merge, || {
             let local = camera.local().map(|_| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
-            let gain = |i, x, y| local.as_ref().map_or(1.0, |local: &LocalGain| local.factor(i, x, y));
-            let ghosts = |strength| deghost::find_with_gain(bracket, alignment, curve, region, strength, &gain);
+            let gain = local.as_ref().map(|local: &LocalGain| |i, x, y| local.factor(i, x, y));
+            let gain = gain.as_ref().map(|gain| gain as &(dyn Fn(usize, usize, usize) -> f32 + Sync));
+            let ghosts = |strength| deghost::find_with_gain(bracket, alignment, curve, region, strength, gain);
             let ghosts = options.deghost.strength().map(ghosts).transpose()?;
             let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
             let merging = merging.with_local_gain(local.as_ref())?;

@@ -164,11 +164,11 @@ pub fn find(
     region: Rect,
     strength: f64,
 ) -> Result<Ghosts> {
-    find_with_gain(bracket, alignment, curve, region, strength, &|_, _, _| 1.0)
+    find_with_gain(bracket, alignment, curve, region, strength, None)
 }
 
-/// As [`find`], of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising exposure) at column x and
-/// row y of the region is multiplied by `gain(i, x, y)`.
+/// As [`find`]; where there is a `gain`, of frames that are locally processed: before they are compared, the radiance of frame i (of the placed ones, by rising
+/// exposure) at column x and row y of the region is multiplied by `gain(i, x, y)`, and what clips is not compared.
 ///
 /// # Errors
 /// Those of [`find`].
@@ -178,19 +178,20 @@ pub fn find_with_gain(
     curve: &ResponseCurve,
     region: Rect,
     strength: f64,
-    gain: &(dyn Fn(usize, usize, usize) -> f32 + Sync),
+    gain: Option<&(dyn Fn(usize, usize, usize) -> f32 + Sync)>,
 ) -> Result<Ghosts> {
     Deghost::Strength(strength).validate()?;
     let (layers, reference) = layers(bracket, alignment, curve);
     let side = side(region);
     let seen = |i: usize| {
         let mut cells = cells::average(&layers[i], region, side, i as u16)?;
-        cells.fill_rows(|y, row| {
-            for (x, cell) in row.iter_mut().enumerate() {
-                let factor = gain(i, side * x + side / 2, side * y + side / 2);
-                cell.radiance.iter_mut().for_each(|v| *v *= factor);
-            }
-        });
+        if let Some(gain) = gain {
+            cells.fill_rows(|y, row| {
+                for (x, cell) in row.iter_mut().enumerate() {
+                    *cell = cell.with_gain(gain(i, side * x + side / 2, side * y + side / 2));
+                }
+            });
+        }
         Ok::<_, Error>(cells)
     };
     let meanings: Vec<&Meaning> = layers.iter().map(|layer| &layer.meaning).collect();

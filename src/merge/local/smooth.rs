@@ -4,8 +4,9 @@
 //! Source: normalised convolution (Knutsson & Westin 1993), from the largest neighbourhood to the smallest: each adds what the larger ones leave, where
 //! there are enough cells to tell.
 
+use super::map::Map;
 use crate::plane::Plane;
-use crate::pyramid::{between_cells, gaussian};
+use crate::pyramid::gaussian;
 
 /// Standard deviations of the neighbourhoods, in cells of the map: from an eighth of the longer side to a sixty-fourth.
 const SCALES: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
@@ -19,23 +20,15 @@ pub(super) struct Difference {
     pub weight: f32,
 }
 
-/// The value at (x, y) of a map whose cells have `side` of the units in which x and y are counted.
-pub(super) fn at(map: &Plane<f32>, side: usize, x: usize, y: usize) -> f32 {
-    let (above, below, fy) = between_cells(y, side, map.height());
-    let (left, right, fx) = between_cells(x, side, map.width());
-    let along = |row: &[f32]| row[left] + fx as f32 * (row[right] - row[left]);
-    let (a, b) = (along(map.row(above)), along(map.row(below)));
-    a + fy as f32 * (b - a)
-}
-
-/// The map of `differences`, each of its cells `side` of theirs wide; 0 where there is none at all.
-pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f32> {
+/// The map of `differences`, each of its cells `side` of theirs wide; 0 where there is none at all. Its pixels are their cells.
+pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Map<f32> {
     let (width, height) = (differences.width().div_ceil(side), differences.height().div_ceil(side));
     let all = differences.as_slice().iter();
     let (sum, weight) = all.fold((0.0f64, 0.0f64), |(sum, weight), d| {
         (sum + f64::from(d.weight) * f64::from(d.stops), weight + f64::from(d.weight))
     });
-    let mut map = Plane::filled(width, height, if weight > 0.0 { (sum / weight) as f32 } else { 0.0 });
+    let mean = if weight > 0.0 { (sum / weight) as f32 } else { 0.0 };
+    let mut map = Map { side, cells: Plane::filled(width, height, mean) };
     for sigma in SCALES {
         let sums = Plane::from_rows(width, height, |j, row: &mut [(f32, f32)]| {
             for (i, (left, weight)) in row.iter_mut().enumerate() {
@@ -43,7 +36,7 @@ pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f3
                     let cells = &differences.row(y)[side * i..(side * (i + 1)).min(differences.width())];
                     for (x, d) in (side * i..).zip(cells) {
                         if d.weight > 0.0 {
-                            *left += d.weight * (d.stops - at(&map, side, x, y));
+                            *left += d.weight * (d.stops - map.at(x, y));
                             *weight += d.weight;
                         }
                     }
@@ -54,7 +47,7 @@ pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f3
             gaussian(&Plane::from_vec(width, height, sums.as_slice().iter().map(of).collect()), sigma)
         };
         let (left, weight) = (part(|sum| sum.0), part(|sum| sum.1));
-        map.fill_rows(|y, row| {
+        map.cells.fill_rows(|y, row| {
             for ((v, left), weight) in row.iter_mut().zip(left.row(y)).zip(weight.row(y)) {
                 *v += left / (weight + FEW);
             }
@@ -77,7 +70,7 @@ mod tests {
         let map = smoothed(&plane(|x, _| Difference { stops: ramp(x), weight: 1.0 }), 4);
         for x in 16..80 {
             // A cell of the map is 4 wide, and the smallest neighbourhood as large.
-            assert!((at(&map, 4, x, 32) - ramp(x)).abs() < 0.03, "{x}: {}", at(&map, 4, x, 32));
+            assert!((map.at(x, 32) - ramp(x)).abs() < 0.03, "{x}: {}", map.at(x, 32));
         }
     }
 
@@ -87,7 +80,7 @@ mod tests {
             &plane(|x, _| Difference { stops: if x < 40 { -1.0 } else { 9.0 }, weight: f32::from(u8::from(x < 40)) }),
             4,
         );
-        assert!(map.as_slice().iter().all(|v| (v + 1.0).abs() < 0.02), "{:?}", map.row(3));
-        assert!(smoothed(&plane(|_, _| Difference::default()), 4).as_slice().iter().all(|v| *v == 0.0));
+        assert!(map.cells.as_slice().iter().all(|v| (v + 1.0).abs() < 0.02), "{:?}", map.cells.row(3));
+        assert!(smoothed(&plane(|_, _| Difference::default()), 4).cells.as_slice().iter().all(|v| *v == 0.0));
     }
 }
