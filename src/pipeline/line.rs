@@ -115,18 +115,29 @@ fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> 
     (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
 }
 
-/// What there is to say of the curve in the file `path` where the photographs contradict it.
-fn contradicted_response(path: &Path, curve: &ResponseCurve, places: &Places) -> Result<Option<Warning>> {
+/// What there is to say of the curve in the file `path` where the photographs contradict it, or any curve (`is_local`).
+fn contradicted_response(
+    path: &Path,
+    curve: &ResponseCurve,
+    places: &Places,
+    is_local: bool,
+) -> Result<Option<Warning>> {
     let told = |(found, own)| {
-        let detail =
-            format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}");
+        let detail = match is_local {
+            true => format!(
+                "the frames are locally processed: they contradict this response by {found:.2} stops, as they do any"
+            ),
+            false => {
+                format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}")
+            }
+        };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }
     };
     Ok(response::contradiction(curve, places)?.map(told))
 }
 
-/// What `places` of `bracket` tell of local processing; none where a curve is given, for that is taken at its word, and where frames are not aligned: they may lie
-/// elsewhere, and differ from place to place by that.
+/// What `places` of `bracket` tell of local processing; none where the user states a curve, for that is taken at its word, and where frames are not aligned: they
+/// may lie elsewhere, and differ from place to place by that.
 pub(super) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
     let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());
@@ -242,7 +253,7 @@ impl<'a> Line<'a> {
             let mut places = if is_needed { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            let evidence = saved.is_none().then(|| processing(&bracket, &places, options)).flatten();
+            let evidence = processing(&bracket, &places, options);
             let is_local = evidence.is_some_and(|evidence| evidence.is_local);
             let (curve, report) = match saved {
                 None if is_local => {
@@ -258,7 +269,7 @@ impl<'a> Line<'a> {
                 Some(saved) => {
                     let path = options.response_file.as_deref().unwrap_or(Path::new(""));
                     warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
-                    warnings.extend(contradicted_response(path, &saved.curve, &places)?);
+                    warnings.extend(contradicted_response(path, &saved.curve, &places, is_local)?);
                     (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
                 }
                 None => {
@@ -267,6 +278,8 @@ impl<'a> Line<'a> {
                     (curve, report)
                 }
             };
+            // A curve that is given is taken at its word: the frames are merged as functions of exposure.
+            let evidence = evidence.filter(|_| report.model != "file");
             Ok((bracket, Camera { curve, report, evidence }, warnings))
         });
         let (bracket, camera, warnings) = done?;
