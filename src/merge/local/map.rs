@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn at_and_rows_agree_and_a_slope_stays_one() {
-        let map = Map { side: 4, cells: Plane::from_vec(3, 2, vec![[0.0, 1.0], [4.0, 1.0], [8.0, 1.0]].repeat(2)) };
+        let map = Map { side: 4, cells: Plane::from_vec(3, 2, [[0.0, 1.0], [4.0, 1.0], [8.0, 1.0]].repeat(2)) };
         for (x, y) in (0..12).flat_map(|x| [(x, 0), (x, 5)]) {
             // Cells have their values at their centres, 1.5, 5.5 and 9.5; beyond the outer ones it is theirs.
             let slope = [(x as f32 - 1.5).clamp(0.0, 8.0), 1.0];
