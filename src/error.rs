@@ -258,6 +258,12 @@ pub enum Error {
         /// Why not.
         reason: String,
     },
+    /// The frames are locally processed, so that there is no response.
+    #[error("{}: the frames are locally processed by the camera: their brightness does not follow the exposure, and there is no response to save; merge without `--save-response` or `--shared-response`, or calibrate by frames of which the camera's HDR is off", path.display())]
+    LocallyProcessed {
+        /// The first photograph.
+        path: PathBuf,
+    },
     /// A saved response curve could not be used.
     #[error("{}: is no usable response file: {reason}", path.display())]
     ResponseFile {

@@ -11,7 +11,7 @@ use crate::align::given::SavedAlignment;
 use crate::align::{AlignMode, Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
-use crate::error::{Result, Warning};
+use crate::error::{Error, Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
@@ -116,24 +116,43 @@ fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> 
     (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
 }
 
-/// What there is to say of the curve in the file `path` where the photographs contradict it.
-fn contradicted_response(path: &Path, curve: &ResponseCurve, places: &Places) -> Result<Option<Warning>> {
+/// What there is to say of the curve in the file `path` where the photographs contradict it, or any curve (`is_local`).
+fn contradicted_response(
+    path: &Path,
+    curve: &ResponseCurve,
+    places: &Places,
+    is_local: bool,
+) -> Result<Option<Warning>> {
     let told = |(found, own)| {
-        let detail =
-            format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}");
+        let detail = match is_local {
+            true => format!(
+                "the frames are locally processed: they contradict this response by {found:.2} stops, as they do any"
+            ),
+            false => {
+                format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}")
+            }
+        };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }
     };
     Ok(response::contradiction(curve, places)?.map(told))
 }
 
+/// What `places` of `bracket` tell of local processing; none where the user states a curve, for that is taken at its word, and where frames are not aligned: they
+/// may lie elsewhere, and differ from place to place by that.
+pub(super) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
+    let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
+    let longer_side = bracket.width().max(bracket.height());
+    if may_be_local { evidence(places, longer_side) } else { None }
+}
+
 /// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.
 fn expanded(slabs: Slabs, factor: f64) -> Result<Slabs> {
-    let mut seen = expansion::Seen::new(slabs.size());
+    let mut sums = expansion::Sums::new(slabs.size());
     slabs.each(|first, map| {
-        seen.see(first, &map.pixels);
+        sums.add(first, &map.pixels);
         Ok(())
     })?;
-    let expansion = seen.expansion(factor);
+    let expansion = sums.expansion(factor);
     slabs.changed(|first, mut map| {
         expansion.expand(first, &mut map.pixels);
         map
@@ -235,14 +254,13 @@ impl<'a> Line<'a> {
             let mut places = if is_needed { Places::of(&bracket, alignment)? } else { Places::default() };
             let (bracket, mut warnings) =
                 if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
-            // A curve that the user states is taken at its word: then frames are functions of exposure.
-            // Frames that are not aligned may lie elsewhere, and differ from place to place by that.
-            let longer_side = bracket.width().max(bracket.height());
-            let may_be_local = is_sought && options.align.mode != AlignMode::None;
-            let evidence = if may_be_local { evidence(&places, longer_side) } else { None };
+            let evidence = processing(&bracket, &places, options);
             let is_local = evidence.is_some_and(|evidence| evidence.is_local);
             let (curve, report) = match saved {
                 None if is_local => {
+                    if options.save_response.is_some() {
+                        return Err(Error::LocallyProcessed { path: bracket.reference().path().to_owned() });
+                    }
                     let placed = alignment.placed(&bracket).map(|(_, frame, _)| frame.path().to_owned());
                     warnings.push(Warning::LocallyProcessed { paths: placed.collect() });
                     let curve = evidence.as_ref().map_or_else(ResponseCurve::srgb, local::curve);
@@ -252,7 +270,7 @@ impl<'a> Line<'a> {
                 Some(saved) => {
                     let path = options.response_file.as_deref().unwrap_or(Path::new(""));
                     warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
-                    warnings.extend(contradicted_response(path, &saved.curve, &places)?);
+                    warnings.extend(contradicted_response(path, &saved.curve, &places, is_local)?);
                     (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
                 }
                 None => {
@@ -261,6 +279,8 @@ impl<'a> Line<'a> {
                     (curve, report)
                 }
             };
+            // A curve that is given is taken at its word: the frames are merged as functions of exposure.
+            let evidence = evidence.filter(|_| report.model != "file");
             Ok((bracket, Camera { curve, report, evidence }, warnings))
         });
         let (bracket, camera, warnings) = done?;

@@ -16,18 +16,35 @@ pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, 
     (first, (first + 1).min(count - 1), at - first as f64)
 }
 
-/// Row `y` of a picture of which `map` is known by cells, each `side` pixels long and wide, times `scale`: linear [between the cells](between_cells),
-/// first down and then along.
-pub fn row_between_cells<T: Copy + Into<f32>>(map: &Plane<T>, side: usize, scale: f32, y: usize, row: &mut [f32]) {
-    let (above, below, f) = between_cells(y, side, map.height());
-    let between = |(&a, &b): (&T, &T)| {
-        let (a, b) = (a.into(), b.into());
-        (a + f as f32 * (b - a)) * scale
-    };
-    let down: Vec<f32> = map.row(above).iter().zip(map.row(below)).map(between).collect();
+/// What can be interpolated.
+pub trait Mix: Copy {
+    /// `part`, 0..=1, of the way to `other`.
+    fn towards(self, other: Self, part: f32) -> Self;
+}
+
+impl Mix for f32 {
+    #[inline]
+    fn towards(self, other: Self, part: f32) -> Self {
+        self + part * (other - self)
+    }
+}
+
+impl<const N: usize> Mix for [f32; N] {
+    #[inline]
+    fn towards(self, other: Self, part: f32) -> Self {
+        std::array::from_fn(|i| self[i].towards(other[i], part))
+    }
+}
+
+/// Row `y` of a picture of which `map` is known by cells, each `side` pixels long and wide, of which `of` says the value: linear
+/// [between the cells](between_cells), first down and then along.
+pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl Fn(S) -> T, y: usize, row: &mut [T]) {
+    let (above, below, part) = between_cells(y, side, map.height());
+    let pairs = map.row(above).iter().zip(map.row(below));
+    let down: Vec<T> = pairs.map(|(&a, &b)| of(a).towards(of(b), part as f32)).collect();
     for (x, v) in row.iter_mut().enumerate() {
-        let (left, right, f) = between_cells(x, side, map.width());
-        *v = down[left] + f as f32 * (down[right] - down[left]);
+        let (left, right, part) = between_cells(x, side, map.width());
+        *v = down[left].towards(down[right], part as f32);
     }
 }
 
@@ -77,7 +94,7 @@ mod tests {
         let map = Plane::from_vec(2, 2, vec![0u8, 8, 16, 40]);
         let mut row = [0.0f32; 4];
         // Cells of 2 pixels: row 1 lies a quarter, pixels 1 and 2 a quarter and three quarters of the way.
-        row_between_cells(&map, 2, 0.5, 1, &mut row);
+        row_between_cells(&map, 2, |v| 0.5 * f32::from(v), 1, &mut row);
         let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
         assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);
     }

@@ -70,3 +70,20 @@ fn frames_of_a_camera_and_of_a_curve_that_the_user_states_are_merged_as_they_are
     assert!(run.code == 0 && !run.stderr.contains("locally processed"), "{}", run.stderr);
     assert!(report(&phone)["local_processing"].is_null());
 }
+
+#[test]
+fn response_of_a_phone_is_not_saved_and_that_of_a_camera_is() {
+    let phone = folder(true);
+    let response = "response a.png b.png c.png -e -2,0,2 --reference b.png -o c.json --force";
+    for line in [format!("{MERGE} --save-response c.json"), response.to_owned()] {
+        let run = phone.line(&line);
+        assert_eq!(run.code, 1, "{}", run.stderr);
+        assert!(run.stderr.contains("b.png: the frames are locally processed by the camera"), "{}", run.stderr);
+        assert!(!phone.at("c.json").exists() && !phone.at("o.exr").exists());
+    }
+    // A curve that the user states may be saved.
+    phone.line(&format!("{MERGE} --response-model srgb --save-response c.json")).done();
+    let camera = folder(false);
+    camera.line(&format!("{MERGE} --save-response c.json")).done();
+    assert!(camera.at("c.json").exists());
+}

@@ -99,6 +99,13 @@ impl Cell {
         self.flags & 7 != 0
     }
 
+    /// The same cell of a frame that a camera processed locally: multiplied by `gain`, and nothing is known where it clips. What clips is white
+    /// whatever is around it, and so is no bound of what the gain makes of another frame.
+    pub fn with_gain(self, gain: f32) -> Self {
+        let outside = if self.clips() { OUTSIDE } else { 0 };
+        Cell { radiance: self.radiance.map(|v| v * gain), flags: self.flags | outside, ..self }
+    }
+
     /// The standard deviation of a channel over its radiance.
     #[inline]
     pub fn relative_noise(&self, channel: usize, meanings: &[&Meaning]) -> f32 {

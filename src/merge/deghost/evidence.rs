@@ -250,7 +250,7 @@ fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
 fn stronger(finer: &Plane<f32>, coarse: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (finer.width(), finer.height());
     Plane::from_rows(width, height, |y, row| {
-        row_between_cells(coarse, 2, 1.0, y, row);
+        row_between_cells(coarse, 2, |v| v, y, row);
         row.iter_mut().zip(finer.row(y)).for_each(|(v, here)| *v = here.max(v.min(RAISE * here)));
     })
 }

@@ -97,7 +97,7 @@ impl Ghosts {
         let width = self.region.width();
         let mut kept = vec![0.0f32; rows.len() * width];
         for (y, row) in rows.zip(kept.chunks_exact_mut(width)) {
-            row_between_cells(map, self.side, 1.0 / 255.0, y, row);
+            row_between_cells(map, self.side, |kept| f32::from(kept) / 255.0, y, row);
         }
         kept
     }

@@ -152,13 +152,13 @@ impl Holes {
     /// Fills row `y` of the region, of which cells are `side` pixels long.
     pub fn fill(&self, side: usize, y: usize, pixels: &mut [[f32; 3]]) {
         let mut counts = vec![0.0f32; pixels.len()];
-        row_between_cells(&self.counts, side, 1.0 / 255.0, y, &mut counts);
+        row_between_cells(&self.counts, side, |v| f32::from(v) / 255.0, y, &mut counts);
         if counts.iter().all(|&count| count == 0.0) {
             return;
         }
         let mut more = vec![0.0f32; pixels.len()];
         for (c, (plane, (begins, sure))) in self.radiance.iter().zip(self.clips).enumerate() {
-            row_between_cells(plane, side, 1.0, y, &mut more);
+            row_between_cells(plane, side, |v| v, y, &mut more);
             for ((pixel, count), more) in pixels.iter_mut().zip(&counts).zip(&more) {
                 let clipped = ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0);
                 pixel[c] += count * clipped * (more - pixel[c]).max(0.0);
@@ -189,7 +189,7 @@ fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let means = plane(|(sum, weight)| if *weight > 0.0 { sum / weight } else { 0.0 });
     let coarse = continued(&means, &plane(|(_, weight)| weight.min(1.0)));
     Plane::from_rows(width, height, |y, row| {
-        row_between_cells(&coarse, 2, 1.0, y, row);
+        row_between_cells(&coarse, 2, |v| v, y, row);
         for ((v, value), weight) in row.iter_mut().zip(values.row(y)).zip(weights.row(y)) {
             *v += weight * (value - *v);
         }

@@ -160,7 +160,8 @@ pub(super) fn layers<'a>(
 /// By what the radiance of frame i (of the placed ones, by rising exposure) is multiplied at rows of the region; nothing where by 1.
 pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
 
-/// Where in `region` each placed frame shows something else than the reference. Frames that are locally processed are compared with their `gain`.
+/// Where in `region` each placed frame shows something else than the reference. Frames that are locally processed are compared with their
+/// `gain`, where they do not clip.
 ///
 /// # Errors
 /// [`Error::Option`] where the strength is out of its range; [`Error::Scratch`].
@@ -184,7 +185,7 @@ pub fn find(
                 let factors = gain(i, y..y + 1);
                 for (x, cell) in row.iter_mut().enumerate() {
                     let factor = factors.get(middle(x, region.width())).copied().unwrap_or(1.0);
-                    cell.radiance.iter_mut().for_each(|v| *v *= factor);
+                    *cell = cell.with_gain(factor);
                 }
             });
         }

@@ -156,6 +156,18 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
 }
 
 #[test]
+fn what_a_locally_processed_frame_clips_is_no_bound() {
+    // The reference clips the sky at 1; the shortest frame shows something darker there, as a phone makes of a window by its gain, or a mover.
+    let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
+    let darker = |x, y| if disc(x, y, (120, 90)) { [0.3, 0.2, 0.2] } else { sky(x, y) };
+    let (bracket, alignment) = bracket([&darker, &sky, &sky]);
+    assert!(seek(&bracket, &alignment).report().frames[0].ghost_fraction > 0.02);
+    let (curve, region) = (ResponseCurve::srgb(), alignment.overlap);
+    let local = find(&bracket, &alignment, &curve, region, AUTO, Some(&|_, _| Vec::new())).unwrap();
+    assert!(local.report().frames.iter().all(|frame| frame.ghost_fraction == 0.0), "{:?}", local.report());
+}
+
+#[test]
 fn a_frame_that_is_brighter_all_over_has_not_moved() {
     // The exposure is a sixth of a stop off: 12 %, twice the least share that is allowed for.
     let (mut frames, alignment) = bracket([&background; 3]);

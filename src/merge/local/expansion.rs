@@ -12,7 +12,7 @@ use super::LUMINANCE;
 use crate::merge::FLOOR;
 use crate::merge::statistics::luminance;
 use crate::plane::Plane;
-use crate::pyramid::cells::{between_cells, gathered};
+use crate::pyramid::cells::{gathered, row_between_cells};
 use rayon::prelude::*;
 
 /// Cells along the longer side, at most.
@@ -23,15 +23,15 @@ const RADIUS: usize = 24;
 /// PU21-PSNR of details lower by 0.6 dB, and 0.5 by 2.5.
 const EDGE: f64 = 2.0;
 
-/// What is seen of a cell: the sums of the logarithm of luminance, in stops, and of its square, and pixels.
-type Sums = [f64; 3];
+/// Of a cell: the sums of the logarithm of luminance, in stops, and of its square, and pixels.
+type Moments = [f64; 3];
 
-/// What is seen of a picture, from top to bottom.
+/// The sums over the cells of a picture, which come from top to bottom.
 #[derive(Debug, Clone)]
-pub struct Seen {
+pub struct Sums {
     size: (usize, usize),
     side: usize,
-    sums: Plane<Sums>,
+    sums: Plane<Moments>,
 }
 
 /// What radiance is multiplied by.
@@ -49,17 +49,17 @@ fn stops(pixel: &[f32; 3]) -> f32 {
     libm::log2f(luminance(*pixel, LUMINANCE).max(FLOOR))
 }
 
-impl Seen {
+impl Sums {
     /// Nothing yet, of a picture of `size` pixels.
     pub fn new(size: (usize, usize)) -> Self {
         let longer = size.0.max(size.1);
         let side = std::iter::successors(Some(1), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= CELLS);
         let side = side.unwrap_or(1);
-        Seen { size, side, sums: Plane::filled(size.0.div_ceil(side), size.1.div_ceil(side), [0.0; 3]) }
+        Sums { size, side, sums: Plane::filled(size.0.div_ceil(side), size.1.div_ceil(side), [0.0; 3]) }
     }
 
-    /// Sees the next rows, of which the first is row `first` of the picture.
-    pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
+    /// Adds the next rows, of which the first is row `first` of the picture.
+    pub fn add(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
         let (side, columns) = (self.side, self.sums.width());
         let last = first + pixels.height();
         let cells = self.sums.as_mut_slice().par_chunks_mut(columns).enumerate();
@@ -80,7 +80,7 @@ impl Seen {
     pub fn expansion(&self, factor: f64) -> Expansion {
         let radius = (self.size.0.max(self.size.1) as f64 / (RADIUS * self.side) as f64).round().max(1.0) as usize;
         let moments = gathered(&self.sums, radius, add);
-        let coefficients = Plane::from_rows(moments.width(), moments.height(), |y, row: &mut [Sums]| {
+        let coefficients = Plane::from_rows(moments.width(), moments.height(), |y, row: &mut [Moments]| {
             for (out, [sum, square, count]) in row.iter_mut().zip(moments.row(y)) {
                 let mean = sum / count;
                 let variance = (square / count - mean * mean).max(0.0);
@@ -98,26 +98,18 @@ impl Seen {
     }
 }
 
-/// Adds the sums of another cell.
-fn add(a: &mut Sums, b: &Sums) {
+/// Adds the moments of another cell.
+fn add(a: &mut Moments, b: &Moments) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
 }
 
 impl Expansion {
     /// Expands rows, of which the first is row `first` of the picture. The base of radiance 1 stays.
     pub fn expand(&self, first: usize, pixels: &mut Plane<[f32; 3]>) {
-        let map = &self.coefficients;
         pixels.fill_rows(|y, row| {
-            let (above, below, fy) = between_cells(first + y, self.side, map.height());
-            let (above, below, fy) = (map.row(above), map.row(below), fy as f32);
-            for (x, pixel) in row.iter_mut().enumerate() {
-                let (left, right, fx) = between_cells(x, self.side, map.width());
-                let fx = fx as f32;
-                let [a, b] = std::array::from_fn(|k| {
-                    let upper = above[left][k] + fx * (above[right][k] - above[left][k]);
-                    let lower = below[left][k] + fx * (below[right][k] - below[left][k]);
-                    upper + fy * (lower - upper)
-                });
+            let mut coefficients = vec![[0.0f32; 2]; row.len()];
+            row_between_cells(&self.coefficients, self.side, |v| v, first + y, &mut coefficients);
+            for (pixel, [a, b]) in row.iter_mut().zip(coefficients) {
                 let factor = libm::exp2f(self.more * (a * stops(pixel) + b));
                 pixel.iter_mut().for_each(|v| *v = (*v * factor).max(FLOOR));
             }
@@ -129,10 +121,10 @@ impl Expansion {
 mod tests {
     use super::*;
 
-    fn seen(pixels: &Plane<[f32; 3]>) -> Seen {
-        let mut seen = Seen::new((pixels.width(), pixels.height()));
-        seen.see(0, pixels);
-        seen
+    fn sums(pixels: &Plane<[f32; 3]>) -> Sums {
+        let mut sums = Sums::new((pixels.width(), pixels.height()));
+        sums.add(0, pixels);
+        sums
     }
 
     /// A step of `stops` in the middle, and a texture of a tenth of a stop to either side.
@@ -148,7 +140,7 @@ mod tests {
     #[test]
     fn expansion_doubles_what_is_large_and_keeps_what_is_small() {
         let mut pixels = step(4.0);
-        seen(&pixels).expansion(2.0).expand(0, &mut pixels);
+        sums(&pixels).expansion(2.0).expand(0, &mut pixels);
         let stops = |x: usize, y: usize| libm::log2f(pixels.at(x, y)[1]);
         // Far from the edge the base is the mean: -2 becomes -4, and the texture stays.
         assert!((stops(40, 100) + 3.9).abs() < 0.02 && (stops(41, 100) + 4.1).abs() < 0.02, "{}", stops(40, 100));
@@ -160,10 +152,10 @@ mod tests {
     fn expansion_by_one_is_none_and_colours_stay() {
         let before = step(2.0);
         let mut pixels = before.clone();
-        seen(&before).expansion(1.0).expand(0, &mut pixels);
+        sums(&before).expansion(1.0).expand(0, &mut pixels);
         assert_eq!(pixels, before);
         let mut tinted = Plane::filled(90, 60, [0.5f32, 0.25, 0.125]);
-        seen(&tinted).expansion(2.0).expand(0, &mut tinted);
+        sums(&tinted).expansion(2.0).expand(0, &mut tinted);
         let [r, g, b] = tinted.at(9, 9);
         assert!((r / g - 2.0).abs() < 1e-5 && (g / b - 2.0).abs() < 1e-5 && r < 0.5, "{r} {g} {b}");
     }
@@ -171,10 +163,10 @@ mod tests {
     #[test]
     fn sums_do_not_depend_on_where_slabs_end() {
         let pixels = step(3.0);
-        let whole = seen(&pixels);
-        let mut parts = Seen::new((700, 300));
+        let whole = sums(&pixels);
+        let mut parts = Sums::new((700, 300));
         for (first, last) in [(0, 65), (65, 190), (190, 300)] {
-            parts.see(first, &Plane::from_vec(700, last - first, pixels.rows(first..last).to_vec()));
+            parts.add(first, &Plane::from_vec(700, last - first, pixels.rows(first..last).to_vec()));
         }
         assert_eq!(parts.sums, whole.sums);
     }

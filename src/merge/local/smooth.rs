@@ -32,7 +32,7 @@ pub(super) fn smoothed(differences: &Plane<Difference>, side: usize) -> Plane<f3
         let sums = Plane::from_rows(width, height, |j, row: &mut [(f32, f32)]| {
             let mut known = vec![0.0f32; differences.width()];
             for y in side * j..(side * (j + 1)).min(differences.height()) {
-                row_between_cells(&map, side, 1.0, y, &mut known);
+                row_between_cells(&map, side, |v| v, y, &mut known);
                 for (i, (known, d)) in
                     known.iter().zip(differences.row(y)).enumerate().filter(|(_, (_, d))| d.weight > 0.0)
                 {
@@ -68,7 +68,7 @@ mod tests {
         let ramp = |x: usize| 0.02 * x as f32;
         let map = smoothed(&plane(|x, _| Difference { stops: ramp(x), weight: 1.0 }), 4);
         let mut row = [0.0f32; 96];
-        row_between_cells(&map, 4, 1.0, 32, &mut row);
+        row_between_cells(&map, 4, |v| v, 32, &mut row);
         for x in 16..80 {
             // A cell of the map is 4 wide, and the smallest neighbourhood as large.
             assert!((row[x] - ramp(x)).abs() < 0.03, "{x}: {}", row[x]);

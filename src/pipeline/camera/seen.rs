@@ -4,7 +4,7 @@
 //! and aligning.
 
 use super::super::curves;
-use super::super::line::Line;
+use super::super::line::{Line, processing};
 use super::super::{check_placed, in_pool};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::given::Given;
@@ -87,6 +87,9 @@ fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -
         let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
         line.warnings.extend(warnings);
         bracket = tuned;
+    }
+    if processing(&bracket, &places, &own).is_some_and(|evidence| evidence.is_local) {
+        return Err(Error::LocallyProcessed { path: bracket.reference().path().to_owned() });
     }
     let miniature = curves::miniature(&options.curves, &bracket, &alignment, brackets)?;
     let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
