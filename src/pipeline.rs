@@ -6,6 +6,7 @@
 mod asked;
 pub mod camera;
 mod curves;
+mod doubts;
 mod fusion;
 mod line;
 mod names;

@@ -3,12 +3,13 @@
 //! In: what the stage before gave. Out: what the next takes. Cost: that of the stages.
 
 use super::curves;
+use super::doubts::{contradicted_response, differing_response, processing};
 use super::fusion::Aligned;
 use super::referred;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
-use crate::align::{AlignMode, Alignment, Rect};
+use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
 use crate::error::{Error, Result, Warning};
@@ -22,7 +23,7 @@ use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
-use crate::response::local::{Evidence, evidence};
+use crate::response::local::Evidence;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
@@ -105,44 +106,6 @@ fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &
     let scene = (slabs.size(), slabs.primaries());
     let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(y, row, codes);
     Settled::seen(&options.outputs, &options.write, scene, statistics.p99_9, |see| slabs.each(see), codes)
-}
-
-/// What there is to say of the response `saved` in the file `path` where the photographs of `capture` are of another camera; where one of
-/// them does not say its own, nothing.
-fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
-    let found = saved.camera()?;
-    let kept = capture.camera()?;
-    let detail = format!("is the response of {found}, and the photographs were taken by {kept}");
-    (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
-}
-
-/// What there is to say of the curve in the file `path` where the photographs contradict it, or any curve (`is_local`).
-fn contradicted_response(
-    path: &Path,
-    curve: &ResponseCurve,
-    places: &Places,
-    is_local: bool,
-) -> Result<Option<Warning>> {
-    let told = |(found, own)| {
-        let detail = match is_local {
-            true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, as they do any"
-            ),
-            false => {
-                format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}")
-            }
-        };
-        Warning::ResponseDoubtful { path: path.to_owned(), detail }
-    };
-    Ok(response::contradiction(curve, places)?.map(told))
-}
-
-/// What `places` of `bracket` tell of local processing; none where the user states a curve, for that is taken at its word, and where frames are not aligned: they
-/// may lie elsewhere, and differ from place to place by that.
-pub(super) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
-    let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
-    let longer_side = bracket.width().max(bracket.height());
-    if may_be_local { evidence(places, longer_side) } else { None }
 }
 
 /// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.

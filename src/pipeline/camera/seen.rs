@@ -4,7 +4,8 @@
 //! and aligning.
 
 use super::super::curves;
-use super::super::line::{Line, processing};
+use super::super::doubts::processing;
+use super::super::line::Line;
 use super::super::{check_placed, in_pool};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::given::Given;
