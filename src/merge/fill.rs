@@ -14,9 +14,8 @@
 //! - L is the least radiance that the clipped frames leave possible, U the most that the black ones do. So at the rim of a lamp, where a displaced
 //!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
 
-use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Tile};
+use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Taken, Tile};
 use super::mean::{Channels, Means};
-use super::rows::Taken;
 use crate::simd::{Loops, at_least, at_most};
 
 /// What is kept from row to row.

@@ -337,3 +337,19 @@ fn layer<'a>(
         entries: std::array::from_fn(|c| tables[c].entries()),
     }
 }
+
+/// How a row of a frame takes part.
+#[derive(Clone, Copy)]
+pub(super) struct Taken<'a> {
+    /// How far it is believed at each of the pixels, 0..=1; wholly where it does not say.
+    pub kept: &'a [f32],
+    /// What its radiance is multiplied by at each of the pixels; 1 where it does not say.
+    pub gain: &'a [f32],
+}
+
+impl<'a> Taken<'a> {
+    /// The pixels `part` of all that `kept` and `gain` say; they say nothing if they are empty.
+    pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
+        Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
+    }
+}

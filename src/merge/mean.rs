@@ -4,8 +4,7 @@
 //! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
-use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Tile};
-use super::rows::Taken;
+use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code

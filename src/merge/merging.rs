@@ -5,10 +5,10 @@
 
 use super::deghost::Ghosts;
 use super::fill::{FilledRow, Filling};
-use super::layer::{COLUMNS, Fill, Layer, ROWS, Tile, layers};
+use super::layer::{COLUMNS, Fill, Layer, ROWS, Taken, Tile, layers};
 use super::local::LocalGain;
 use super::mean::{Bounds, Means};
-use super::rows::{MergedRow, Taken};
+use super::rows::MergedRow;
 use super::{MergeOptions, Merged, RadianceMap};
 use crate::align::{Alignment, Rect};
 use crate::bracket::Bracket;

@@ -3,26 +3,9 @@
 //! In: what each frame has of the row, by rising exposure, and how it takes part. Out: the radiance of the row; or the weight of each frame in it. Cost: that of the
 //! [mean](super::mean).
 
-use super::layer::{COLUMNS, Fill, Layer, Tile};
+use super::layer::{COLUMNS, Fill, Layer, Taken, Tile};
 use super::mean::Means;
 use crate::simd::Loops;
-use std::ops::Range;
-
-/// How a row of a frame takes part.
-#[derive(Clone, Copy)]
-pub(super) struct Taken<'a> {
-    /// How far it is believed at each of the pixels, 0..=1; wholly where it does not say.
-    pub kept: &'a [f32],
-    /// What its radiance is multiplied by at each of the pixels; 1 where it does not say.
-    pub gain: &'a [f32],
-}
-
-impl<'a> Taken<'a> {
-    /// The pixels `part` of all that `kept` and `gain` say; they say nothing if they are empty.
-    pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
-        Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
-    }
-}
 
 /// Merges row `y` of a tile into `line`, of the frames whose place is known.
 pub(super) struct MergedRow<'a, 'b> {

@@ -4,9 +4,9 @@
 //! of merging those rows. It is not worked out beside the merge but read off it: what the weights of a pixel grow by as a frame is added.
 
 use super::fill::{FilledRow, Filling};
-use super::layer::{COLUMNS, Tile};
+use super::layer::{COLUMNS, Taken, Tile};
 use super::mean::Means;
-use super::rows::{Taken, WeighedRow};
+use super::rows::WeighedRow;
 use super::{Merging, Rect};
 use crate::error::Result;
 use crate::plane::Plane;
