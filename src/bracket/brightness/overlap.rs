@@ -1,10 +1,10 @@
 //! What two frames of a hand-held bracket both show.
 //!
-//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: sums of absolute
-//! differences of ranks over coarse pictures, as in a pyramid search.
+//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: correlations
+//! of ranks over coarse pictures, as in a pyramid search.
 //!
 //! What enters at one border and leaves at the other is as much as a tenth of a picture, and if it is bright it moves the ranks of all others.
-//! Ranks of codes do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
+//! Ranks of codes do not depend on the exposure, so they show the shift (as the bitmaps of Ward 2003 do, of which each is
 //! a rank against one half). A point is taken as it is and not averaged: means of codes are those of no radiance.
 
 /// Points along the longer side.
@@ -88,9 +88,10 @@ fn shift(a: &View, b: &View) -> (isize, isize) {
     (2 * found.0, 2 * found.1)
 }
 
-/// The shift within `farthest` of `start` at which the ranks differ least; of equals the smallest.
+/// The shift within `farthest` of `start` at which the ranks are most alike: of the greatest correlation over what both show; of equals the smallest. A mean
+/// difference would do for frames that show as much as each other, but where all that is bright clips in one, it is least where little of that is left.
 fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
-    let mut best = (f64::INFINITY, 0, start);
+    let mut best = (f64::NEG_INFINITY, 0, start);
     for down in start.1 - farthest..=start.1 + farthest {
         for right in start.0 - farthest..=start.0 + farthest {
             let (xs, ys) = (both(a.width, right), both(a.height(), down));
@@ -98,19 +99,28 @@ fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isi
             if 2 * area < a.values.len() {
                 continue;
             }
-            let mut sum = 0.0;
+            let mut sums = [0.0f64; 5];
             for (i, j) in ys.0.zip(ys.1) {
                 let (row, other) = (&a.values[i * a.width..][xs.0.clone()], &b.values[j * b.width..][xs.1.clone()]);
-                sum += row.iter().zip(other).map(|(x, y)| f64::from((x - y).abs())).sum::<f64>();
+                for (x, y) in row.iter().zip(other) {
+                    let (x, y) = (f64::from(*x), f64::from(*y));
+                    [x, y, x * x, y * y, x * y].iter().zip(&mut sums).for_each(|(v, sum)| *sum += v);
+                }
             }
-            let key = (sum / area as f64, right * right + down * down);
-            if key.0 < best.0 || (key.0 == best.0 && key.1 < best.1) {
+            let [x, y, xx, yy, xy] = sums.map(|sum| sum / area as f64);
+            let spread = ((xx - x * x) * (yy - y * y)).max(0.0).sqrt();
+            let alike = if spread > PLAIN { (xy - x * y) / spread } else { 0.0 };
+            let key = (alike, right * right + down * down);
+            if key.0 > best.0 || (key.0 == best.0 && key.1 < best.1) {
                 best = (key.0, key.1, (right, down));
             }
         }
     }
     best.2
 }
+
+/// Product of the standard deviations of ranks, which are 0 to 1, below which there is nothing to compare: rounding.
+const PLAIN: f64 = 1e-6;
 
 /// Ranks of points, 0 to 1.
 struct Ranks {
@@ -161,6 +171,22 @@ mod tests {
         assert_eq!(shared[0].iter().sum::<u64>(), (300 - 18) * (200 - 10));
         let (right, down) = shift(&view(40, 40, 1.0), &view(30, 60, 1.6));
         assert!((right + 10).abs() <= 2 && (down - 20).abs() <= 2, "{right}, {down}");
+    }
+
+    #[test]
+    fn a_frame_of_which_nearly_all_clips_is_found_by_what_does_not() {
+        // A sky that is brighter at its left, and a hill below its horizon, which rises to the right.
+        let view = |column: usize, row: usize, brighter: f64| {
+            View::of(300, 200, |y, x| {
+                let (x, y) = ((x + column) as f64, (y + row) as f64);
+                let hill = 210.0 - 0.15 * x + 8.0 * (x / 17.0).sin();
+                let light =
+                    if y > hill { 12.0 + 4.0 * (x / 9.0).sin() } else { 170.0 - 0.2 * x + 6.0 * (y / 11.0).cos() };
+                (light * brighter).min(255.0) as u8
+            })
+        };
+        let (right, down) = shift(&view(40, 40, 1.0), &view(48, 34, 4.0));
+        assert!((right - 8).abs() <= 2 && (down + 6).abs() <= 2, "{right}, {down}");
     }
 
     #[test]
