@@ -3,17 +3,18 @@
 //! In: a bracket and its alignment. Out: the picture, 8-bit sRGB. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
-use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Primaries, Transfer, linear_to_srgb};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
 use crate::merge::deghost::Ghosts;
-use crate::plane::{BAND_ROWS, Plane, band_count, band_rows};
+use crate::plane::{BAND_ROWS, Plane};
 use crate::response::{CODES, ResponseCurve};
 use crate::tonemap::mertens::{self, Channels};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// What is fused.
 pub(super) struct Aligned<'a> {
@@ -53,70 +54,53 @@ impl Aligned<'_> {
         }))
     }
 
-    /// The codes 0..=1 of frame `k` of those placed, -1 outside it; where something moved, what it would show of the next frame towards the reference,
-    /// which is as much changed. To give it no weight there would not do: the coarse levels of the pyramids carry what moved beyond its borders.
+    /// The codes 0..=1 of frame `k` of those placed, -1 outside it.
     fn codes(&self, placed: &[Placed], k: usize) -> Result<Channels> {
-        let chain = self.chain(placed, k);
-        let height = self.region.height();
-        // Of the frames after the first only the bands in which something is left out of all before them.
-        let mut asked = vec![vec![true; band_count(height)]];
-        for pair in chain.windows(2) {
-            let is_left_out = |band| self.ghosts.is_some_and(|g| !g.kept(pair[0], band_rows(band, height)).is_empty());
-            let more =
-                asked.last().into_iter().flatten().enumerate().map(|(band, is)| *is && is_left_out(band)).collect();
-            asked.push(more);
-        }
-        let mut next: Option<Channels> = None;
-        for (i, asked) in asked.iter().enumerate().rev() {
-            let mut planes = self.resampled(&placed[chain[i]], asked)?;
-            if let (Some(next), Some(ghosts)) = (&next, self.ghosts) {
-                let factor = placed[chain[i]].1.exposure.relative() / placed[chain[i + 1]].1.exposure.relative();
-                for (c, (own, next)) in planes.iter_mut().zip(next).enumerate() {
-                    let table = changed(self.curve, c, factor);
-                    own.fill_bands(|rows, band| {
-                        let kept = ghosts.kept(chain[i], rows.clone());
-                        for ((v, next), kept) in band.iter_mut().zip(next.rows(rows)).zip(kept) {
-                            if *next >= 0.0 && *v >= 0.0 && kept < 1.0 {
-                                let instead = between(&table, *next);
-                                *v = instead + kept * (*v - instead);
-                            }
-                        }
-                    });
-                }
-            }
-            next = Some(planes);
-        }
-        Ok(next.unwrap_or_else(|| std::array::from_fn(|_| Plane::filled(0, 0, 0.0))))
-    }
-
-    /// The codes 0..=1 of a placed frame, -1 outside it, in the bands that are asked for; 0 in the others.
-    fn resampled(&self, (_, frame, warp): &Placed, asked: &[bool]) -> Result<Channels> {
-        let window = frame.whole()?;
-        let (region, width, height) = (self.region, self.region.width(), self.region.height());
+        let (width, height) = (self.region.width(), self.region.height());
         let mut planes: Channels = std::array::from_fn(|_| Plane::filled(width, height, 0.0f32));
-        let band = BAND_ROWS * width;
-        let [red, green, blue] = planes.each_mut().map(|p| p.as_mut_slice().par_chunks_mut(band));
-        let bands = red.zip(green).zip(blue).enumerate().filter(|(i, _)| asked[*i]);
-        bands.for_each_init(Vec::new, |codes, (i, ((red, green), blue))| {
-            codes.resize(red.len(), [0.0f32; 3]);
-            let y = region.y0 + i * BAND_ROWS;
-            resample_rows(&window, warp, region.x0..region.x1, y..y + red.len() / width, codes);
-            for (((r, g), b), code) in red.iter_mut().zip(green).zip(blue).zip(codes.iter()) {
-                // Overshoot of the kernel must not be taken for what is outside.
-                [*r, *g, *b] = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
+        let [red, green, blue] = planes.each_mut().map(|p| p.as_mut_slice().par_chunks_mut(BAND_ROWS * width));
+        red.zip(green).zip(blue).enumerate().try_for_each(|(i, ((red, green), blue))| {
+            let first = i * BAND_ROWS;
+            let codes = self.rows(placed, k, first..first + red.len() / width)?;
+            for (((r, g), b), code) in red.iter_mut().zip(green).zip(blue).zip(codes) {
+                [*r, *g, *b] = code;
             }
-        });
+            Ok(())
+        })?;
         Ok(planes)
     }
 
-    /// Frame `k` of those placed, and those towards the reference by which it is continued where something is left out of it, in turn.
-    fn chain(&self, placed: &[Placed], k: usize) -> Vec<usize> {
+    /// The same of some rows of the region; where something moved, what the frame would show of the next one towards the reference, which is as much
+    /// changed. To give it no weight there would not do: the coarse levels of the pyramids carry what moved beyond its borders.
+    fn rows(&self, placed: &[Placed], k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+        let (_, frame, warp) = &placed[k];
+        let columns = self.region.x0..self.region.x1;
+        let lines = self.region.y0 + rows.start..self.region.y0 + rows.end;
+        let window = frame.window(rows_under(warp, (frame.width(), frame.height()), &columns, &lines))?;
+        let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
+        resample_rows(&window, warp, columns, lines, &mut codes);
+        for code in &mut codes {
+            // Overshoot of the kernel must not be taken for what is outside.
+            *code = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
+        }
         let reference = placed.iter().position(|(i, _, _)| *i == self.bracket.reference_index()).unwrap_or(k);
-        let next = |&k: &usize| {
-            let is_whole = self.ghosts.is_none_or(|ghosts| ghosts.is_whole(k));
-            (!is_whole && k != reference).then(|| if k < reference { k + 1 } else { k - 1 })
-        };
-        std::iter::successors(Some(k), next).collect()
+        let kept = self.ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(k, rows.clone()));
+        if k == reference || kept.is_empty() {
+            return Ok(codes);
+        }
+        let toward = if k < reference { k + 1 } else { k - 1 };
+        let next = self.rows(placed, toward, rows)?;
+        let factor = frame.exposure.relative() / placed[toward].1.exposure.relative();
+        let tables: [_; 3] = std::array::from_fn(|c| changed(self.curve, c, factor));
+        for ((code, next), kept) in codes.iter_mut().zip(&next).zip(kept) {
+            if next[0] >= 0.0 && code[0] >= 0.0 && kept < 1.0 {
+                *code = std::array::from_fn(|c| {
+                    let instead = between(&tables[c], next[c]);
+                    instead + kept * (code[c] - instead)
+                });
+            }
+        }
+        Ok(codes)
     }
 }
 
