@@ -1,16 +1,19 @@
 //! What two frames of a hand-held bracket both show.
 //!
-//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: correlations
-//! of ranks over coarse pictures, as in a pyramid search.
+//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: sums of absolute
+//! differences of ranks over coarse pictures, as in a pyramid search.
 //!
 //! What enters at one border and leaves at the other is as much as a tenth of a picture, and if it is bright it moves the ranks of all others.
-//! Ranks of codes do not depend on the exposure, so they show the shift (as the bitmaps of Ward 2003 do, of which each is
-//! a rank against one half). A point is taken as it is and not averaged: means of codes are those of no radiance.
+//! Ranks of codes do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
+//! a rank against one half). What is white or black in one frame has no order there, and so is given none in the
+//! other. A point is taken as it is and not averaged: means of codes are those of no radiance.
 
 /// Points along the longer side.
 const LENGTH: usize = 384;
 /// Along the longer side of the coarsest picture of the search; and the largest shift there: a sixth.
 const COARSEST: usize = 24;
+/// Codes from and up to which a point is neither black nor white.
+const SHOWN: (u8, u8) = (2, 250);
 
 /// Every so many points of a frame's green channel, at 8 bit.
 #[derive(Debug, Clone)]
@@ -43,13 +46,28 @@ impl View {
         counts
     }
 
-    /// The share of points that are darker, half of those that are alike counted.
-    fn ranks(&self) -> Ranks {
+    /// The shares of points that are below what is white, and that are black.
+    fn ends(&self) -> (f32, f32) {
+        let share = |is: &dyn Fn(u8) -> bool| {
+            self.codes.iter().filter(|&&code| is(code)).count() as f32 / self.codes.len().max(1) as f32
+        };
+        (share(&|code| code <= SHOWN.1), share(&|code| code < SHOWN.0))
+    }
+
+    /// The share of points that are darker, half of those that are alike counted; those of the part `black` are alike, and those above the part `white`.
+    fn ranks(&self, (white, black): (f32, f32)) -> Ranks {
         let counts = self.counts(0..self.height(), 0..self.width);
         let mut below = 0;
         let ranks = counts.map(|count| {
             below += count;
-            ((2 * below - count) as f64 / (2 * self.codes.len()) as f64) as f32
+            let rank = ((2 * below - count) as f64 / (2 * self.codes.len()) as f64) as f32;
+            if rank > white {
+                0.5 * (1.0 + white)
+            } else if rank < black {
+                0.5 * black
+            } else {
+                rank
+            }
         });
         Ranks { width: self.width, values: self.codes.iter().map(|&code| ranks[usize::from(code)]).collect() }
     }
@@ -73,7 +91,9 @@ fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<us
 
 /// Where in `a`, seen from `b`, the same is: to the right and down, in points, to the nearest two.
 fn shift(a: &View, b: &View) -> (isize, isize) {
-    let (mut finer_a, mut finer_b) = (a.ranks().halved(), b.ranks().halved());
+    let (of_a, of_b) = (a.ends(), b.ends());
+    let ends = (of_a.0.min(of_b.0), of_a.1.max(of_b.1));
+    let (mut finer_a, mut finer_b) = (a.ranks(ends).halved(), b.ranks(ends).halved());
     let mut levels = Vec::new();
     while finer_a.length() > COARSEST {
         let coarser = (finer_a.halved(), finer_b.halved());
@@ -88,10 +108,9 @@ fn shift(a: &View, b: &View) -> (isize, isize) {
     (2 * found.0, 2 * found.1)
 }
 
-/// The shift within `farthest` of `start` at which the ranks are most alike: of the greatest correlation over what both show; of equals the smallest. A mean
-/// difference would do for frames that show as much as each other, but where all that is bright clips in one, it is least where little of that is left.
+/// The shift within `farthest` of `start` at which the ranks differ least; of equals the smallest.
 fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
-    let mut best = (f64::NEG_INFINITY, 0, start);
+    let mut best = (f64::INFINITY, 0, start);
     for down in start.1 - farthest..=start.1 + farthest {
         for right in start.0 - farthest..=start.0 + farthest {
             let (xs, ys) = (both(a.width, right), both(a.height(), down));
@@ -99,28 +118,19 @@ fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isi
             if 2 * area < a.values.len() {
                 continue;
             }
-            let mut sums = [0.0f64; 5];
+            let mut sum = 0.0;
             for (i, j) in ys.0.zip(ys.1) {
                 let (row, other) = (&a.values[i * a.width..][xs.0.clone()], &b.values[j * b.width..][xs.1.clone()]);
-                for (x, y) in row.iter().zip(other) {
-                    let (x, y) = (f64::from(*x), f64::from(*y));
-                    [x, y, x * x, y * y, x * y].iter().zip(&mut sums).for_each(|(v, sum)| *sum += v);
-                }
+                sum += row.iter().zip(other).map(|(x, y)| f64::from((x - y).abs())).sum::<f64>();
             }
-            let [x, y, xx, yy, xy] = sums.map(|sum| sum / area as f64);
-            let spread = ((xx - x * x) * (yy - y * y)).max(0.0).sqrt();
-            let alike = if spread > PLAIN { (xy - x * y) / spread } else { 0.0 };
-            let key = (alike, right * right + down * down);
-            if key.0 > best.0 || (key.0 == best.0 && key.1 < best.1) {
+            let key = (sum / area as f64, right * right + down * down);
+            if key.0 < best.0 || (key.0 == best.0 && key.1 < best.1) {
                 best = (key.0, key.1, (right, down));
             }
         }
     }
     best.2
 }
-
-/// Product of the standard deviations of ranks, which are 0 to 1, below which there is nothing to compare: rounding.
-const PLAIN: f64 = 1e-6;
 
 /// Ranks of points, 0 to 1.
 struct Ranks {
