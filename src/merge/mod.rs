@@ -71,7 +71,7 @@ pub struct RadianceMap {
 pub struct MergeOptions {
     /// How far a code is trusted.
     pub weight: Weight,
-    /// The pixels of the reference that are wanted: its [overlap](Alignment::overlap) with the others, or all of it.
+    /// The pixels of the reference that are wanted: its [overlap](crate::align::Alignment::overlap) with the others, or all of it.
     pub region: Rect,
 }
 

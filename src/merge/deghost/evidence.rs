@@ -11,7 +11,7 @@
 //! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
-//! differs. What differs surely has moved where the [structure] says so too, and so has all that is connected with it and differs half as much, if the ratio changes all along
+//! differs. What differs surely has moved where the [structure](super::structure) says so too, and so has all that is connected with it and differs half as much, if the ratio changes all along
 //! the border of that; and so has what differs half as much without a sure place, if its border is long and the ratio changes half as much all along it.
 
 use super::cells::{Cell, Meaning};
