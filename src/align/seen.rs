@@ -7,8 +7,9 @@ use super::threshold::{Histogram, Percentile};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 
-/// The turn of each frame of `bracket`: when it was taken, in seconds, by the camera's clock where all frames have that to fractions of a second; where it is coarser
-/// the how manieth it was taken, by name where the clock is the same; where there is none, the how manieth by rising exposure.
+/// The turn of each frame of `bracket`: when it was taken, in seconds by the camera's clock, where all frames have that to fractions of a second;
+/// where the clock is coarser, its position in the order in which they were taken, names deciding between equal times; without a clock, its
+/// position by rising exposure.
 pub(super) fn turns(bracket: &Bracket) -> Vec<f64> {
     let frames = bracket.frames();
     let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();

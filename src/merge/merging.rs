@@ -1,7 +1,7 @@
 //! The walk of merging: slab by slab, and in each tile by tile and row by row over the frames.
 //!
-//! In: a bracket, where its frames lie, what their codes mean, and how far each is believed. Out: [`Slab`]s of radiance, which together are the [`RadianceMap`]. Cost and
-//! equation are at the head of [`merge`](super).
+//! In: a bracket, where its frames lie, what their codes mean, and how far each is believed. Out: [`Slab`]s of radiance, which together are the
+//! [`RadianceMap`]. Cost and equation are at the head of [`merge`](super).
 
 use super::deghost::Ghosts;
 use super::fill::{FilledRow, Filling};

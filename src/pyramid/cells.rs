@@ -1,7 +1,7 @@
 //! Cells: a picture known by the means over squares of its pixels.
 //!
-//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres; and what lies around each cell. Cost: a few operations a pixel; 2 (2 reach + 1)
-//! a cell.
+//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres; and what lies around each cell. Cost: a few operations a
+//! pixel; 2 (2 reach + 1) a cell.
 
 use crate::plane::Plane;
 use std::ops::Range;

@@ -11,8 +11,9 @@
 //! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
-//! differs. What differs surely has moved where the [structure](super::structure) says so too, and so has all that is connected with it and differs half as much, if the ratio changes all along
-//! the border of that; and so has what differs half as much without a sure place, if its border is long and the ratio changes half as much all along it.
+//! differs. What differs surely has moved where the [structure](super::structure) says so too, and so has all that is connected with it and differs
+//! half as much, if the ratio changes all along the border of that; and so has what differs half as much without a sure place, if its border is long
+//! and the ratio changes half as much all along it.
 
 use super::cells::{Cell, Meaning};
 use super::region;
@@ -38,8 +39,9 @@ const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
 /// mean there is the mover's.
 const RAISE: f32 = 2.0;
 
-/// By how much, as a share of the limit of what surely moved, the ratio has to change on average at the border of what moved: by more than the one standard deviation
-/// that is explained. On twelve truth brackets it does by 1.3 to 11, at walls of another colour and where the exposures are wrong by 0.6 to 1.1.
+/// By how much, as a share of the limit of what surely moved, the ratio has to change on average at the border of what moved: by more than the one
+/// standard deviation that is explained. On twelve truth brackets it does by 1.3 to 11, at walls of another colour and where the exposures are wrong
+/// by 0.6 to 1.1.
 const EXPLAINED: f32 = 0.3;
 /// Cells of a border along which half the limit is sure enough: at chance level, the mean of so many has a spread below a fifth, if ten neighbours are but one.
 const LONG: usize = 100;

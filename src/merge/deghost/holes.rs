@@ -1,7 +1,8 @@
 //! Holes: where the reference clips, and the frames that could show more show something that moved.
 //!
-//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]: radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and
-//! push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
+//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]: radiance that continues what is
+//! around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and push of Gortler et al.
+//! 1996, "The Lumigraph", section 3.4.2.
 //!
 //! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before a bright sky, nothing that is left says
 //! more, and the mean would be a grey patch in the mover's shape. What the reference clips about it, connected with it, is about as bright: the
