@@ -37,7 +37,7 @@ pub(super) struct Search<'a> {
     pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// What each frame shows.
     pub(super) seen: &'a [Seen],
-    /// When each was taken: seconds, or the how manieth of all.
+    /// When each was taken: seconds, or its position in the order of all.
     pub(super) turns: &'a [f64],
     /// Whether all frames are of one tone each.
     pub(super) is_plain: bool,

@@ -17,7 +17,7 @@ const GAP: f64 = 16.0;
 /// Room for the names above the frames.
 const NAMES: f64 = 26.0;
 
-/// Of all matches every so manieth is drawn as a line, so that there are at most [`MOST_LINES`].
+/// Of all matches only one in so many is drawn as a line, so that there are at most [`MOST_LINES`].
 fn stride(matches: usize) -> usize {
     matches.div_ceil(MOST_LINES).max(1)
 }
