@@ -8,6 +8,7 @@
 //! - the noise of both codes, through the curve's slope;
 //! - a share of the radiance itself: at least `LEAST`, for the curve and the exposures are not known better, and as much as is
 //!   [usual](super::usual) in the bracket; the usual bias is divided out first. Where another channel clips, more: it is mixed into this one;
+//! - as large a share of what the brightest channel has more: cameras and JPEG mix the channels, by amounts that change with the exposure;
 //! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
 //!
 //! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
@@ -23,7 +24,8 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
-/// The least share of the radiance by which frames may differ.
+/// The least share of the radiance by which frames may differ, and that of the brightest channel that may be mixed into another: in a lamp's
+/// light on wood there is sixteen times as much red as blue.
 const LEAST: f32 = 0.06;
 /// ... and that by which they may where a channel clips: the camera has mixed it into the others. Seen on saturated colours of four cameras.
 const SHIFTED: f32 = 0.25;
@@ -63,6 +65,8 @@ struct Channel {
     noise: [f32; 2],
     /// The usual spread of their ratio.
     spread: f32,
+    /// What may be mixed into it of the others, as radiance.
+    mixed: f32,
     /// Whether the one lies within what the other says.
     is_within: bool,
 }
@@ -80,8 +84,9 @@ impl Pair<'_> {
             true => s.is_clipped(c) || f.is_black(c),
             false => s.is_black(c) || f.is_clipped(c),
         };
+        let mixed = LEAST * (brightest(s).max(brightest(f)) - a.max(b)).max(0.0);
         let noise = [s.relative_noise(c, self.meanings), f.relative_noise(c, self.meanings)];
-        Channel { radiance: [a, b], noise: noise.map(|n| n * n), spread, is_within }
+        Channel { radiance: [a, b], noise: noise.map(|n| n * n), spread, mixed, is_within }
     }
 
     /// How far each cell of the frame differs from the standard, in standard deviations, brighter being positive.
@@ -99,11 +104,11 @@ impl Pair<'_> {
                 let (steep_s, steep_f) = (steepness(of_standard, x), steepness(of_frame, x));
                 let least = if s.clips() || f.clips() { SHIFTED } else { LEAST };
                 *out = std::array::from_fn(|c| {
-                    let Channel { radiance: [a, b], noise, spread, is_within } = self.channel(s, f, c);
+                    let Channel { radiance: [a, b], noise, spread, mixed, is_within } = self.channel(s, f, c);
                     if is_within {
                         return 0.0;
                     }
-                    let share = least.max(spread) * a.max(b);
+                    let share = least.max(spread) * a.max(b) + mixed;
                     let edge = steep_s[c].max(steep_f[c]) * astray;
                     let variance = share * share + a * a * noise[0] + b * b * noise[1] + edge;
                     ((b - a) / variance.sqrt()).clamp(-ENOUGH, ENOUGH)
@@ -123,8 +128,8 @@ impl Pair<'_> {
                 // Of both, and of the edge between what clips and what does not, which is as far off again.
                 let least = if s.clips() || f.clips() { 2.0 * SHIFTED } else { 0.0 };
                 for c in 0..3 {
-                    let Channel { radiance: [a, b], noise, spread, is_within } = self.channel(s, f, c);
-                    let usual = spread.max(least);
+                    let Channel { radiance: [a, b], noise, spread, mixed, is_within } = self.channel(s, f, c);
+                    let usual = spread.max(least) + mixed / a.min(b);
                     ratio.standard[c] = log2(a);
                     ratio.ratio[c] = if is_within { 0.0 } else { log2(b / a) };
                     ratio.variance[c] = (noise[0] + noise[1] + usual * usual) * OCTAVES * OCTAVES;
@@ -132,6 +137,12 @@ impl Pair<'_> {
             }
         })
     }
+}
+
+/// The radiance of the brightest channel.
+#[inline]
+fn brightest(cell: &Cell) -> f32 {
+    cell.radiance.iter().copied().fold(0.0, f32::max)
 }
 
 /// The squares of the gradient at column `x` of the middle one of three rows, per cell: by central differences.

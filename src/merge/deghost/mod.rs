@@ -202,14 +202,27 @@ pub fn find(
             let frame = seen(i)?;
             let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);
             take_over(&mut standard, &frame, &moved, &meanings);
-            let kept = region::kept(&moved, MARGIN, FADE);
+            let mut kept = region::kept(&moved, MARGIN, FADE);
             if i < reference {
                 shorter.add(&frame, &kept);
+                keep_beside(&mut kept, &moved, &shown);
             }
             frames[i].1 = Some(kept);
         }
     }
     Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
+}
+
+/// Keeps a shorter frame beside what `moved` in it, where the reference is white: all it would leave there is a blob. Where a mover's
+/// soft edge darkens it, light is [continued](holes) all the same.
+fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, reference: &Plane<Cell>) {
+    kept.fill_rows(|y, row| {
+        for ((kept, moved), cell) in row.iter_mut().zip(moved.row(y)).zip(reference.row(y)) {
+            if !moved && (0..3).all(|c| cell.is_clipped(c)) {
+                *kept = u8::MAX;
+            }
+        }
+    });
 }
 
 /// The side of a cell in pixels.

@@ -132,6 +132,39 @@ fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
 }
 
 #[test]
+fn what_is_bright_beside_a_mover_keeps_its_form() {
+    // Bars that the reference clips and the shorter frame shows, and a mover in that one just below.
+    let bars = |x: usize, y: usize| match (x / 8 % 2, y < 60) {
+        (_, false) => [0.2, 0.25, 0.3],
+        (0, true) => [3.0; 3],
+        (_, true) => [2.0; 3],
+    };
+    let mover = |x, y: usize| if disc(x, y, (120, 90)) && y >= 66 { [0.9, 0.6, 0.5] } else { bars(x, y) };
+    let (bracket, alignment) = bracket([&mover, &bars, &bars]);
+    let ghosts = seek(&bracket, &alignment);
+    assert!(ghosts.report().ghost_fraction > 0.02);
+    let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
+    // Light is added at most up to the mean of both, which is 22 % above the darker.
+    let ratio = |x| found.at(x, 56)[1] / plain.at(x, 56)[1];
+    assert!((100..140).all(|x| (1.0..1.1).contains(&ratio(x))), "{:?}", &found.row(56)[100..140]);
+    assert!(found.at(120, 90)[0] < 0.5 * plain.at(120, 90)[0]);
+}
+
+#[test]
+fn channels_that_are_mixed_are_no_motion() {
+    // A disc in which blue is two thirds brighter in the long frame: of red that is a twenty-fifth.
+    let found = |red: f64| {
+        let scene =
+            move |more: f64| move |x, y| if disc(x, y, (100, 80)) { [red, 0.1, 0.03 + more] } else { [red, 0.1, 0.03] };
+        let (still, mixed) = (scene(0.0), scene(0.02));
+        let (bracket, alignment) = bracket([&still, &still, &mixed]);
+        seek(&bracket, &alignment).report().ghost_fraction
+    };
+    assert_eq!(found(0.5), 0.0);
+    assert!(found(0.03) > 0.02, "{}", found(0.03));
+}
+
+#[test]
 fn a_faint_large_mover_is_found() {
     // A disc that is 35 % brighter than what it hides.
     let smooth = |x: usize, y: usize| [0.1 + 0.0004 * x as f64, 0.1 + 0.0003 * y as f64, 0.12];
