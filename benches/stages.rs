@@ -218,7 +218,7 @@ fn radiance(c: &mut Criterion) {
         b.iter(|| Statistics::measured(black_box(&map.pixels), [0.2126, 0.7152, 0.0722], Unit::Relative));
     });
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
-    let picture = tonemap(&map, &Operator::default());
+    let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());
     let floats = exr::Options { sample: exr::Sample::Float, ..exr::Options::default() };
@@ -249,7 +249,7 @@ fn files(c: &mut Criterion) {
     let placed = Alignment::unmoved(&bracket);
     let options = MergeOptions { weight: Weight::default(), region: placed.overlap };
     let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options, None).expect("a whole region");
-    let picture = tonemap(&map, &Operator::default());
+    let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());
     let exr = |sample, compression| write::Options { exr: exr::Options { sample, compression }, ..Default::default() };

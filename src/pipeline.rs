@@ -258,16 +258,17 @@ fn merged(
             let (radiance, statistics) = line.units(radiance, &calibration, options)?;
             let (ghosts, local) = (radiance.ghosts.as_ref(), radiance.local.as_ref());
             let aligned = Aligned { bracket: &bracket, alignment: &alignment, region, curve: &camera.curve, ghosts };
-            let picture = line.tonemap(&radiance.slabs, &aligned, options)?;
+            let photographed = radiance.photographed;
+            let picture = line.tonemap(&radiance.slabs, photographed, &aligned, options)?;
             let mut files = line.others(&bracket, &alignment, region, options)?;
-            let metadata = line::metadata(bracket.reference(), options);
+            let metadata = line::metadata(bracket.reference(), photographed, options);
             let merging = MergeOptions { weight: options.weight, region };
             let developed = Developed { curve: &camera.curve, merging, ghosts, local };
             line.gather(&bracket, &alignment, Some(&developed), options)?;
             let mut report = Report::new(&bracket, &alignment, region);
             // The frames make room for what is encoded.
             drop(bracket);
-            let Radiance { slabs, merged, ghosts, flare, local } = radiance;
+            let Radiance { slabs, merged, ghosts, flare, local, .. } = radiance;
             report.options = Some(asked::report(options, true));
             report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
             report.local_processing = camera.local_report(local.as_ref());

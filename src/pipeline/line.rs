@@ -18,7 +18,7 @@ use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::local::{self, LocalGain, LocalReport, expansion};
 use crate::merge::statistics::{Statistics, Tally};
-use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
+use crate::merge::{MergeOptions, Merged, Merging, Photographed, gamut, normalisation};
 use crate::page::{Developed, Page};
 use crate::plane::{BAND_ROWS, Plane};
 use crate::report::{self, Report, Times, WarningReport};
@@ -39,6 +39,8 @@ use std::time::{Duration, Instant};
 /// The radiance, and what was found on the way to it.
 pub(super) struct Radiance {
     pub slabs: Slabs,
+    /// What the photographs showed of it.
+    pub photographed: Option<Photographed>,
     pub merged: Merged,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
@@ -123,10 +125,11 @@ fn expanded(slabs: Slabs, factor: f64) -> Result<Slabs> {
 }
 
 /// What headers say of a result.
-pub(super) fn metadata(reference: &Frame, options: &Options) -> Metadata {
+pub(super) fn metadata(reference: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
     let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");
-    let comments = options.unit_exposure.map(unit).into_iter().collect();
+    let photographed = photographed.map(|photographed| photographed.to_string());
+    let comments = options.unit_exposure.map(unit).into_iter().chain(photographed).collect();
     Metadata { cd_m2_per_unit, comments, ..Metadata::of(reference) }
 }
 
@@ -291,7 +294,10 @@ impl<'a> Line<'a> {
                     })?;
                 }
             }
-            Ok(Radiance { slabs, merged, ghosts, flare, local })
+            let placed = bracket.frames().iter().zip(&alignment.verdicts).filter(|(_, verdict)| verdict.warp.is_some());
+            let exposures = placed.map(|(frame, _)| frame.exposure.relative());
+            let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
+            Ok(Radiance { slabs, photographed, merged, ghosts, flare, local })
         });
         self.times.merge = time;
         merged
@@ -310,6 +316,7 @@ impl<'a> Line<'a> {
         let normalised = |unit| normalisation::factor(unit, radiance.merged.reference_exposure);
         let calibrated = calibration.as_ref().map(|calibration| calibration.cd_m2_per_unit);
         let factor = calibrated.or(options.unit_exposure.map(normalised));
+        let photographed = radiance.photographed.map(|photographed| photographed.times(factor.unwrap_or(1.0)));
         if options.colour.is_some() || factor.is_some() {
             slabs = slabs.changed(|_, map| {
                 let (mut map, drawn) = match options.colour {
@@ -334,11 +341,17 @@ impl<'a> Line<'a> {
         }
         let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
         self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
-        Ok((Radiance { slabs, ..radiance }, statistics))
+        Ok((Radiance { slabs, photographed, ..radiance }, statistics))
     }
 
     /// What rows of the picture come from.
-    pub fn tonemap(&mut self, slabs: &Slabs, aligned: &Aligned, options: &Options) -> Result<Picture> {
+    pub fn tonemap(
+        &mut self,
+        slabs: &Slabs,
+        photographed: Option<Photographed>,
+        aligned: &Aligned,
+        options: &Options,
+    ) -> Result<Picture> {
         let mut unused = Vec::new();
         let (picture, time) = self.timed(Stage::Tonemap, || {
             let operator = match &options.rendering {
@@ -348,7 +361,7 @@ impl<'a> Line<'a> {
                     return Ok(Picture::Fused(aligned.fused(fused)?));
                 }
             };
-            let mut overview = Overview::new(slabs.size(), &slabs.primaries());
+            let mut overview = Overview::new(slabs.size(), &slabs.primaries()).photographed(photographed);
             slabs.each(|first, map| {
                 overview.see(first, &map.pixels);
                 Ok(())
@@ -442,7 +455,7 @@ impl<'a> Line<'a> {
             }
             if let Some(prefix) = &options.save_aligned {
                 // What the unit of radiance is says nothing of frames.
-                let metadata = Metadata { comments: Vec::new(), ..metadata(reference, options) };
+                let metadata = Metadata { comments: Vec::new(), ..metadata(reference, None, options) };
                 files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);
             }
             Ok(files)

@@ -8,7 +8,7 @@ use crate::bracket::colour::Space;
 use crate::budget;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::merge::gamut;
+use crate::merge::{Photographed, gamut};
 use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;
@@ -90,7 +90,8 @@ fn tonemapped(
     report.operator = options.operator.clone();
     report.time_s.load = timed(Stage::Tonemap, began);
     let since = Instant::now();
-    let display = tonemap::tonemap(&map, &options.operator);
+    let photographed = Photographed::read(&metadata.comments);
+    let display = tonemap::tonemap(&map, photographed, &options.operator);
     report.time_s.tonemap = timed(Stage::Write, since);
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.

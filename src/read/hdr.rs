@@ -33,6 +33,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         if line.is_empty() {
             break;
         }
+        if let Some(comment) = line.strip_prefix("# ") {
+            metadata.comments.push(comment.to_owned());
+            continue;
+        }
         // Lines that begin with a tab are those of the pictures this one was made of.
         let Some((key, value)) = line.split_once('=') else {
             continue;

@@ -7,7 +7,7 @@
 //! small and to show large become a straight line.
 
 use crate::plane::Plane;
-use crate::pyramid::cells::between_cells;
+use crate::pyramid::cells::{Mix, between_cells};
 
 /// The tone of every place: v = a l + b.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,11 +61,15 @@ impl Guide {
 
     /// The lines of row `y` of the picture, one for each column of cells, into `row`.
     pub fn row(&self, y: usize, row: &mut Vec<[f32; 2]>) {
-        let (first, second, part) = between_cells(y, self.side, self.lines.height());
-        let part = part as f32;
+        self.row_of(&self.lines, y, row);
+    }
+
+    /// What `plane`, which has the same cells, has at row `y` of the picture, for each column of cells, into `row`.
+    pub fn row_of<T: Mix>(&self, plane: &Plane<T>, y: usize, row: &mut Vec<T>) {
+        let (first, second, part) = between_cells(y, self.side, plane.height());
         row.clear();
-        let pairs = self.lines.row(first).iter().zip(self.lines.row(second));
-        row.extend(pairs.map(|(p, q)| [0, 1].map(|i| p[i] + part * (q[i] - p[i]))));
+        let pairs = plane.row(first).iter().zip(plane.row(second));
+        row.extend(pairs.map(|(&p, &q)| p.towards(q, part as f32)));
         // One more, so that every column has a right neighbour.
         row.extend(row.last().copied());
     }

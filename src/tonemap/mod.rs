@@ -6,19 +6,18 @@
 
 mod bilateral;
 mod brightness;
-mod contrast_curve;
 pub mod display;
 pub mod drago;
 pub mod durand;
 mod eye;
 pub mod fattal;
 mod guide;
-mod local_laplacian;
 mod log_range;
 pub mod mantiuk06;
 pub mod mantiuk08;
 pub mod mertens;
 pub mod natural;
+mod oklab;
 pub mod overview;
 mod poisson;
 mod quadratic;
@@ -27,7 +26,7 @@ pub mod settings;
 pub mod tones;
 
 use crate::error::Result;
-use crate::merge::RadianceMap;
+use crate::merge::{Photographed, RadianceMap};
 use crate::plane::Plane;
 use overview::Overview;
 use settings::Setting;
@@ -176,10 +175,11 @@ impl Rendering {
     }
 }
 
-/// The picture of `radiance` by `operator`, whose [settings](Operator::settings) are within their ranges. Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
-pub fn tonemap(radiance: &RadianceMap, operator: &Operator) -> DisplayImage {
+/// The picture of `radiance` by `operator`, with what is known of the photographs that it was merged from; the operator's [settings](Operator::settings) are within their ranges.
+/// Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
+pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
-    let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries);
+    let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
     overview.see(0, pixels);
     DisplayImage { pixels: operator.settled(overview).picture(pixels) }
 }
@@ -221,7 +221,7 @@ mod tests {
             for side in [2usize, 6, 40] {
                 let pixels = (0..side * side).map(|i| ends[(i * 7 + i / side) % ends.len()]).collect();
                 let pixels = Plane::from_vec(side, side, pixels);
-                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, &operator).pixels;
+                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, None, &operator).pixels;
                 assert_eq!((picture.width(), picture.height()), (side, side), "{}", operator.name());
             }
         }
@@ -233,7 +233,7 @@ mod tests {
         for operator in every() {
             let code = |pixel: [f32; 3], size: (usize, usize)| {
                 let pixels = Plane::filled(size.0, size.1, pixel);
-                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, &operator).pixels;
+                let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, None, &operator).pixels;
                 assert!(picture.as_slice().iter().all(|p| *p == picture.at(0, 0)), "{}", operator.name());
                 picture.at(0, 0)
             };

@@ -1,39 +1,43 @@
-//! The operator of the house: edges held back without halos, the curve that distorts contrasts least, and the brightness of a photograph.
+//! The operator of the house: exposures as the photographer might have made them, each where it shows best.
 //!
-//! In: a scene. Out: its tones. Cost: 0.1 us a cell, of which there are at most [`CELLS`]: 40 ms; a pixel two interpolations.
-//! Source: `local_laplacian` (Paris et al. 2011, Aubry et al. 2014) for the large edges; `contrast_curve` (Eilertsen et al. 2015) for the rest;
-//! Yeganeh & Wang, "Objective Quality Assessment of Tone-Mapped Images" (2013), section III-B, for the brightness and the local contrast that
-//! three thousand photographs have.
+//! In: a scene. Out: its tones. Cost: some 2 us a cell, of which there are at most [`CELLS`], for ten exposures; a pixel three interpolations.
+//! Source: [`mertens`](super::mertens) (Mertens et al. 2007) on exposures that are made of the radiance. There are as many as the scene's lights and the
+//! bracket's longest exposure ask for, a stop apart; no mover is in any of them; and a radiance map from elsewhere has them too.
+//!
+//! 1. The scene, on a grid, is exposed: from the exposure that shows its lights to the bracket's longest, for how long a photographer exposed says how bright the
+//!    place is: night stays night.
+//! 2. The exposures are fused, and black and white are where the fused picture has its darkest and brightest.
+//! 3. A power and a curve of contrast give it the brightness of a photograph, or somewhat less than the longest exposure's.
+//! 4. Straight lines carry luminance from the grid to the pixels ([`Guide`]). Hue is the scene's; of its chroma as much is left as the fused picture
+//!    has, which is pale where it is nearly white, and no more than [`Options::saturation`] times the scene's.
 
-use super::brightness;
-use super::contrast_curve::ContrastCurve;
+use super::display::luminance;
 use super::guide::Guide;
-use super::local_laplacian::{Remapping, local_laplacian};
-use super::overview::Scene;
+use super::mertens::{self, Channels};
+use super::oklab;
+use super::overview::{Scene, quantile};
 use super::settings::Setting;
 use super::tones::{Curve, Tones};
-use crate::bracket::colour::linear_to_srgb;
+use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
 use crate::plane::Plane;
-use rayon::prelude::*;
+use crate::simd::log2;
 
 /// What may be set; the rest the picture decides.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// What an edge is higher than 1.3 stops is times this: 1 leaves all to the curve, 0 makes every region equally bright.
-    pub edges: f64,
+    /// The mean of the picture's code values, 0 to 1, where the photographs were not darker.
+    pub brightness: f64,
+    /// The strength of the curve of contrast: 0 is none, 1 raises contrast by half in the middle tones.
+    pub contrast: f64,
     /// Fine contrast: 1 as in the scene, above it raised.
     pub detail: f64,
-    /// Stops from black to white on the display. `None`: those with which the picture has the local contrast of a photograph.
-    pub range_stops: Option<f64>,
-    /// The mean of the picture's code values, 0 to 1.
-    pub brightness: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// The most chroma that a colour may have, times the scene's: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Options { edges: 0.5, detail: 1.25, range_stops: None, brightness: 0.44, saturation: 1.25 }
+        Options { brightness: 0.48, contrast: 0.3, detail: 1.0, saturation: 1.0 }
     }
 }
 
@@ -42,232 +46,249 @@ impl Options {
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::brightness(&mut self.brightness),
+            Setting::number("contrast", (0.0, 1.0), &mut self.contrast, "of the middle tones; 0 adds none"),
             Setting::number("detail", (0.5, 3.0), &mut self.detail, "times the fine contrast of the scene"),
-            Setting::number("edges", (0.0, 1.0), &mut self.edges, "what is left of edges over 1.3 stops; 0 is flat"),
-            Setting::estimated("range", (3.0, 12.0), &mut self.range_stops, "stops from black to white on the display"),
             Setting::saturation(&mut self.saturation),
         ]
     }
 }
 
-/// Cells that edges are held back on.
-pub const CELLS: usize = 1 << 18;
+/// Cells that are exposed.
+pub const CELLS: usize = 1 << 17;
 
-/// The parts of the tones that may be black, and white.
-const ENDS: (f64, f64) = (0.002, 0.0005);
+/// The code, of 1, that the shortest exposure gives to the lights: what is brighter than all but so many pixels.
+const LIGHTS: (f64, f64) = (0.9, 0.995);
+/// The code, of 1, that the longest exposure of a bracket of which nothing is known gives to the shadows: what is darker than all but so many.
+const SHADOWS: (f64, f64) = (0.4, 0.01);
+/// How many stops a display makes of one, of photographs of which nothing is known: what cameras do.
+const CONTRAST: f64 = 1.4;
+/// Stops between exposures, at most.
+const STEP: f64 = 1.0;
+/// The most exposures that are made, whatever the range.
+const MOST_EXPOSURES: usize = 16;
 
-/// How many times the luminance of the darkest tone is taken for the veil that a display adds. It is taken off softly, so that what is darker still,
-/// as thin lines are, keeps its drawing.
-const VEIL: f64 = 1.3;
+/// The parts of the fused picture's cells that may be black and white.
+const ENDS: (f64, f64) = (0.005, 0.003);
+/// How far the darkest is taken towards black, and the code that is not taken there at all.
+const BLACK: (f32, f32) = (0.9, 0.15);
+/// The codes, of 1, between which white is: what fusion makes brighter is held back softly from `KNEE` on.
+const WHITE: (f32, f32) = (0.8, 1.1);
+/// See [`WHITE`].
+const KNEE: f32 = 0.9;
 
-/// The share that a tone counts for at least: what hardly occurs keeps some of its drawing.
-const FLOOR: f64 = 0.35;
+/// How much of the mean code of the longest exposure the picture may have.
+const OF_LONGEST: f64 = 0.8;
+/// How far the brightness may be brought to that asked for, as a power of luminance.
+const POWERS: (f64, f64) = (0.5, 1.6);
 
-/// How far the brightness of a picture may be brought to that asked for, as a power of luminance: a night stays darker than a day.
-const POWERS: (f64, f64) = (0.7, 1.5);
+/// The least luminance that is told from black, relative to display white.
+const DARKEST: f32 = 6e-5;
 
 /// The tones of `scene`.
 pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let grid = scene.coarser(CELLS);
-    // What hardly has light would take levels of the filter, and decide nothing; it falls away below the rest as in the scene.
-    let lit = grid.lit();
-    let remapping = Remapping { edge: 1.3, detail: 1.0 / options.detail, range: options.edges, noise: 0.05 };
-    let mut tones = local_laplacian(&lit, &remapping);
-    for (v, (l, lit)) in tones.as_mut_slice().iter_mut().zip(grid.logs.as_slice().iter().zip(lit.as_slice())) {
-        *v += l - lit;
-    }
-    let mut sorted = tones.as_slice().to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let range = options.range_stops.unwrap_or_else(|| range(&tones, &sorted, options.brightness));
-    let display = Display::new(&sorted, range, options.brightness);
-    let scene_range = scene.percentile(0.999) - scene.percentile(0.001);
-    let contrast = (range / scene_range.max(1.0)).clamp(0.5, 1.0);
-    // Tones are about 0, where the curve's table is.
-    let middle = sorted[sorted.len() / 2];
-    let mut about = tones;
-    about.as_mut_slice().iter_mut().for_each(|v| *v -= middle);
-    // Detail finer than a cell may be large, and large detail is hardly raised.
-    let finest = 0.6 + 0.4 * options.detail as f32;
-    let guide = Guide::fitted(&grid.logs, &about, grid.side, finest);
-    let curve = Curve::new(|v| display.at(v + f64::from(middle)), |_| contrast, options.saturation);
-    Tones::new(scene.to_srgb, guide, curve, scene.size.0)
-}
-
-/// From tones to the display.
-struct Display {
-    curve: ContrastCurve,
-    veil: f64,
-    power: f64,
-}
-
-impl Display {
-    /// Of `range` stops; by a power of luminance the mean code of the tones `sorted` becomes `brightness`, as near as [`POWERS`] allow.
-    fn new(sorted: &[f32], range: f64, brightness: f64) -> Self {
-        let curve = ContrastCurve::new(sorted, range, ENDS, FLOOR);
-        let mut display = Display { curve, veil: VEIL * libm::exp2(-range), power: 1.0 };
-        let step = (sorted.len() / 2048).max(1);
-        let shown: Vec<f64> = sorted.iter().step_by(step).map(|&v| display.at(v.into())).collect();
-        display.power = brightness::power(&shown, brightness, POWERS, 19);
-        display
-    }
-
-    /// Luminance relative to display white.
-    fn at(&self, v: f64) -> f64 {
-        let l = libm::exp2(self.curve.at(v));
-        // l - veil where l is far above it, and never 0.
-        libm::pow(l * l * (1.0 + self.veil) / (l + self.veil), self.power)
-    }
-}
-
-/// The ranges that are tried, in stops: below the first a picture is murky, above the last its ends are lost on a screen.
-const RANGES: (f64, f64) = (4.5, 7.0);
-
-/// The mean of the standard deviations of codes, of 1, in squares of [`BLOCK`] cells that photographs have.
-const LOCAL_CONTRAST: f64 = 18.0 / 255.0;
-const BLOCK: usize = 11;
-
-/// The range with which the tones have the local contrast of a photograph: sunlit leaves are given a wider one, fog a narrower one.
-fn range(tones: &Plane<f32>, sorted: &[f32], brightness: f64) -> f64 {
-    let (mut narrow, mut wide) = RANGES;
-    for _ in 0..5 {
-        let range = 0.5 * (narrow + wide);
-        if local_contrast(tones, &Display::new(sorted, range, brightness), sorted) > LOCAL_CONTRAST {
-            narrow = range;
-        } else {
-            wide = range;
+    let photograph = Photograph::new(scene.photographed.map_or(CONTRAST, |p| p.contrast));
+    let exposures = Exposures::of(scene, &photograph);
+    let fused = fused(&grid, &exposures, &photograph);
+    let brightness = exposures.brightness(&grid, &photograph, options.brightness);
+    let shown = Shown::new(&fused, brightness, options.contrast);
+    // Photographs have as much colour as their camera gives them; of radiance that is all there is, its own is right.
+    let colourful = scene.photographed.map_or(1.0, |p| p.contrast as f32);
+    let (width, height) = (grid.logs.width(), grid.logs.height());
+    let mut chroma = Plane::filled(width, height, 0.0f32);
+    let mut tones = Plane::filled(width, height, 0.0f32);
+    for y in 0..height {
+        for x in 0..width {
+            let fused = shown.at([0, 1, 2].map(|c| fused[c].at(x, y)));
+            let display = luminance(fused).max(DARKEST);
+            tones.row_mut(y)[x] = log2(display);
+            chroma.row_mut(y)[x] = share(fused, colour(grid.colours.at(x, y)), display, colourful);
         }
     }
-    0.5 * (narrow + wide)
+    let most = options.saturation as f32;
+    chroma.as_mut_slice().iter_mut().for_each(|share| *share *= most);
+    let guide = Guide::fitted(&grid.logs, &tones, grid.side, options.detail as f32);
+    Tones::new(scene.to_srgb, guide, Curve::new(libm::exp2, |_| 1.0, 1.0), scene.size.0).with_chroma(chroma)
 }
 
-/// Entries of codes to a stop.
-const PER_STOP: f32 = 32.0;
+/// Red, green and blue over luminance, of a cell that has these ratios of red and blue.
+fn colour([red, blue]: [f32; 2]) -> [f32; 3] {
+    let [r, g, b] = super::display::LUMINANCE;
+    [red, ((1.0 - r * red - b * blue) / g).max(0.0), blue]
+}
 
-fn local_contrast(tones: &Plane<f32>, display: &Display, sorted: &[f32]) -> f64 {
-    let (low, high) = (sorted[0], sorted[sorted.len() - 1]);
-    let count = ((high - low) * PER_STOP) as usize + 1;
-    let codes: Vec<f32> = (0..=count)
-        .map(|i| linear_to_srgb(display.at(f64::from(low) + i as f64 / f64::from(PER_STOP))) as f32)
-        .collect();
-    let deviation = |x: usize, y: usize| {
-        let (mut sum, mut squares) = (0.0f32, 0.0f32);
-        for row in y..y + BLOCK {
-            for v in &tones.row(row)[x..x + BLOCK] {
-                let code = codes[((v - low) * PER_STOP) as usize];
-                sum += code;
-                squares += code * code;
-            }
-        }
-        let n = (BLOCK * BLOCK) as f32;
-        f64::from(((squares - sum * sum / n).max(0.0) / (n - 1.0)).sqrt())
+fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
+    colour.map(|c| c * by)
+}
+
+/// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown: as `fused` has, and at most as much as a
+/// photograph has that makes `contrast` stops of one.
+fn share(fused: [f32; 3], colour: [f32; 3], display: f32, contrast: f32) -> f32 {
+    let chroma = |rgb| {
+        let [_, a, b] = oklab::from_linear(rgb);
+        (a * a + b * b).sqrt()
     };
-    let columns = tones.width() / BLOCK;
-    let rows: Vec<f64> = (0..tones.height() / BLOCK)
-        .into_par_iter()
-        .map(|j| (0..columns).map(|i| deviation(i * BLOCK, j * BLOCK)).sum())
-        .collect();
-    rows.iter().sum::<f64>() / (rows.len() * columns).max(1) as f64
+    let of_scene = chroma(scaled(colour, display));
+    let powered = if contrast > 1.0 { colour.map(|c| libm::powf(c, contrast)) } else { colour };
+    let of_photograph = chroma(scaled(powered, display / luminance(powered)));
+    if of_scene > GREY { chroma(fused).min(of_photograph) / of_scene } else { 1.0 }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bracket::colour::Primaries;
-    use crate::tonemap::overview::Overview;
+/// The chroma that cannot be told from none.
+const GREY: f32 = 1e-3;
 
-    fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
-        let mut overview = Overview::new((map.width(), map.height()), &Primaries::SRGB);
-        overview.see(0, map);
-        natural(&overview.scene().unwrap(), options).picture(map)
+/// The exposures that are made of a scene: log2 of what luminance is multiplied by to be 1 where the middle code is.
+#[derive(Debug, Clone, PartialEq)]
+struct Exposures {
+    stops: Vec<f64>,
+}
+
+impl Exposures {
+    fn of(scene: &Scene, photograph: &Photograph) -> Self {
+        let shows = |(code, part): (f64, f64)| photograph.stop(code) - scene.percentile(part);
+        let (lights, shadows) = (shows(LIGHTS), shows(SHADOWS));
+        let (shortest, longest) = match &scene.photographed {
+            Some(p) => (-libm::log2(p.shortest), -libm::log2(p.longest)),
+            None => (f64::NEG_INFINITY, shadows),
+        };
+        let shortest = lights.min(longest).max(shortest);
+        let range = (longest - shortest).max(0.0);
+        let count = ((range / STEP).ceil() as usize).clamp(1, MOST_EXPOSURES - 1);
+        Exposures { stops: (0..=count).map(|i| shortest + range * i as f64 / count as f64).collect() }
     }
 
-    /// A dark room and a bright window, with texture in both, 10 stops apart.
-    fn room(factor: f32, texture: f32) -> Plane<[f32; 3]> {
-        Plane::from_rows(240, 160, |y, row| {
-            for (x, p) in row.iter_mut().enumerate() {
-                let window = (80..160).contains(&x) && (40..120).contains(&y);
-                let wave = texture * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
-                let l = factor * libm::exp2f(if window { 10.0 } else { 0.0 } + wave + x as f32 / 200.0);
-                *p = [l, 0.9 * l, 0.7 * l];
+    fn longest(&self) -> f64 {
+        self.stops[self.stops.len() - 1]
+    }
+
+    /// The mean code that the picture of `grid` is to have where `asked` was asked for.
+    fn brightness(&self, grid: &Scene, photograph: &Photograph, asked: f64) -> f64 {
+        let logs = grid.logs.as_slice();
+        let code = |l: &f32| f64::from(photograph.code(l + self.longest() as f32));
+        let step = (logs.len() / 4096).max(1);
+        let codes: Vec<f64> = logs.iter().step_by(step).map(code).collect();
+        asked.min(OF_LONGEST * codes.iter().sum::<f64>() / codes.len() as f64)
+    }
+}
+
+/// What a camera makes of light for a display: its curve as a power, and the display's own.
+struct Photograph {
+    /// Codes by log2 of the light, of 1 where the middle code is.
+    codes: Vec<f32>,
+    contrast: f64,
+}
+
+impl Photograph {
+    /// Entries to a stop; the stop of the first, and of the last, from the middle code's.
+    const PER_STOP: f32 = 32.0;
+    const STOPS: (f32, f32) = (-14.0, 3.0);
+
+    fn new(contrast: f64) -> Self {
+        let (first, last) = Self::STOPS;
+        let count = ((last - first) * Self::PER_STOP) as usize;
+        let stop = |i: usize| f64::from(first) + i as f64 / f64::from(Self::PER_STOP);
+        // One more, so that every entry has a next one.
+        let code = |i| linear_to_srgb(middle() * libm::exp2(contrast * stop(i))).min(1.0) as f32;
+        Photograph { codes: (0..=count + 1).map(code).collect(), contrast }
+    }
+
+    /// The code, 0..=1, of light that is `stop` stops above what has the middle code.
+    fn code(&self, stop: f32) -> f32 {
+        let (first, last) = Self::STOPS;
+        let place = (stop.clamp(first, last) - first) * Self::PER_STOP;
+        let (p, q) = (self.codes[place as usize], self.codes[place as usize + 1]);
+        p + (place - place.floor()) * (q - p)
+    }
+
+    /// The stop of light that has the `code`, below 1.
+    fn stop(&self, code: f64) -> f64 {
+        libm::log2(srgb_to_linear(code) / middle()) / self.contrast
+    }
+}
+
+/// The luminance of the middle code, 128, relative to display white.
+fn middle() -> f64 {
+    srgb_to_linear(128.0 / 255.0)
+}
+
+/// The fused exposures of `grid`: codes, of which some are beyond 0..=1.
+fn fused(grid: &Scene, exposures: &Exposures, photograph: &Photograph) -> Channels {
+    let (width, height) = (grid.logs.width(), grid.logs.height());
+    let stops: Channels = std::array::from_fn(|c| {
+        Plane::from_rows(width, height, |y, row| {
+            for ((v, l), ratios) in row.iter_mut().zip(grid.logs.row(y)).zip(grid.colours.row(y)) {
+                *v = l + log2(colour(*ratios)[c].max(f32::MIN_POSITIVE));
             }
+        })
+    });
+    let exposed = |i: usize| {
+        let stop = exposures.stops[i] as f32;
+        Ok(stops.each_ref().map(|plane| {
+            Plane::from_rows(width, height, |y, row| {
+                row.iter_mut().zip(plane.row(y)).for_each(|(code, l)| *code = photograph.code(l + stop));
+            })
+        }))
+    };
+    // Making exposures cannot fail.
+    mertens::fuse(exposures.stops.len(), exposed, &mertens::Options::default())
+        .unwrap_or_else(|_| std::array::from_fn(|_| Plane::filled(width, height, 0.0)))
+}
+
+/// From fused codes to the display.
+struct Shown {
+    black: f32,
+    white: f32,
+    power: f64,
+    contrast: f64,
+}
+
+impl Shown {
+    /// So that the mean code of the luminance of `fused` is `brightness`, or as near as [`POWERS`] allow.
+    fn new(fused: &Channels, brightness: f64, contrast: f64) -> Self {
+        let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());
+        let mut greys: Vec<f32> = r.iter().zip(g).zip(b).map(|((r, g), b)| (r + g + b) / 3.0).collect();
+        greys.sort_unstable_by(f32::total_cmp);
+        let black = BLACK.0 * quantile(&greys, ENDS.0).clamp(0.0, BLACK.1);
+        let white = quantile(&greys, 1.0 - ENDS.1).clamp(WHITE.0, WHITE.1);
+        let mut shown = Shown { black, white, power: 1.0, contrast };
+        let step = (r.len() / 4096).max(1);
+        let linear: Vec<f64> =
+            (0..r.len()).step_by(step).map(|i| luminance(shown.levelled([r[i], g[i], b[i]])).into()).collect();
+        let (mut low, mut high) = POWERS;
+        for _ in 0..20 {
+            shown.power = 0.5 * (low + high);
+            let mean = linear.iter().map(|l| shown.code(*l)).sum::<f64>() / linear.len() as f64;
+            if mean > brightness {
+                low = shown.power;
+            } else {
+                high = shown.power;
+            }
+        }
+        shown
+    }
+
+    /// Linear light of fused codes between black and white.
+    fn levelled(&self, codes: [f32; 3]) -> [f32; 3] {
+        codes.map(|code| {
+            let code = ((code - self.black) / (self.white - self.black)).max(0.0);
+            let over = code - KNEE;
+            let held = if over > 0.0 { KNEE + (1.0 - KNEE) * (1.0 - libm::expf(-over / (1.0 - KNEE))) } else { code };
+            srgb_to_linear(held.into()) as f32
         })
     }
 
-    fn mean(codes: &Plane<[u8; 3]>) -> f64 {
-        codes.as_slice().iter().map(|p| f64::from(p[1])).sum::<f64>() / codes.as_slice().len() as f64
+    /// The code of the luminance that `linear` of the levelled picture has on the display.
+    fn code(&self, linear: f64) -> f64 {
+        let code = libm::pow(linear_to_srgb(linear), self.power);
+        // Drawn towards the smooth step: by 1 it is one and a half times as steep in the middle.
+        code + self.contrast * (code * code * (3.0 - 2.0 * code) - code)
     }
 
-    #[test]
-    fn a_factor_does_not_matter() {
-        let one = picture(&room(1.0, 0.5), &Options::default());
-        let other = picture(&room(1024.0, 0.5), &Options::default());
-        let pairs = one.as_slice().iter().zip(other.as_slice());
-        assert!(pairs.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
-    }
-
-    /// Room and window are both shown: neither is black or white, and in both the texture is seen.
-    #[test]
-    fn both_sides_of_an_edge_are_shown() {
-        let codes = picture(&room(1.0, 0.5), &Options::default());
-        for (columns, rows) in [(5..60, 10..150), (90..150, 50..110)] {
-            let values: Vec<u8> =
-                rows.flat_map(|y| columns.clone().map(move |x| (x, y))).map(|(x, y)| codes.at(x, y)[1]).collect();
-            let (low, high) = (*values.iter().min().unwrap(), *values.iter().max().unwrap());
-            assert!(low > 15 && high - low > 25, "{low} {high}");
-            let white = values.iter().filter(|v| **v == 255).count();
-            assert!(white < values.len() / 10, "{white} of {}", values.len());
-        }
-    }
-
-    #[test]
-    fn the_settings_do_what_they_say() {
-        let map = room(1.0, 0.5);
-        let plain = picture(&map, &Options::default());
-        assert!((mean(&plain) / 255.0 - Options::default().brightness).abs() < 0.06, "{}", mean(&plain));
-        let brighter = picture(&map, &Options { brightness: 0.55, ..Options::default() });
-        assert!(mean(&brighter) > mean(&plain) + 5.0);
-        let chroma = |codes: &Plane<[u8; 3]>| -> i32 {
-            codes.as_slice().iter().map(|p| i32::from(p[0]) - i32::from(p[2])).sum()
-        };
-        assert!(chroma(&picture(&map, &Options { saturation: 0.0, ..Options::default() })) == 0);
-        assert!(chroma(&picture(&map, &Options { saturation: 1.5, ..Options::default() })) > chroma(&plain));
-        // Between room and window less is left where edges are left less.
-        let step = |edges| {
-            let codes = picture(&map, &Options { edges, range_stops: Some(8.0), ..Options::default() });
-            f64::from(codes.at(120, 80)[1]) - f64::from(codes.at(30, 80)[1])
-        };
-        assert!(step(0.2) < step(0.9) - 5.0, "{} {}", step(0.2), step(0.9));
-        let deviation = |detail| {
-            let codes = picture(&map, &Options { detail, range_stops: Some(6.0), ..Options::default() });
-            let row = &codes.row(80)[10..60];
-            let mean = row.iter().map(|p| f64::from(p[1])).sum::<f64>() / 50.0;
-            row.iter().map(|p| (f64::from(p[1]) - mean).powi(2)).sum::<f64>()
-        };
-        assert!(deviation(1.8) > 1.2 * deviation(0.8));
-    }
-
-    /// Section III-B of Yeganeh & Wang: busy and plain scenes come nearer to one another in local contrast than they are.
-    #[test]
-    fn plain_scenes_gain_and_busy_ones_lose_contrast() {
-        let range = |texture| {
-            let logs = Plane::from_rows(240, 160, |y, row| {
-                for (x, l) in row.iter_mut().enumerate() {
-                    *l = x as f32 / 120.0 + texture * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
-                }
-            });
-            let mut sorted = logs.as_slice().to_vec();
-            sorted.sort_unstable_by(f32::total_cmp);
-            super::range(&logs, &sorted, 0.44)
-        };
-        let (plain, busy) = (range(0.05), range(1.5));
-        assert!(plain < 4.6 && busy > plain + 0.3, "{plain} {busy}");
-    }
-
-    #[test]
-    fn the_smallest_and_the_plainest_do_not_fail() {
-        for (width, height) in [(1, 1), (2, 3), (40, 30)] {
-            let codes = picture(&Plane::filled(width, height, [0.3; 3]), &Options::default());
-            assert!(codes.as_slice().iter().all(|p| p[0] == p[1] && p[1] == p[2] && p[0] == codes.at(0, 0)[0]));
-        }
+    /// Linear light on the display of fused codes.
+    fn at(&self, codes: [f32; 3]) -> [f32; 3] {
+        let levelled = self.levelled(codes);
+        let light = luminance(levelled).max(DARKEST);
+        let display = srgb_to_linear(self.code(light.into())) as f32;
+        scaled(levelled, display / light)
     }
 }

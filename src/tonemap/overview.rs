@@ -3,10 +3,11 @@
 //! In: radiance by rows, from top to bottom, in portions of any height. Out: a [`Scene`]: luminance on a grid of square cells, and how often
 //! which luminance occurs. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`] cells, however large the picture is.
 
-use super::display::{ToSrgb, luminance};
+use super::display::{LUMINANCE, ToSrgb, luminance};
 use crate::bracket::colour::Primaries;
+use crate::merge::Photographed;
 use crate::plane::Plane;
-use crate::simd::{Loops, log2, vectorised};
+use crate::simd::{Loops, at_least, at_most, log2, vectorised};
 use rayon::prelude::*;
 
 /// Cells that are enough: smaller pictures have a cell for each pixel. Operators may take fewer.
@@ -21,11 +22,12 @@ pub struct Overview {
     to_srgb: ToSrgb,
     size: (usize, usize),
     side: usize,
-    /// Of every cell the sum of log2 luminance, and of how many pixels.
-    cells: Plane<[f32; 2]>,
+    /// Of every cell the sums of log2 luminance and of red and blue over luminance, and of how many pixels.
+    cells: Plane<[f32; 4]>,
     step: usize,
     /// log2 of the luminances of every `step`-th pixel of every `step`-th row.
     sample: Vec<f32>,
+    photographed: Option<Photographed>,
 }
 
 impl Overview {
@@ -42,10 +44,16 @@ impl Overview {
             to_srgb: ToSrgb::from(primaries),
             size: (width, height),
             side,
-            cells: Plane::filled(width.div_ceil(side), height.div_ceil(side), [0.0; 2]),
+            cells: Plane::filled(width.div_ceil(side), height.div_ceil(side), [0.0; 4]),
             step,
             sample: Vec::new(),
+            photographed: None,
         }
+    }
+
+    /// With what is known of the photographs.
+    pub fn photographed(self, photographed: Option<Photographed>) -> Self {
+        Overview { photographed, ..self }
     }
 
     /// Of the picture, in pixels.
@@ -67,17 +75,20 @@ impl Overview {
             .take(end.div_ceil(side) - first / side)
             .with_min_len(8)
             .map_init(
-                || vec![0.0f32; width],
-                |logs, (i, cells)| {
+                || (vec![0.0f32; width], vec![[0.0f32; 2]; width]),
+                |(logs, ratios), (i, cells)| {
                     let mut sample = Vec::new();
                     let top = (first / side + i) * side;
                     for y in top.max(first)..(top + side).min(end) {
-                        vectorised(Logs { to_srgb: &to_srgb, row: pixels.row(y - first), logs });
-                        for (cell, logs) in cells.iter_mut().zip(logs.chunks(side)) {
-                            for &log in logs {
+                        vectorised(Logs { to_srgb: &to_srgb, row: pixels.row(y - first), logs, ratios });
+                        let seen = logs.chunks(side).zip(ratios.chunks(side));
+                        for (cell, (logs, ratios)) in cells.iter_mut().zip(seen) {
+                            for (&log, [red, blue]) in logs.iter().zip(ratios) {
                                 let is_lit = log > UNLIT;
                                 cell[0] += if is_lit { log } else { 0.0 };
-                                cell[1] += if is_lit { 1.0 } else { 0.0 };
+                                cell[1] += red;
+                                cell[2] += blue;
+                                cell[3] += if is_lit { 1.0 } else { 0.0 };
                             }
                         }
                         if y.is_multiple_of(step) {
@@ -94,16 +105,20 @@ impl Overview {
     /// All of it, of which every row was seen; `None` for a picture without light.
     pub fn scene(self) -> Option<Scene> {
         let mut sample = self.sample;
-        let means = || self.cells.as_slice().iter().filter(|c| c[1] > 0.0).map(|c| c[0] / c[1]);
+        let means = || self.cells.as_slice().iter().filter(|c| c[3] > 0.0).map(|c| c[0] / c[3]);
         if sample.is_empty() {
             // The few lit pixels are none of the sample.
             sample.extend(means());
         }
         let darkest = means().min_by(f32::total_cmp)?;
         sample.sort_unstable_by(f32::total_cmp);
-        let logs = self.cells.as_slice().iter().map(|&[sum, n]| if n > 0.0 { sum / n } else { darkest }).collect();
+        let logs = self.cells.as_slice().iter().map(|c| if c[3] > 0.0 { c[0] / c[3] } else { darkest }).collect();
+        let ratios = |c: &[f32; 4]| if c[3] > 0.0 { [c[1] / c[3], c[2] / c[3]] } else { [1.0; 2] };
+        let colours = self.cells.as_slice().iter().map(ratios).collect();
+        let colours = Plane::from_vec(self.cells.width(), self.cells.height(), colours);
         let logs = Plane::from_vec(self.cells.width(), self.cells.height(), logs);
-        Some(Scene { to_srgb: self.to_srgb, size: self.size, side: self.side, logs, sample })
+        let Overview { to_srgb, size, side, photographed, .. } = self;
+        Some(Scene { to_srgb, size, side, logs, colours, sample, photographed })
     }
 }
 
@@ -113,11 +128,12 @@ const ONE_TONE: f32 = 0.25;
 /// What stands for the logarithm where there is no light.
 const UNLIT: f32 = -1000.0;
 
-/// log2 of the luminances of a row.
+/// log2 of the luminances of a row, and red and blue over luminance, of colours that sRGB has.
 struct Logs<'a> {
     to_srgb: &'a ToSrgb,
     row: &'a [[f32; 3]],
     logs: &'a mut [f32],
+    ratios: &'a mut [[f32; 2]],
 }
 
 impl Loops for Logs<'_> {
@@ -125,11 +141,15 @@ impl Loops for Logs<'_> {
 
     #[inline(always)]
     fn run(self) {
-        for (log, &pixel) in self.logs.iter_mut().zip(self.row) {
-            let l = luminance(self.to_srgb.apply(pixel));
+        for ((log, ratios), &pixel) in self.logs.iter_mut().zip(self.ratios.iter_mut()).zip(self.row) {
+            let rgb = self.to_srgb.apply(pixel);
+            let l = luminance(rgb);
             let is_lit = (f32::MIN_POSITIVE..=f32::MAX).contains(&l);
             let value = log2(l);
             *log = if is_lit { value } else { UNLIT };
+            // No more than pure red and pure blue have.
+            let ratio = |c: f32, i: usize| at_most(at_least(c / l, 0.0), 1.0 / LUMINANCE[i]);
+            *ratios = if is_lit { [ratio(rgb[0], 0), ratio(rgb[2], 2)] } else { [0.0; 2] };
         }
     }
 }
@@ -155,8 +175,12 @@ pub struct Scene {
     pub side: usize,
     /// The mean of log2 luminance in each cell; where there is no light the darkest of the others.
     pub logs: Plane<f32>,
+    /// The means of red and of blue over luminance in each cell, of linear sRGB.
+    pub colours: Plane<[f32; 2]>,
     /// log2 luminances of pixels, rising.
     sample: Vec<f32>,
+    /// What is known of the photographs.
+    pub photographed: Option<Photographed>,
 }
 
 impl Scene {
@@ -193,15 +217,28 @@ impl Scene {
             by += 1;
         }
         let (width, height) = (self.logs.width(), self.logs.height());
+        let cells = |x: usize, y: usize| {
+            let (rows, columns) = (y * by..((y + 1) * by).min(height), x * by..((x + 1) * by).min(width));
+            let count = (rows.len() * columns.len()) as f32;
+            (rows.flat_map(move |y| columns.clone().map(move |x| (x, y))), count)
+        };
         let logs = Plane::from_rows(width.div_ceil(by), height.div_ceil(by), |y, row| {
-            let rows = y * by..((y + 1) * by).min(height);
             for (x, cell) in row.iter_mut().enumerate() {
-                let columns = x * by..((x + 1) * by).min(width);
-                let sum: f32 = rows.clone().flat_map(|y| &self.logs.row(y)[columns.clone()]).sum();
-                *cell = sum / (rows.len() * columns.len()) as f32;
+                let (cells, count) = cells(x, y);
+                *cell = cells.map(|(x, y)| self.logs.at(x, y)).sum::<f32>() / count;
             }
         });
-        Scene { logs, side: self.side * by, sample: self.sample.clone(), ..*self }
+        let colours = Plane::from_rows(width.div_ceil(by), height.div_ceil(by), |y, row| {
+            for (x, cell) in row.iter_mut().enumerate() {
+                let (cells, count) = cells(x, y);
+                let sums = cells.fold([0.0f32; 2], |[r, b], (x, y)| {
+                    let [red, blue] = self.colours.at(x, y);
+                    [r + red, b + blue]
+                });
+                *cell = sums.map(|sum| sum / count);
+            }
+        });
+        Scene { logs, colours, side: self.side * by, sample: self.sample.clone(), ..*self }
     }
 }
 

@@ -1,12 +1,13 @@
 //! Tones: what an operator has settled, so that rows can be mapped to codes as they come.
 //!
 //! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of codes. Colour is
-//! the same for all operators: hue is kept, saturation is corrected for the contrast that the curve takes away, and colours that the
-//! display lacks are drawn to grey. Cost: 8 ns a pixel and core.
+//! the same for all operators but `natural`: hue is kept in linear light, saturation is corrected for the contrast that the curve takes away, and colours
+//! that the display lacks are drawn to grey. Cost: 8 ns a pixel and core.
 //! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
 
 use super::display::{Encoder, ToSrgb, into_gamut, luminance};
 use super::guide::Guide;
+use super::oklab;
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised};
@@ -67,6 +68,8 @@ pub struct Tones {
     to_srgb: ToSrgb,
     guide: Guide,
     curve: Curve,
+    /// What is left of the scene's chroma, by the guide's cells; where there is none, as much as the curve says.
+    chroma: Option<Plane<f32>>,
     /// Where in the guide's rows the columns of the picture lie.
     columns: (Vec<u32>, Vec<f32>),
 }
@@ -75,7 +78,13 @@ impl Tones {
     /// Of a picture `width` pixels wide.
     pub fn new(to_srgb: ToSrgb, guide: Guide, curve: Curve, width: usize) -> Self {
         let columns = guide.columns(width);
-        Tones { to_srgb, guide, curve, columns }
+        Tones { to_srgb, guide, curve, chroma: None, columns }
+    }
+
+    /// With so much of the scene's chroma, by the guide's cells: colours keep their hue in [`oklab`], and are drawn to grey there where the display has none
+    /// of theirs.
+    pub fn with_chroma(self, chroma: Plane<f32>) -> Self {
+        Tones { chroma: Some(chroma), ..self }
     }
 
     /// Black: of a picture without light.
@@ -96,9 +105,13 @@ impl Tones {
         let width = self.columns.0.len().max(1);
         let encoder = Encoder::new();
         let mut lines = Vec::new();
+        let mut chroma = Vec::new();
         for ((y, row), codes) in (first..).zip(rows.chunks(width)).zip(codes.chunks_mut(width)) {
             self.guide.row(y, &mut lines);
-            vectorised(Mapped { tones: self, lines: &lines, encoder, row, codes });
+            if let Some(plane) = &self.chroma {
+                self.guide.row_of(plane, y, &mut chroma);
+            }
+            vectorised(Mapped { tones: self, lines: &lines, chroma: &chroma, encoder, row, codes });
         }
     }
 
@@ -107,9 +120,10 @@ impl Tones {
         Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(y, radiance.row(y), row))
     }
 
-    /// Linear sRGB relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first.
+    /// Linear sRGB relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first. `lines` and `chroma` are
+    /// of the row.
     #[inline(always)]
-    fn pixels(&self, x: usize, lines: &[[f32; 2]], rgb: &mut [[f32; BLOCK]; 3]) {
+    fn pixels(&self, x: usize, lines: &[[f32; 2]], chroma: &[f32], rgb: &mut [[f32; BLOCK]; 3]) {
         let [red, green, blue] = rgb;
         let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
@@ -145,17 +159,31 @@ impl Tones {
             display[i] = p[0] + tone[i] * (q[0] - p[0]);
             share[i] = p[1] + tone[i] * (q[1] - p[1]);
         }
+        if chroma.is_empty() {
+            for i in 0..BLOCK {
+                let ratio = display[i] / light[i];
+                // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
+                let grey = display[i] * (1.0 - share[i]);
+                let toned = [red[i], green[i], blue[i]].map(|c| (c * ratio) * share[i] + grey);
+                [red[i], green[i], blue[i]] = into_gamut(toned, display[i]);
+            }
+        } else {
+            let columns = (self.columns.0[x..].iter(), self.columns.1[x..].iter());
+            for ((share, &cell), &part) in share.iter_mut().zip(columns.0).zip(columns.1) {
+                let (p, q) = (chroma[cell as usize], chroma[cell as usize + 1]);
+                *share *= p + part * (q - p);
+            }
+            for i in 0..BLOCK {
+                let lit = at_least(light[i], f32::MIN_POSITIVE);
+                [red[i], green[i], blue[i]] = oklab::shown([red[i], green[i], blue[i]], lit, display[i], share[i]);
+            }
+        }
         for i in 0..BLOCK {
-            let ratio = display[i] / light[i];
-            // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
-            let grey = display[i] * (1.0 - share[i]);
-            let toned = [red[i], green[i], blue[i]].map(|c| (c * ratio) * share[i] + grey);
-            let [r, g, b] = into_gamut(toned, display[i]);
             // Without light, or without a number, it is black.
             let is_lit = light[i] >= f32::MIN_POSITIVE;
-            red[i] = if is_lit { r } else { 0.0 };
-            green[i] = if is_lit { g } else { 0.0 };
-            blue[i] = if is_lit { b } else { 0.0 };
+            red[i] = if is_lit { red[i] } else { 0.0 };
+            green[i] = if is_lit { green[i] } else { 0.0 };
+            blue[i] = if is_lit { blue[i] } else { 0.0 };
         }
     }
 }
@@ -167,6 +195,7 @@ const BLOCK: usize = 64;
 struct Mapped<'a> {
     tones: &'a Tones,
     lines: &'a [[f32; 2]],
+    chroma: &'a [f32],
     encoder: Encoder,
     row: &'a [[f32; 3]],
     codes: &'a mut [[u8; 3]],
@@ -184,7 +213,7 @@ impl Loops for Mapped<'_> {
             for (((r, g), b), p) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
                 (*r, *g, *b) = (p[0], p[1], p[2]);
             }
-            self.tones.pixels(x, self.lines, &mut rgb);
+            self.tones.pixels(x, self.lines, self.chroma, &mut rgb);
             let encoded = rgb.each_ref().map(|channel| self.encoder.codes(channel));
             for (i, out) in codes.iter_mut().enumerate() {
                 *out = [encoded[0][i], encoded[1][i], encoded[2][i]];

@@ -378,7 +378,7 @@ fn any_radiance_gives_a_picture_the_same_on_any_number_of_threads() {
         let size = (map.pixels.width(), map.pixels.height());
         // As `tonemap` does: zeros are the floor.
         let (map, _) = hdralign::read::repair(map);
-        let [one, three] = [0, 1].map(|i| pools[i].install(|| tonemap::tonemap(&map, &operator)));
+        let [one, three] = [0, 1].map(|i| pools[i].install(|| tonemap::tonemap(&map, None, &operator)));
         prop_assert_eq!((one.pixels.width(), one.pixels.height()), size);
         prop_assert!(one == three, "{} differs by threads", operator.name());
         let first = map.pixels.at(0, 0);

@@ -1,0 +1,108 @@
+//! What the photographs showed of the radiance: how bright and how contrasty pictures they are, for tone mapping, and for headers.
+//!
+//! In: the exposures of the frames that are merged, and the camera's curve. Out: [`Photographed`], which a header carries as a line for people. Cost:
+//! none.
+
+use crate::bracket::colour::srgb_to_linear;
+use crate::response::ResponseCurve;
+use std::fmt;
+
+/// The radiances that the photographs show as their middle code, 128, and by what curve.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Photographed {
+    /// That of the longest exposure, which shows the shadows.
+    pub longest: f64,
+    /// That of the shortest, which shows the lights.
+    pub shortest: f64,
+    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, in their middle tones: 1 to 2. Cameras make more of one, and so more
+    /// of colours.
+    pub contrast: f64,
+}
+
+/// Codes of the middle tones.
+const MIDDLE: std::ops::RangeInclusive<usize> = 40..=216;
+/// Beyond these codes are no picture for a display, but linear.
+const CONTRASTS: (f64, f64) = (1.0, 2.0);
+
+/// What stands before each of the numbers.
+const WORDS: (&str, &str, &str) = ("middle code of the photographs: radiance ", " to ", ", contrast ");
+
+impl Photographed {
+    /// Of frames with these relative `exposures`, of which that of the reference is `unit`: there radiance 1 has the middle code. None without exposures.
+    pub fn of(exposures: impl Iterator<Item = f64>, unit: f64, curve: &ResponseCurve) -> Option<Self> {
+        let middles: Vec<f64> = exposures.map(|exposure| unit / exposure).filter(|m| m.is_finite()).collect();
+        let longest = middles.iter().copied().min_by(f64::total_cmp)?;
+        let shortest = middles.iter().copied().max_by(f64::total_cmp)?;
+        Some(Photographed { longest, shortest, contrast: contrast(curve) })
+    }
+
+    /// In the unit of radiance that is multiplied by `factor`.
+    pub fn times(self, factor: f64) -> Self {
+        Photographed { longest: self.longest * factor, shortest: self.shortest * factor, ..self }
+    }
+
+    /// What one of the `comments` of a header says.
+    pub fn read<'a>(comments: impl IntoIterator<Item = &'a String>) -> Option<Self> {
+        comments.into_iter().find_map(|comment| {
+            let (_, numbers) = comment.split_once(WORDS.0)?;
+            let (longest, rest) = numbers.split_once(WORDS.1)?;
+            let (shortest, rest) = rest.split_once(WORDS.2)?;
+            let end = rest.find([';', ' ', '\n']).unwrap_or(rest.len());
+            let [longest, shortest, contrast] = [longest, shortest, &rest[..end]].map(|v| v.parse().unwrap_or(0.0));
+            let are_some = longest > 0.0 && longest <= shortest && f64::is_finite(shortest);
+            let is_within = (CONTRASTS.0..=CONTRASTS.1).contains(&contrast);
+            (are_some && is_within).then_some(Photographed { longest, shortest, contrast })
+        })
+    }
+}
+
+/// The slope of the logarithm of what a display shows over that of the light, least squares over the middle codes; 1 where codes are not made for displays.
+fn contrast(curve: &ResponseCurve) -> f64 {
+    let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (channel, code) in (0..3).flat_map(|channel| MIDDLE.map(move |code| (channel, code))) {
+        let light = libm::log2(f64::from(curve.exposures(channel)[code]));
+        let shown = libm::log2(srgb_to_linear(code as f64 / 255.0));
+        (n, x, y, xx, xy) = (n + 1.0, x + light, y + shown, xx + light * light, xy + light * shown);
+    }
+    let slope = (n * xy - x * y) / (n * xx - x * x);
+    if (CONTRASTS.0..=CONTRASTS.1).contains(&slope) { slope } else { CONTRASTS.0 }
+}
+
+impl fmt::Display for Photographed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (before, to, contrast) = WORDS;
+        write!(f, "{before}{}{to}{}{contrast}{}", self.longest, self.shortest, self.contrast)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_to_the_last_bit() {
+        let curve = ResponseCurve::srgb();
+        let some = Photographed::of([0.3, 1.0 / 3.0, 7.0].into_iter(), 1.0 / 3.0, &curve).unwrap().times(0.1);
+        assert_eq!((some.longest, some.shortest), (1.0 / 3.0 / 7.0 * 0.1, 1.0 / 3.0 / 0.3 * 0.1));
+        for comment in [some.to_string(), format!("by hand; {some}; more to come")] {
+            assert_eq!(Photographed::read(&[String::from("other"), comment]), Some(some));
+        }
+        let before = "middle code of the photographs: radiance ";
+        for odd in ["-1 to 2, contrast 1", "3 to 2, contrast 1", "1 to 2, contrast 9", "1 to NaN, contrast 1", "1 to 2"] {
+            assert_eq!(Photographed::read(&[format!("{before}{odd}")]), None, "{odd}");
+        }
+        assert_eq!(Photographed::of(std::iter::empty(), 1.0, &curve), None);
+    }
+
+    #[test]
+    fn contrast_is_that_of_the_curve_over_a_display_s() {
+        let of = |curve: &ResponseCurve| Photographed::of([1.0].into_iter(), 1.0, curve).unwrap().contrast;
+        assert!((of(&ResponseCurve::srgb()) - 1.0).abs() < 1e-3, "{}", of(&ResponseCurve::srgb()));
+        // Light of which a display shows the power 1.5.
+        let ln = |code: usize| srgb_to_linear(f64::max(code as f64, 0.5) / 255.0).ln() / 1.5;
+        let steeper = ResponseCurve::new([std::array::from_fn(ln); 3]).unwrap();
+        assert!((of(&steeper) - 1.5).abs() < 1e-3, "{}", of(&steeper));
+        // Codes that are light are no picture.
+        assert_eq!(of(&ResponseCurve::linear()), 1.0);
+    }
+}
