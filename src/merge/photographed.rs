@@ -14,18 +14,25 @@ pub struct Photographed {
     pub longest: f64,
     /// That of the shortest, which shows the lights.
     pub shortest: f64,
-    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, in their middle tones: 1 to 2. Cameras make more of one, and so more
-    /// of colours.
+    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, below their middle code: 1 to 2. Cameras make more of one, and so
+    /// more of colours.
     pub contrast: f64,
+    /// How many stops more light than at the middle code give the last one.
+    pub white_stops: f64,
 }
 
-/// Codes of the middle tones.
-const MIDDLE: std::ops::RangeInclusive<usize> = 40..=216;
+/// Codes below the middle one that tell the contrast: those below say little.
+const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
 /// Beyond these codes are no picture for a display, but linear.
 const CONTRASTS: (f64, f64) = (1.0, 2.0);
+/// The stops to white that a picture has: a display's own curve has 2.2.
+const WHITES: (f64, f64) = (1.2, 6.0);
+/// The last code that is not clipped, and where white is.
+const LAST: usize = 254;
 
 /// What stands before each of the numbers.
-const WORDS: (&str, &str, &str) = ("middle code of the photographs: radiance ", " to ", ", contrast ");
+const WORDS: (&str, &str, &str, &str) =
+    ("middle code of the photographs: radiance ", " to ", ", contrast ", ", stops to white ");
 
 impl Photographed {
     /// Of frames with these relative `exposures`, of which that of the reference is `unit`: there radiance 1 has the middle code. None without exposures.
@@ -33,7 +40,7 @@ impl Photographed {
         let middles: Vec<f64> = exposures.map(|exposure| unit / exposure).filter(|m| m.is_finite()).collect();
         let longest = middles.iter().copied().min_by(f64::total_cmp)?;
         let shortest = middles.iter().copied().max_by(f64::total_cmp)?;
-        Some(Photographed { longest, shortest, contrast: contrast(curve) })
+        Some(Photographed { longest, shortest, contrast: contrast(curve), white_stops: white(curve) })
     }
 
     /// In the unit of radiance that is multiplied by `factor`.
@@ -47,19 +54,22 @@ impl Photographed {
             let (_, numbers) = comment.split_once(WORDS.0)?;
             let (longest, rest) = numbers.split_once(WORDS.1)?;
             let (shortest, rest) = rest.split_once(WORDS.2)?;
+            let (contrast, rest) = rest.split_once(WORDS.3)?;
             let end = rest.find([';', ' ', '\n']).unwrap_or(rest.len());
-            let [longest, shortest, contrast] = [longest, shortest, &rest[..end]].map(|v| v.parse().unwrap_or(0.0));
+            let numbers = [longest, shortest, contrast, &rest[..end]].map(|v| v.parse().unwrap_or(0.0));
+            let [longest, shortest, contrast, white_stops] = numbers;
             let are_some = longest > 0.0 && longest <= shortest && f64::is_finite(shortest);
-            let is_within = (CONTRASTS.0..=CONTRASTS.1).contains(&contrast);
-            (are_some && is_within).then_some(Photographed { longest, shortest, contrast })
+            let is_contrast = (CONTRASTS.0..=CONTRASTS.1).contains(&contrast);
+            let is_white = (WHITES.0..=WHITES.1).contains(&white_stops);
+            (are_some && is_contrast && is_white).then_some(Photographed { longest, shortest, contrast, white_stops })
         })
     }
 }
 
-/// The slope of the logarithm of what a display shows over that of the light, least squares over the middle codes; 1 where codes are not made for displays.
+/// The slope of the logarithm of what a display shows over that of the light, least squares over the darker codes; 1 where codes are not made for displays.
 fn contrast(curve: &ResponseCurve) -> f64 {
     let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for (channel, code) in (0..3).flat_map(|channel| MIDDLE.map(move |code| (channel, code))) {
+    for (channel, code) in (0..3).flat_map(|channel| DARKER.map(move |code| (channel, code))) {
         let light = libm::log2(f64::from(curve.exposures(channel)[code]));
         let shown = libm::log2(srgb_to_linear(code as f64 / 255.0));
         (n, x, y, xx, xy) = (n + 1.0, x + light, y + shown, xx + light * light, xy + light * shown);
@@ -70,9 +80,16 @@ fn contrast(curve: &ResponseCurve) -> f64 {
 
 impl fmt::Display for Photographed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (before, to, contrast) = WORDS;
-        write!(f, "{before}{}{to}{}{contrast}{}", self.longest, self.shortest, self.contrast)
+        let Photographed { longest, shortest, contrast, white_stops } = self;
+        let (before, to, third, last) = WORDS;
+        write!(f, "{before}{longest}{to}{shortest}{third}{contrast}{last}{white_stops}")
     }
+}
+
+/// Stops from the middle code to the last, the mean of the channels.
+fn white(curve: &ResponseCurve) -> f64 {
+    let stops = |c: usize| libm::log2(f64::from(curve.exposures(c)[LAST]) / f64::from(curve.exposures(c)[128]));
+    ((0..3).map(stops).sum::<f64>() / 3.0).clamp(WHITES.0, WHITES.1)
 }
 
 #[cfg(test)]
@@ -89,7 +106,7 @@ mod tests {
         }
         let before = "middle code of the photographs: radiance ";
         for odd in ["-1 to 2, contrast 1", "3 to 2, contrast 1", "1 to 2, contrast 9", "1 to NaN, contrast 1", "1 to 2"] {
-            assert_eq!(Photographed::read(&[format!("{before}{odd}")]), None, "{odd}");
+            assert_eq!(Photographed::read(&[format!("{before}{odd}, stops to white 2.2")]), None, "{odd}");
         }
         assert_eq!(Photographed::of(std::iter::empty(), 1.0, &curve), None);
     }
@@ -102,6 +119,8 @@ mod tests {
         let ln = |code: usize| srgb_to_linear(f64::max(code as f64, 0.5) / 255.0).ln() / 1.5;
         let steeper = ResponseCurve::new([std::array::from_fn(ln); 3]).unwrap();
         assert!((of(&steeper) - 1.5).abs() < 1e-3, "{}", of(&steeper));
+        let white = |curve: &ResponseCurve| Photographed::of([1.0].into_iter(), 1.0, curve).unwrap().white_stops;
+        assert!((white(&ResponseCurve::srgb()) - 2.2).abs() < 0.02 && (white(&steeper) - 2.2 / 1.5).abs() < 0.02);
         // Codes that are light are no picture.
         assert_eq!(of(&ResponseCurve::linear()), 1.0);
     }

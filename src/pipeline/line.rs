@@ -294,8 +294,8 @@ impl<'a> Line<'a> {
                     })?;
                 }
             }
-            let placed = bracket.frames().iter().zip(&alignment.verdicts).filter(|(_, verdict)| verdict.warp.is_some());
-            let exposures = placed.map(|(frame, _)| frame.exposure.relative());
+            // Those that are left out too: how long somebody exposed says how bright the place is.
+            let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
             let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
             Ok(Radiance { slabs, photographed, merged, ghosts, flare, local })
         });

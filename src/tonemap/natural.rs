@@ -57,37 +57,38 @@ impl Options {
 pub const CELLS: usize = 1 << 17;
 
 /// The code, of 1, that the shortest exposure gives to the lights: what is brighter than all but so many pixels.
-const LIGHTS: (f64, f64) = (0.9, 0.995);
+const LIGHTS: (f64, f64) = (0.9, 0.999);
 /// The code, of 1, that the longest exposure of a bracket of which nothing is known gives to the shadows: what is darker than all but so many.
 const SHADOWS: (f64, f64) = (0.4, 0.01);
-/// How many stops a display makes of one, of photographs of which nothing is known: what cameras do.
-const CONTRAST: f64 = 1.4;
+/// Contrast and stops to white of photographs of which nothing is known: what cameras do.
+const CAMERA: (f64, f64) = (1.4, 2.6);
 /// Stops between exposures, at most.
-const STEP: f64 = 1.0;
+const STEP: f64 = 2.0;
 /// The most exposures that are made, whatever the range.
 const MOST_EXPOSURES: usize = 16;
 
 /// The parts of the fused picture's cells that may be black and white.
 const ENDS: (f64, f64) = (0.005, 0.003);
 /// How far the darkest is taken towards black, and the code that is not taken there at all.
-const BLACK: (f32, f32) = (0.9, 0.15);
+const BLACK: (f32, f32) = (0.5, 0.15);
 /// The codes, of 1, between which white is: what fusion makes brighter is held back softly from `KNEE` on.
-const WHITE: (f32, f32) = (0.8, 1.1);
+const WHITE: (f32, f32) = (0.8, 1.4);
 /// See [`WHITE`].
 const KNEE: f32 = 0.9;
 
 /// How much of the mean code of the longest exposure the picture may have.
 const OF_LONGEST: f64 = 0.8;
 /// How far the brightness may be brought to that asked for, as a power of luminance.
-const POWERS: (f64, f64) = (0.5, 1.6);
+const POWERS: (f64, f64) = (0.6, 1.4);
 
-/// The least luminance that is told from black, relative to display white.
-const DARKEST: f32 = 6e-5;
+/// What luminances, relative to display white, are raised by while they are logarithms: code 6. What is darker than that has little weight in the lines.
+const DARKEST: f32 = 0.002;
 
 /// The tones of `scene`.
 pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let grid = scene.coarser(CELLS);
-    let photograph = Photograph::new(scene.photographed.map_or(CONTRAST, |p| p.contrast));
+    let (contrast, white_stops) = scene.photographed.map_or(CAMERA, |p| (p.contrast, p.white_stops));
+    let photograph = Photograph::new(contrast, white_stops);
     let exposures = Exposures::of(scene, &photograph);
     let fused = fused(&grid, &exposures, &photograph);
     let brightness = exposures.brightness(&grid, &photograph, options.brightness);
@@ -95,20 +96,23 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     // Photographs have as much colour as their camera gives them; of radiance that is all there is, its own is right.
     let colourful = scene.photographed.map_or(1.0, |p| p.contrast as f32);
     let (width, height) = (grid.logs.width(), grid.logs.height());
-    let mut chroma = Plane::filled(width, height, 0.0f32);
-    let mut tones = Plane::filled(width, height, 0.0f32);
-    for y in 0..height {
-        for x in 0..width {
-            let fused = shown.at([0, 1, 2].map(|c| fused[c].at(x, y)));
-            let display = luminance(fused).max(DARKEST);
-            tones.row_mut(y)[x] = log2(display);
-            chroma.row_mut(y)[x] = share(fused, colour(grid.colours.at(x, y)), display, colourful);
-        }
-    }
     let most = options.saturation as f32;
-    chroma.as_mut_slice().iter_mut().for_each(|share| *share *= most);
+    let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
+        for (x, cell) in row.iter_mut().enumerate() {
+            let fused = shown.at([0, 1, 2].map(|c| fused[c].at(x, y)));
+            let display = luminance(fused);
+            let [share, turn] = chroma(fused, colour(grid.colours.at(x, y)), display.max(DARKEST), colourful);
+            *cell = [log2(display + DARKEST), most * share, turn];
+        }
+    });
+    let tones = Plane::from_rows(width, height, |y, row| {
+        row.iter_mut().zip(cells.row(y)).for_each(|(tone, cell)| *tone = cell[0]);
+    });
+    let chroma = Plane::from_rows(width, height, |y, row| {
+        row.iter_mut().zip(cells.row(y)).for_each(|(chroma, cell)| *chroma = [cell[1], cell[2]]);
+    });
     let guide = Guide::fitted(&grid.logs, &tones, grid.side, options.detail as f32);
-    Tones::new(scene.to_srgb, guide, Curve::new(libm::exp2, |_| 1.0, 1.0), scene.size.0).with_chroma(chroma)
+    Tones::new(scene.to_srgb, guide, Curve::new(|tone| libm::exp2(tone) - f64::from(DARKEST), |_| 1.0, 1.0), scene.size.0).with_chroma(chroma)
 }
 
 /// Red, green and blue over luminance, of a cell that has these ratios of red and blue.
@@ -121,18 +125,28 @@ fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
     colour.map(|c| c * by)
 }
 
-/// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown: as `fused` has, and at most as much as a
-/// photograph has that makes `contrast` stops of one.
-fn share(fused: [f32; 3], colour: [f32; 3], display: f32, contrast: f32) -> f32 {
-    let chroma = |rgb| {
+/// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown, and the turn of its hue in radians: as much chroma as
+/// `fused` has, and at most as much as a photograph has that makes `contrast` stops of one; and what is paler than the scene, because a
+/// channel clips, may turn towards the hue of `fused`: lamp light is golden then, not pink.
+fn chroma(fused: [f32; 3], colour: [f32; 3], display: f32, contrast: f32) -> [f32; 2] {
+    let lab = |rgb| {
         let [_, a, b] = oklab::from_linear(rgb);
-        (a * a + b * b).sqrt()
+        (a, b, (a * a + b * b).sqrt())
     };
-    let of_scene = chroma(scaled(colour, display));
+    let (a, b, of_scene) = lab(scaled(colour, display));
+    if of_scene <= GREY {
+        return [1.0, 0.0];
+    }
     let powered = if contrast > 1.0 { colour.map(|c| libm::powf(c, contrast)) } else { colour };
-    let of_photograph = chroma(scaled(powered, display / luminance(powered)));
-    if of_scene > GREY { chroma(fused).min(of_photograph) / of_scene } else { 1.0 }
+    let (_, _, of_photograph) = lab(scaled(powered, display / luminance(powered)));
+    let (fused_a, fused_b, of_fused) = lab(fused);
+    let share = of_fused.min(of_photograph) / of_scene;
+    let turn = libm::atan2f(a * fused_b - b * fused_a, a * fused_a + b * fused_b);
+    [share, turn.clamp(-MOST_TURN, MOST_TURN) * (2.0 - 2.0 * share).clamp(0.0, 1.0)]
 }
+
+/// The most that a hue turns, in radians: 9 degrees.
+const MOST_TURN: f32 = 0.157;
 
 /// The chroma that cannot be told from none.
 const GREY: f32 = 1e-3;
@@ -171,28 +185,47 @@ impl Exposures {
     }
 }
 
-/// What a camera makes of light for a display: its curve as a power, and the display's own.
+/// What a camera makes of light for a display: a power of it below the middle code, and a shoulder above.
 struct Photograph {
     /// Codes by log2 of the light, of 1 where the middle code is.
     codes: Vec<f32>,
     contrast: f64,
+    white_stops: f64,
 }
 
 impl Photograph {
     /// Entries to a stop; the stop of the first, and of the last, from the middle code's.
     const PER_STOP: f32 = 32.0;
-    const STOPS: (f32, f32) = (-14.0, 3.0);
+    const STOPS: (f32, f32) = (-14.0, 6.0);
 
-    fn new(contrast: f64) -> Self {
+    /// Of a camera with this contrast below the middle code and so many stops from there to white.
+    fn new(contrast: f64, white_stops: f64) -> Self {
+        let mut photograph = Photograph { codes: Vec::new(), contrast, white_stops };
         let (first, last) = Self::STOPS;
         let count = ((last - first) * Self::PER_STOP) as usize;
         let stop = |i: usize| f64::from(first) + i as f64 / f64::from(Self::PER_STOP);
         // One more, so that every entry has a next one.
-        let code = |i| linear_to_srgb(middle() * libm::exp2(contrast * stop(i))).min(1.0) as f32;
-        Photograph { codes: (0..=count + 1).map(code).collect(), contrast }
+        let codes = (0..=count + 1).map(|i| linear_to_srgb(photograph.display(stop(i))) as f32);
+        photograph.codes = codes.collect();
+        photograph
     }
 
-    /// The code, 0..=1, of light that is `stop` stops above what has the middle code.
+    /// How many times as steep the shoulder begins as the straight line to white.
+    fn bend(&self) -> f64 {
+        (self.contrast * self.white_stops / -libm::log2(middle())).max(1.0)
+    }
+
+    /// The luminance, relative to white, of light that is `stop` stops above what has the middle code.
+    fn display(&self, stop: f64) -> f64 {
+        if stop <= 0.0 {
+            return middle() * libm::exp2(self.contrast * stop);
+        }
+        // From the middle to white as log2 rises from the one to the other, with the slope below at its beginning and none at its end.
+        let left = libm::pow((1.0 - stop / self.white_stops).max(0.0), self.bend());
+        libm::exp2(libm::log2(middle()) * left)
+    }
+
+    /// The code, 0..=1, of such light.
     fn code(&self, stop: f32) -> f32 {
         let (first, last) = Self::STOPS;
         let place = (stop.clamp(first, last) - first) * Self::PER_STOP;
@@ -202,7 +235,12 @@ impl Photograph {
 
     /// The stop of light that has the `code`, below 1.
     fn stop(&self, code: f64) -> f64 {
-        libm::log2(srgb_to_linear(code) / middle()) / self.contrast
+        let stops = libm::log2(srgb_to_linear(code) / middle());
+        if stops <= 0.0 {
+            return stops / self.contrast;
+        }
+        let left = 1.0 + stops / libm::log2(middle());
+        self.white_stops * (1.0 - libm::pow(left, 1.0 / self.bend()))
     }
 }
 
@@ -290,5 +328,149 @@ impl Shown {
         let light = luminance(levelled).max(DARKEST);
         let display = srgb_to_linear(self.code(light.into())) as f32;
         scaled(levelled, display / light)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+    use crate::merge::Photographed;
+    use crate::tonemap::overview::Overview;
+
+    fn shown(map: &Plane<[f32; 3]>, photographed: Option<Photographed>, options: &Options) -> Plane<[u8; 3]> {
+        let overview = Overview::new((map.width(), map.height()), &Primaries::SRGB);
+        let mut overview = overview.photographed(photographed);
+        overview.see(0, map);
+        natural(&overview.scene().unwrap(), options).picture(map)
+    }
+
+    fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
+        shown(map, None, options)
+    }
+
+    /// A dark room and a bright window, with texture in both, 10 stops apart.
+    fn room(factor: f32) -> Plane<[f32; 3]> {
+        Plane::from_rows(240, 160, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                let window = (80..160).contains(&x) && (40..120).contains(&y);
+                let wave = 0.5 * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
+                let l = factor * libm::exp2f(if window { 10.0 } else { 0.0 } + wave + x as f32 / 200.0);
+                *p = [l, 0.9 * l, 0.7 * l];
+            }
+        })
+    }
+
+    fn mean(codes: &Plane<[u8; 3]>) -> f64 {
+        codes.as_slice().iter().map(|p| f64::from(p[1])).sum::<f64>() / codes.as_slice().len() as f64
+    }
+
+    #[test]
+    fn a_factor_does_not_matter() {
+        let one = picture(&room(1.0), &Options::default());
+        let other = picture(&room(1024.0), &Options::default());
+        let pairs = one.as_slice().iter().zip(other.as_slice());
+        assert!(pairs.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
+    }
+
+    /// Room and window are both shown: neither is black or white, and in both the texture is seen.
+    #[test]
+    fn both_sides_of_an_edge_are_shown() {
+        let codes = picture(&room(1.0), &Options::default());
+        for (columns, rows) in [(5..60, 10..150), (90..150, 50..110)] {
+            let values: Vec<u8> =
+                rows.flat_map(|y| columns.clone().map(move |x| (x, y))).map(|(x, y)| codes.at(x, y)[1]).collect();
+            let (low, high) = (*values.iter().min().unwrap(), *values.iter().max().unwrap());
+            assert!(low > 15 && high - low > 25, "{low} {high}");
+            let white = values.iter().filter(|v| **v == 255).count();
+            assert!(white < values.len() / 10, "{white} of {}", values.len());
+        }
+    }
+
+    /// The same room, of which the longest photograph shows the shadows three stops darker: the picture is darker too.
+    #[test]
+    fn night_stays_night() {
+        let map = room(1.0);
+        let to = |longest| Some(Photographed { longest, shortest: 1024.0, contrast: 1.3, white_stops: 2.5 });
+        let (day, night) = (shown(&map, to(1.0), &Options::default()), shown(&map, to(16.0), &Options::default()));
+        assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
+    }
+
+    #[test]
+    fn the_settings_do_what_they_say() {
+        let map = room(1.0);
+        let plain = picture(&map, &Options::default());
+        assert!((mean(&plain) / 255.0 - Options::default().brightness).abs() < 0.06, "{}", mean(&plain));
+        let brighter = picture(&map, &Options { brightness: 0.55, ..Options::default() });
+        assert!(mean(&brighter) > mean(&plain) + 5.0);
+        let chroma = |codes: &Plane<[u8; 3]>| -> i32 {
+            codes.as_slice().iter().map(|p| i32::from(p[0]) - i32::from(p[2])).sum()
+        };
+        // A grey has no chroma but for rounding to codes.
+        let grey = picture(&map, &Options { saturation: 0.0, ..Options::default() });
+        assert!(grey.as_slice().iter().all(|p| p[0].abs_diff(p[2]) <= 1));
+        assert!(chroma(&picture(&map, &Options { saturation: 1.5, ..Options::default() })) > chroma(&plain));
+        let deviation = |codes: &Plane<[u8; 3]>| {
+            let row = &codes.row(80)[10..60];
+            let mean = row.iter().map(|p| f64::from(p[1])).sum::<f64>() / 50.0;
+            row.iter().map(|p| (f64::from(p[1]) - mean).powi(2)).sum::<f64>()
+        };
+        let steep = |contrast| deviation(&picture(&map, &Options { contrast, ..Options::default() }));
+        assert!(steep(1.0) > 1.1 * steep(0.0), "{} {}", steep(1.0), steep(0.0));
+    }
+
+    /// Cells of 4 pixels: what is finer is raised by `detail`.
+    #[test]
+    fn detail_raises_what_is_finer_than_a_cell() {
+        let map = Plane::from_rows(1600, 1200, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                let l = libm::exp2f(x as f32 / 200.0 + if (x + y) % 2 == 0 { 0.1 } else { 0.0 });
+                *p = [l; 3];
+            }
+        });
+        let steps = |detail| {
+            let codes = picture(&map, &Options { detail, ..Options::default() });
+            codes.row(600)[700..900].windows(2).map(|p| u32::from(p[0][1].abs_diff(p[1][1]))).sum::<u32>()
+        };
+        assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
+    }
+
+    /// Hue in OkLCh, and chroma no higher than the radiance's at that luminance: of saturated light over ten stops, to the rounding of codes.
+    #[test]
+    fn hue_stays_and_no_colour_is_gained() {
+        let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];
+        let map = Plane::from_rows(240, 160, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                let l = libm::exp2f(x as f32 / 24.0);
+                *p = colours[y / 40].map(|c| c * l);
+            }
+        });
+        let codes = picture(&map, &Options::default());
+        let polar = |rgb: [f32; 3]| {
+            let [_, a, b] = oklab::from_linear(rgb);
+            ((a * a + b * b).sqrt(), b.atan2(a).to_degrees())
+        };
+        for y in (0..160).step_by(3) {
+            for x in 0..240 {
+                let shown = codes.at(x, y).map(|code| srgb_to_linear(f64::from(code) / 255.0) as f32);
+                let (light, scene) = (luminance(shown), map.at(x, y));
+                if light < 0.02 {
+                    continue;
+                }
+                let (chroma, hue) = polar(shown);
+                let (most, of_scene) = polar(scaled(scene, light / luminance(scene)));
+                assert!(chroma < most + 0.004, "{x} {y}: {chroma} of {most}");
+                let turn = (hue - of_scene + 540.0).rem_euclid(360.0) - 180.0;
+                assert!(chroma < 0.05 || turn.abs() < 10.0, "{x} {y}: {turn} degrees, chroma {chroma}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_smallest_and_the_plainest_do_not_fail() {
+        for (width, height) in [(1, 1), (2, 3), (40, 30)] {
+            let codes = picture(&Plane::filled(width, height, [0.3; 3]), &Options::default());
+            assert!(codes.as_slice().iter().all(|p| p[0] == p[1] && p[1] == p[2] && p[0] == codes.at(0, 0)[0]));
+        }
     }
 }

@@ -50,44 +50,86 @@ fn cube_root(value: f32) -> f32 {
 /// The colour `rgb`, of which no component is below 0.
 #[inline(always)]
 pub(super) fn from_linear(rgb: [f32; 3]) -> Lab {
-    times(&TO_LAB, times(&TO_CONES, rgb).map(cube_root))
+    // Written out: closures over arrays are not always inlined, and what is not is not vectorised.
+    let [l, m, s] = times(&TO_CONES, rgb);
+    times(&TO_LAB, [cube_root(l), cube_root(m), cube_root(s)])
 }
 
 /// The linear sRGB of `lab`; components below 0 or above 1 are colours that sRGB has not.
 #[inline(always)]
 pub(super) fn to_linear(lab: Lab) -> [f32; 3] {
-    times(&FROM_CONES, times(&FROM_LAB, lab).map(|root| root * root * root))
+    let [l, m, s] = times(&FROM_LAB, lab);
+    times(&FROM_CONES, [l * l * l, m * m * m, s * s * s])
 }
 
 /// Steps of the search for the edge of the gamut: to a part in 64 of the chroma.
 const HALVINGS: usize = 6;
 
-/// The colour of the display, in 0..=1, for `rgb` of luminance `light`, positive, that is to have the luminance `display` and `share` of the scene's chroma
-/// there: of the scene's hue, and of less chroma where the display has not so much.
-#[inline(always)]
-pub(super) fn shown(rgb: [f32; 3], light: f32, display: f32, share: f32) -> [f32; 3] {
-    // What sRGB has not is drawn to grey until no component is below 0.
-    let least = at_most(at_most(rgb[0], rgb[1]), rgb[2]);
-    let keep = if least < 0.0 { light / (light - least) } else { 1.0 };
-    let scale = display / light;
-    let [lightness, a, b] = from_linear(rgb.map(|c| at_least((light + (c - light) * keep) * scale, 0.0)));
-    let at = |part: f32| to_linear([at_most(lightness, 1.0), a * part, b * part]);
-    let is_within = |[r, g, b]: [f32; 3]| {
-        at_least(at_least(r, g), b) <= 1.0 + ROUNDING && at_most(at_most(r, g), b) >= -ROUNDING
-    };
-    let mut kept = if is_within(at(share)) { share } else { 0.0 };
-    let (mut part, mut step) = (0.5 * share, 0.25 * share);
-    for _ in 0..HALVINGS {
-        let is_found = is_within(at(part));
-        kept = if is_found { at_least(kept, part) } else { kept };
-        part = if is_found { part + step } else { part - step };
-        step *= 0.5;
-    }
-    at(kept).map(|c| at_least(at_most(c, 1.0), 0.0))
-}
-
 /// What the way there and back may be off by.
 const ROUNDING: f32 = 1e-5;
+
+/// Whether the display has `rgb`.
+#[inline(always)]
+fn is_within([r, g, b]: [f32; 3]) -> bool {
+    (at_least(at_least(r, g), b) <= 1.0 + ROUNDING) & (at_most(at_most(r, g), b) >= -ROUNDING)
+}
+
+/// How the colours of a scene are shown, of as many pixels as are worked out side by side.
+pub(super) struct Shown<const N: usize> {
+    /// Luminance of the scene, positive.
+    pub light: [f32; N],
+    /// Luminance on the display, 0..=1.
+    pub display: [f32; N],
+    /// The share that is shown of the chroma that the scene has at that luminance.
+    pub share: [f32; N],
+    /// By how much hue is turned, in radians, towards yellow from red: little.
+    pub turn: [f32; N],
+}
+
+impl<const N: usize> Shown<N> {
+    /// Takes `rgb`, linear red, green and blue of the scene, to those of the display, in 0..=1: of the scene's hue but for the turn, and of less chroma
+    /// where the display has not so much.
+    #[inline(always)]
+    pub fn colours(&self, [red, green, blue]: &mut [[f32; N]; 3]) {
+        // What sRGB has not is drawn to grey until no component is below 0.
+        for i in 0..N {
+            let light = self.light[i];
+            let least = at_most(at_most(red[i], green[i]), blue[i]);
+            let keep = if least < 0.0 { light / (light - least) } else { 1.0 };
+            let scale = self.display[i] / light;
+            red[i] = at_least((light + (red[i] - light) * keep) * scale, 0.0);
+            green[i] = at_least((light + (green[i] - light) * keep) * scale, 0.0);
+            blue[i] = at_least((light + (blue[i] - light) * keep) * scale, 0.0);
+        }
+        let (mut lightness, mut a, mut b) = ([0.0f32; N], [0.0f32; N], [0.0f32; N]);
+        for i in 0..N {
+            [lightness[i], a[i], b[i]] = from_linear([red[i], green[i], blue[i]]);
+        }
+        for i in 0..N {
+            let (turn, share) = (self.turn[i], self.share[i]);
+            // Of the cosine and the sine the first terms; a chroma as before to a part in 10,000.
+            let keep = share * (1.0 - 0.5 * turn * turn);
+            (a[i], b[i]) = (keep * (a[i] - turn * b[i]), keep * (b[i] + turn * a[i]));
+            lightness[i] = at_most(lightness[i], 1.0);
+        }
+        let (mut kept, mut part) = ([0.0f32; N], [1.0f32; N]);
+        let mut step = 1.0;
+        for _ in 0..=HALVINGS {
+            step *= 0.5;
+            for i in 0..N {
+                let is = is_within(to_linear([lightness[i], a[i] * part[i], b[i] * part[i]]));
+                kept[i] = if is { at_least(kept[i], part[i]) } else { kept[i] };
+                part[i] = at_most(if is { part[i] + step } else { part[i] - step }, 1.0);
+            }
+        }
+        for i in 0..N {
+            let [r, g, b] = to_linear([lightness[i], a[i] * kept[i], b[i] * kept[i]]);
+            red[i] = at_least(at_most(r, 1.0), 0.0);
+            green[i] = at_least(at_most(g, 1.0), 0.0);
+            blue[i] = at_least(at_most(b, 1.0), 0.0);
+        }
+    }
+}
 
 #[cfg(test)]
 mod tests {

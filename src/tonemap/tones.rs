@@ -68,8 +68,8 @@ pub struct Tones {
     to_srgb: ToSrgb,
     guide: Guide,
     curve: Curve,
-    /// What is left of the scene's chroma, by the guide's cells; where there is none, as much as the curve says.
-    chroma: Option<Plane<f32>>,
+    /// What is left of the scene's chroma, and the turn of its hue in radians, by the guide's cells; where there is none, as the curve says.
+    chroma: Option<Plane<[f32; 2]>>,
     /// Where in the guide's rows the columns of the picture lie.
     columns: (Vec<u32>, Vec<f32>),
 }
@@ -81,9 +81,9 @@ impl Tones {
         Tones { to_srgb, guide, curve, chroma: None, columns }
     }
 
-    /// With so much of the scene's chroma, by the guide's cells: colours keep their hue in [`oklab`], and are drawn to grey there where the display has none
+    /// With so much of the scene's chroma, and so much turned in hue, by the guide's cells: colours are of [`oklab`], and are drawn to grey there where the display has none
     /// of theirs.
-    pub fn with_chroma(self, chroma: Plane<f32>) -> Self {
+    pub fn with_chroma(self, chroma: Plane<[f32; 2]>) -> Self {
         Tones { chroma: Some(chroma), ..self }
     }
 
@@ -123,7 +123,7 @@ impl Tones {
     /// Linear sRGB relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first. `lines` and `chroma` are
     /// of the row.
     #[inline(always)]
-    fn pixels(&self, x: usize, lines: &[[f32; 2]], chroma: &[f32], rgb: &mut [[f32; BLOCK]; 3]) {
+    fn pixels(&self, x: usize, lines: &[[f32; 2]], chroma: &[[f32; 2]], rgb: &mut [[f32; BLOCK]; 3]) {
         let [red, green, blue] = rgb;
         let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
@@ -168,15 +168,19 @@ impl Tones {
                 [red[i], green[i], blue[i]] = into_gamut(toned, display[i]);
             }
         } else {
+            let mut turn = [0.0f32; BLOCK];
             let columns = (self.columns.0[x..].iter(), self.columns.1[x..].iter());
-            for ((share, &cell), &part) in share.iter_mut().zip(columns.0).zip(columns.1) {
+            for (((share, turn), &cell), &part) in share.iter_mut().zip(&mut turn).zip(columns.0).zip(columns.1) {
                 let (p, q) = (chroma[cell as usize], chroma[cell as usize + 1]);
-                *share *= p + part * (q - p);
+                *share *= p[0] + part * (q[0] - p[0]);
+                *turn = p[1] + part * (q[1] - p[1]);
             }
-            for i in 0..BLOCK {
-                let lit = at_least(light[i], f32::MIN_POSITIVE);
-                [red[i], green[i], blue[i]] = oklab::shown([red[i], green[i], blue[i]], lit, display[i], share[i]);
-            }
+            let mut lit = light;
+            lit.iter_mut().for_each(|light| *light = at_least(*light, f32::MIN_POSITIVE));
+            let shown = oklab::Shown { light: lit, display, share, turn };
+            let mut colours = [*red, *green, *blue];
+            shown.colours(&mut colours);
+            [*red, *green, *blue] = colours;
         }
         for i in 0..BLOCK {
             // Without light, or without a number, it is black.
@@ -195,7 +199,7 @@ const BLOCK: usize = 64;
 struct Mapped<'a> {
     tones: &'a Tones,
     lines: &'a [[f32; 2]],
-    chroma: &'a [f32],
+    chroma: &'a [[f32; 2]],
     encoder: Encoder,
     row: &'a [[f32; 3]],
     codes: &'a mut [[u8; 3]],
