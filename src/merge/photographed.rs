@@ -105,7 +105,8 @@ mod tests {
             assert_eq!(Photographed::read(&[String::from("other"), comment]), Some(some));
         }
         let before = "middle code of the photographs: radiance ";
-        for odd in ["-1 to 2, contrast 1", "3 to 2, contrast 1", "1 to 2, contrast 9", "1 to NaN, contrast 1", "1 to 2"] {
+        for odd in ["-1 to 2, contrast 1", "3 to 2, contrast 1", "1 to 2, contrast 9", "1 to NaN, contrast 1", "1 to 2"]
+        {
             assert_eq!(Photographed::read(&[format!("{before}{odd}, stops to white 2.2")]), None, "{odd}");
         }
         assert_eq!(Photographed::of(std::iter::empty(), 1.0, &curve), None);

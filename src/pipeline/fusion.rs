@@ -12,7 +12,8 @@ use crate::error::Result;
 use crate::merge::deghost::Ghosts;
 use crate::plane::{BAND_ROWS, Plane};
 use crate::response::{CODES, ResponseCurve};
-use crate::tonemap::mertens::{self, Channels};
+use crate::tonemap::fusion::{self, Channels};
+use crate::tonemap::mertens;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -45,7 +46,7 @@ impl Aligned<'_> {
             }
             Ok(channels)
         };
-        let codes = mertens::fuse(placed.len(), channels, options)?;
+        let codes = fusion::fuse(placed.len(), channels, &options.exponents())?;
         let (width, height) = (codes[0].width(), codes[0].height());
         Ok(Plane::from_rows(width, height, |y, row| {
             for (x, to) in row.iter_mut().enumerate() {

@@ -1,7 +1,7 @@
 //! The operator of the house: exposures as the photographer might have made them, each where it shows best.
 //!
 //! In: a scene. Out: its tones. Cost: some 2 us a cell, of which there are at most [`CELLS`], for ten exposures; a pixel three interpolations.
-//! Source: [`mertens`](super::mertens) (Mertens et al. 2007) on exposures that are made of the radiance. There are as many as the scene's lights and the
+//! Source: [exposure fusion](super::fusion) (Mertens et al. 2007) on exposures that are made of the radiance. There are as many as the scene's lights and the
 //! bracket's longest exposure ask for, a stop apart; no mover is in any of them; and a radiance map from elsewhere has them too.
 //!
 //! 1. The scene, on a grid, is exposed: from the exposure that shows its lights to the bracket's longest, for how long a photographer exposed says how bright the
@@ -12,10 +12,11 @@
 //!    has, which is pale where it is nearly white, and no more than [`Options::saturation`] times the scene's.
 
 use super::display::luminance;
+use super::fusion::{self, Channels, Exponents};
 use super::guide::Guide;
-use super::mertens::{self, Channels};
 use super::oklab;
 use super::overview::{Scene, quantile};
+use super::photograph::Photograph;
 use super::settings::Setting;
 use super::tones::{Curve, Tones};
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
@@ -112,7 +113,13 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
         row.iter_mut().zip(cells.row(y)).for_each(|(chroma, cell)| *chroma = [cell[1], cell[2]]);
     });
     let guide = Guide::fitted(&grid.logs, &tones, grid.side, options.detail as f32);
-    Tones::new(scene.to_srgb, guide, Curve::new(|tone| libm::exp2(tone) - f64::from(DARKEST), |_| 1.0, 1.0), scene.size.0).with_chroma(chroma)
+    Tones::new(
+        scene.to_srgb,
+        guide,
+        Curve::new(|tone| libm::exp2(tone) - f64::from(DARKEST), |_| 1.0, 1.0),
+        scene.size.0,
+    )
+    .with_chroma(chroma)
 }
 
 /// Red, green and blue over luminance, of a cell that has these ratios of red and blue.
@@ -185,70 +192,6 @@ impl Exposures {
     }
 }
 
-/// What a camera makes of light for a display: a power of it below the middle code, and a shoulder above.
-struct Photograph {
-    /// Codes by log2 of the light, of 1 where the middle code is.
-    codes: Vec<f32>,
-    contrast: f64,
-    white_stops: f64,
-}
-
-impl Photograph {
-    /// Entries to a stop; the stop of the first, and of the last, from the middle code's.
-    const PER_STOP: f32 = 32.0;
-    const STOPS: (f32, f32) = (-14.0, 6.0);
-
-    /// Of a camera with this contrast below the middle code and so many stops from there to white.
-    fn new(contrast: f64, white_stops: f64) -> Self {
-        let mut photograph = Photograph { codes: Vec::new(), contrast, white_stops };
-        let (first, last) = Self::STOPS;
-        let count = ((last - first) * Self::PER_STOP) as usize;
-        let stop = |i: usize| f64::from(first) + i as f64 / f64::from(Self::PER_STOP);
-        // One more, so that every entry has a next one.
-        let codes = (0..=count + 1).map(|i| linear_to_srgb(photograph.display(stop(i))) as f32);
-        photograph.codes = codes.collect();
-        photograph
-    }
-
-    /// How many times as steep the shoulder begins as the straight line to white.
-    fn bend(&self) -> f64 {
-        (self.contrast * self.white_stops / -libm::log2(middle())).max(1.0)
-    }
-
-    /// The luminance, relative to white, of light that is `stop` stops above what has the middle code.
-    fn display(&self, stop: f64) -> f64 {
-        if stop <= 0.0 {
-            return middle() * libm::exp2(self.contrast * stop);
-        }
-        // From the middle to white as log2 rises from the one to the other, with the slope below at its beginning and none at its end.
-        let left = libm::pow((1.0 - stop / self.white_stops).max(0.0), self.bend());
-        libm::exp2(libm::log2(middle()) * left)
-    }
-
-    /// The code, 0..=1, of such light.
-    fn code(&self, stop: f32) -> f32 {
-        let (first, last) = Self::STOPS;
-        let place = (stop.clamp(first, last) - first) * Self::PER_STOP;
-        let (p, q) = (self.codes[place as usize], self.codes[place as usize + 1]);
-        p + (place - place.floor()) * (q - p)
-    }
-
-    /// The stop of light that has the `code`, below 1.
-    fn stop(&self, code: f64) -> f64 {
-        let stops = libm::log2(srgb_to_linear(code) / middle());
-        if stops <= 0.0 {
-            return stops / self.contrast;
-        }
-        let left = 1.0 + stops / libm::log2(middle());
-        self.white_stops * (1.0 - libm::pow(left, 1.0 / self.bend()))
-    }
-}
-
-/// The luminance of the middle code, 128, relative to display white.
-fn middle() -> f64 {
-    srgb_to_linear(128.0 / 255.0)
-}
-
 /// The fused exposures of `grid`: codes, of which some are beyond 0..=1.
 fn fused(grid: &Scene, exposures: &Exposures, photograph: &Photograph) -> Channels {
     let (width, height) = (grid.logs.width(), grid.logs.height());
@@ -268,7 +211,7 @@ fn fused(grid: &Scene, exposures: &Exposures, photograph: &Photograph) -> Channe
         }))
     };
     // Making exposures cannot fail.
-    mertens::fuse(exposures.stops.len(), exposed, &mertens::Options::default())
+    fusion::fuse(exposures.stops.len(), exposed, &Exponents::default())
         .unwrap_or_else(|_| std::array::from_fn(|_| Plane::filled(width, height, 0.0)))
 }
 
@@ -332,145 +275,4 @@ impl Shown {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bracket::colour::Primaries;
-    use crate::merge::Photographed;
-    use crate::tonemap::overview::Overview;
-
-    fn shown(map: &Plane<[f32; 3]>, photographed: Option<Photographed>, options: &Options) -> Plane<[u8; 3]> {
-        let overview = Overview::new((map.width(), map.height()), &Primaries::SRGB);
-        let mut overview = overview.photographed(photographed);
-        overview.see(0, map);
-        natural(&overview.scene().unwrap(), options).picture(map)
-    }
-
-    fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
-        shown(map, None, options)
-    }
-
-    /// A dark room and a bright window, with texture in both, 10 stops apart.
-    fn room(factor: f32) -> Plane<[f32; 3]> {
-        Plane::from_rows(240, 160, |y, row| {
-            for (x, p) in row.iter_mut().enumerate() {
-                let window = (80..160).contains(&x) && (40..120).contains(&y);
-                let wave = 0.5 * libm::sinf(x as f32 * 0.8) * libm::cosf(y as f32 * 0.7);
-                let l = factor * libm::exp2f(if window { 10.0 } else { 0.0 } + wave + x as f32 / 200.0);
-                *p = [l, 0.9 * l, 0.7 * l];
-            }
-        })
-    }
-
-    fn mean(codes: &Plane<[u8; 3]>) -> f64 {
-        codes.as_slice().iter().map(|p| f64::from(p[1])).sum::<f64>() / codes.as_slice().len() as f64
-    }
-
-    #[test]
-    fn a_factor_does_not_matter() {
-        let one = picture(&room(1.0), &Options::default());
-        let other = picture(&room(1024.0), &Options::default());
-        let pairs = one.as_slice().iter().zip(other.as_slice());
-        assert!(pairs.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
-    }
-
-    /// Room and window are both shown: neither is black or white, and in both the texture is seen.
-    #[test]
-    fn both_sides_of_an_edge_are_shown() {
-        let codes = picture(&room(1.0), &Options::default());
-        for (columns, rows) in [(5..60, 10..150), (90..150, 50..110)] {
-            let values: Vec<u8> =
-                rows.flat_map(|y| columns.clone().map(move |x| (x, y))).map(|(x, y)| codes.at(x, y)[1]).collect();
-            let (low, high) = (*values.iter().min().unwrap(), *values.iter().max().unwrap());
-            assert!(low > 15 && high - low > 25, "{low} {high}");
-            let white = values.iter().filter(|v| **v == 255).count();
-            assert!(white < values.len() / 10, "{white} of {}", values.len());
-        }
-    }
-
-    /// The same room, of which the longest photograph shows the shadows three stops darker: the picture is darker too.
-    #[test]
-    fn night_stays_night() {
-        let map = room(1.0);
-        let to = |longest| Some(Photographed { longest, shortest: 1024.0, contrast: 1.3, white_stops: 2.5 });
-        let (day, night) = (shown(&map, to(1.0), &Options::default()), shown(&map, to(16.0), &Options::default()));
-        assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
-    }
-
-    #[test]
-    fn the_settings_do_what_they_say() {
-        let map = room(1.0);
-        let plain = picture(&map, &Options::default());
-        assert!((mean(&plain) / 255.0 - Options::default().brightness).abs() < 0.06, "{}", mean(&plain));
-        let brighter = picture(&map, &Options { brightness: 0.55, ..Options::default() });
-        assert!(mean(&brighter) > mean(&plain) + 5.0);
-        let chroma = |codes: &Plane<[u8; 3]>| -> i32 {
-            codes.as_slice().iter().map(|p| i32::from(p[0]) - i32::from(p[2])).sum()
-        };
-        // A grey has no chroma but for rounding to codes.
-        let grey = picture(&map, &Options { saturation: 0.0, ..Options::default() });
-        assert!(grey.as_slice().iter().all(|p| p[0].abs_diff(p[2]) <= 1));
-        assert!(chroma(&picture(&map, &Options { saturation: 1.5, ..Options::default() })) > chroma(&plain));
-        let deviation = |codes: &Plane<[u8; 3]>| {
-            let row = &codes.row(80)[10..60];
-            let mean = row.iter().map(|p| f64::from(p[1])).sum::<f64>() / 50.0;
-            row.iter().map(|p| (f64::from(p[1]) - mean).powi(2)).sum::<f64>()
-        };
-        let steep = |contrast| deviation(&picture(&map, &Options { contrast, ..Options::default() }));
-        assert!(steep(1.0) > 1.1 * steep(0.0), "{} {}", steep(1.0), steep(0.0));
-    }
-
-    /// Cells of 4 pixels: what is finer is raised by `detail`.
-    #[test]
-    fn detail_raises_what_is_finer_than_a_cell() {
-        let map = Plane::from_rows(1600, 1200, |y, row| {
-            for (x, p) in row.iter_mut().enumerate() {
-                let l = libm::exp2f(x as f32 / 200.0 + if (x + y) % 2 == 0 { 0.1 } else { 0.0 });
-                *p = [l; 3];
-            }
-        });
-        let steps = |detail| {
-            let codes = picture(&map, &Options { detail, ..Options::default() });
-            codes.row(600)[700..900].windows(2).map(|p| u32::from(p[0][1].abs_diff(p[1][1]))).sum::<u32>()
-        };
-        assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
-    }
-
-    /// Hue in OkLCh, and chroma no higher than the radiance's at that luminance: of saturated light over ten stops, to the rounding of codes.
-    #[test]
-    fn hue_stays_and_no_colour_is_gained() {
-        let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];
-        let map = Plane::from_rows(240, 160, |y, row| {
-            for (x, p) in row.iter_mut().enumerate() {
-                let l = libm::exp2f(x as f32 / 24.0);
-                *p = colours[y / 40].map(|c| c * l);
-            }
-        });
-        let codes = picture(&map, &Options::default());
-        let polar = |rgb: [f32; 3]| {
-            let [_, a, b] = oklab::from_linear(rgb);
-            ((a * a + b * b).sqrt(), b.atan2(a).to_degrees())
-        };
-        for y in (0..160).step_by(3) {
-            for x in 0..240 {
-                let shown = codes.at(x, y).map(|code| srgb_to_linear(f64::from(code) / 255.0) as f32);
-                let (light, scene) = (luminance(shown), map.at(x, y));
-                if light < 0.02 {
-                    continue;
-                }
-                let (chroma, hue) = polar(shown);
-                let (most, of_scene) = polar(scaled(scene, light / luminance(scene)));
-                assert!(chroma < most + 0.004, "{x} {y}: {chroma} of {most}");
-                let turn = (hue - of_scene + 540.0).rem_euclid(360.0) - 180.0;
-                assert!(chroma < 0.05 || turn.abs() < 10.0, "{x} {y}: {turn} degrees, chroma {chroma}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_smallest_and_the_plainest_do_not_fail() {
-        for (width, height) in [(1, 1), (2, 3), (40, 30)] {
-            let codes = picture(&Plane::filled(width, height, [0.3; 3]), &Options::default());
-            assert!(codes.as_slice().iter().all(|p| p[0] == p[1] && p[1] == p[2] && p[0] == codes.at(0, 0)[0]));
-        }
-    }
-}
+mod tests;

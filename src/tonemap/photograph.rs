@@ -1,0 +1,93 @@
+//! What a camera makes of light for a display: a power of it below the middle code, and a shoulder above.
+//!
+//! In: how contrasty a camera's pictures are, and how much light makes them white. Out: the code of any light, and the light of a code. Cost: a table of
+//! 640 entries, and an interpolation for each light. Source: the shape is ours; the numbers are of the response
+//! ([`Photographed`](crate::merge::Photographed)).
+
+use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
+
+/// The curve of a camera.
+pub(super) struct Photograph {
+    /// Codes by log2 of the light, of 1 where the middle code is.
+    codes: Vec<f32>,
+    contrast: f64,
+    white_stops: f64,
+}
+
+impl Photograph {
+    /// Entries to a stop; the stop of the first, and of the last, from the middle code's.
+    const PER_STOP: f32 = 32.0;
+    const STOPS: (f32, f32) = (-14.0, 6.0);
+
+    /// Of a camera with this contrast below the middle code and so many stops from there to white.
+    pub fn new(contrast: f64, white_stops: f64) -> Self {
+        let mut photograph = Photograph { codes: Vec::new(), contrast, white_stops };
+        let (first, last) = Self::STOPS;
+        let count = ((last - first) * Self::PER_STOP) as usize;
+        let stop = |i: usize| f64::from(first) + i as f64 / f64::from(Self::PER_STOP);
+        // One more, so that every entry has a next one.
+        let codes = (0..=count + 1).map(|i| linear_to_srgb(photograph.display(stop(i))) as f32);
+        photograph.codes = codes.collect();
+        photograph
+    }
+
+    /// How many times as steep the shoulder begins as the straight line to white.
+    fn bend(&self) -> f64 {
+        (self.contrast * self.white_stops / -libm::log2(middle())).max(1.0)
+    }
+
+    /// The luminance, relative to white, of light that is `stop` stops above what has the middle code.
+    fn display(&self, stop: f64) -> f64 {
+        if stop <= 0.0 {
+            return middle() * libm::exp2(self.contrast * stop);
+        }
+        // From the middle to white as log2 rises from the one to the other, with the slope below at its beginning and none at its end.
+        let left = libm::pow((1.0 - stop / self.white_stops).max(0.0), self.bend());
+        libm::exp2(libm::log2(middle()) * left)
+    }
+
+    /// The code, 0..=1, of such light.
+    pub fn code(&self, stop: f32) -> f32 {
+        let (first, last) = Self::STOPS;
+        let place = (stop.clamp(first, last) - first) * Self::PER_STOP;
+        let (p, q) = (self.codes[place as usize], self.codes[place as usize + 1]);
+        p + (place - place.floor()) * (q - p)
+    }
+
+    /// The stop of light that has the `code`, below 1.
+    pub fn stop(&self, code: f64) -> f64 {
+        let stops = libm::log2(srgb_to_linear(code) / middle());
+        if stops <= 0.0 {
+            return stops / self.contrast;
+        }
+        let left = 1.0 + stops / libm::log2(middle());
+        self.white_stops * (1.0 - libm::pow(left, 1.0 / self.bend()))
+    }
+}
+
+/// The luminance of the middle code, 128, relative to display white.
+fn middle() -> f64 {
+    srgb_to_linear(128.0 / 255.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_and_white_are_where_they_were_asked_for_and_the_slope_below() {
+        for (contrast, white_stops) in [(1.0, 2.3), (1.4, 2.6), (1.75, 2.7), (1.0, 6.0), (1.0, 1.2)] {
+            let photograph = Photograph::new(contrast, white_stops);
+            let code = |stop: f64| f64::from(photograph.code(stop as f32));
+            assert!((code(0.0) - 128.0 / 255.0).abs() < 1e-4);
+            assert!((code(white_stops) - 1.0).abs() < 2e-3 && code(white_stops + 1.0) == 1.0);
+            let shown = |stop: f64| libm::log2(srgb_to_linear(code(stop)));
+            assert!((shown(-1.0) - shown(-2.0) - contrast).abs() < 0.01, "{}", shown(-1.0) - shown(-2.0));
+            // It rises, and the stop of a code is where the code is.
+            assert!((-400..600).all(|i| code(f64::from(i) / 100.0) <= code(f64::from(i + 1) / 100.0)));
+            for of in [0.1, 0.4, 0.6, 0.9] {
+                assert!((code(photograph.stop(of)) - of).abs() < 2e-3, "{of}: {}", code(photograph.stop(of)));
+            }
+        }
+    }
+}
