@@ -158,7 +158,8 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
         let colour = frame_css(i, count);
         let _ = writeln!(
             legend,
-            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> <b class=\"n\">{}</b><i></i></li>",
+            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> \
+             <b class=\"n\">{}</b><i></i></li>",
             100.0 * share,
             percent(*share)
         );
@@ -167,41 +168,9 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
     }
     let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made of several. Bright places should be of \
                    short exposures, dark ones of long ones. Sharp borders across a smooth surface mean exposures or a response that do not fit.";
-    let mut out = format!(
-        "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n<details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n\
-         <p class=\"intro\">White where the result is of this frame alone, black where it gives nothing.</p>\n<div class=\"grid\">\n{each}</div>\n</details>\n",
+    Some(format!(
+        "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n\
+         <details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n<p class=\"intro\">White where the result is of this frame alone, black where it gives nothing.</p>\n<div class=\"grid\">\n{each}</div>\n</details>\n",
         figure(map, "Which frame the result is made of, place by place.", caption)
-    );
-    if let (Some(mask), Some(ghosts)) = (&page.ghosts, &report.ghosts) {
-        let frames: String = ghosts
-            .frames
-            .iter()
-            .map(|f| {
-                format!(
-                    "<tr><th scope=\"row\">{}</th><td class=\"n\">{}</td></tr>\n",
-                    file_name(&f.path),
-                    percent(f.ghost_fraction)
-                )
-            })
-            .collect();
-        let continued = match ghosts.continued_fraction {
-            0.0 => String::new(),
-            share => format!(" Where the reference clips there, light is continued from around: {}.", percent(share)),
-        };
-        let caption = match ghosts.regions.is_empty() {
-            true => "<b>Movement.</b> None was found: every frame takes part everywhere.".to_owned(),
-            false => format!(
-                "<b>Movement.</b> Where something moved, and other frames were left out in favour of what the reference shows: black nothing, white all \
-                 of them; strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.{continued}",
-                ghosts.strength,
-                percent(ghosts.ghost_fraction)
-            ),
-        };
-        let _ = write!(
-            out,
-            "<div class=\"shares\">\n{}<table class=\"ghosts\"><caption>Left out of each frame</caption>\n{frames}</table>\n</div>\n",
-            figure(mask, "Where frames were left out because something moved.", &caption)
-        );
-    }
-    Some(out)
+    ))
 }

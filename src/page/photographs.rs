@@ -21,29 +21,35 @@ pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
 /// The frames as cards.
 pub(super) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour below a frame is its own throughout \
-         the page.</p>\n",
+        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the result is. The colour of a \
+         frame is its own throughout the page. EV counts from the reference.</p>\n",
     );
-    let _ =
-        writeln!(out, "<ul class=\"cards\" style=\"--ratio:{:.4}\">", report.width_px as f64 / report.height_px as f64);
+    let ratio = report.crop.width_px as f64 / report.crop.height_px.max(1) as f64;
+    let _ = writeln!(out, "<ul class=\"cards\" style=\"--ratio:{ratio:.4}\">");
     let stops = stops_over_reference(report);
     for (i, (frame, shown)) in report.frames.iter().zip(&page.frames).enumerate() {
         let colour = frame_css(i, report.frames.len());
         let (name, status) = (file_name(&frame.path), status_word(frame.alignment.status));
         let class = status.replace(' ', "-");
         let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
+        let lies = if frame.alignment.rejected_by.is_some() { "as it was photographed" } else { "moved to fit" };
+        let ghosts = report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
+        let left_out = ghosts.map_or_else(String::new, |ghost| {
+            format!("<div><dt>left out</dt><dd>{}, where it moved</dd></div>\n", percent(ghost.ghost_fraction))
+        });
         let share = shown
             .share
             .as_ref()
-            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{}</dd></div>\n", percent(*share)));
+            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share)));
         let _ = write!(
             out,
-            "<li class=\"card {class}\" style=\"--own:{colour}\">\n{photograph}\n<div class=\"about\">\n<h3>{name}</h3>\n\
-             <p class=\"stops\">{} <small>EV</small> <span class=\"chip\">{status}</span></p>\n<dl>\n\
-             <div><dt>exposure</dt><dd>{}</dd></div>\n<div><dt>motion</dt><dd>{}</dd></div>\n{share}</dl>\n</div>\n</li>\n",
-            signed(stops[i], 2),
+            "<li class=\"card {class}\" style=\"--own:{colour}\" data-caption=\"{name}, {ev} EV, {lies}\">\n{photograph}\n\
+             <div class=\"about\">\n<h3>{name}</h3>\n\
+             <p class=\"stops\">{ev} <small>EV</small> <span class=\"chip\">{status}</span></p>\n<dl>\n\
+             <div><dt>exposure</dt><dd>{}</dd></div>\n<div><dt>motion</dt><dd>{}</dd></div>\n{share}{left_out}</dl>\n</div>\n</li>\n",
             exposure(frame),
             summary::motion(frame),
+            ev = signed(stops[i], 2),
         );
     }
     out + "</ul>\n"
@@ -69,10 +75,8 @@ fn exposure(frame: &FrameReport) -> String {
 /// Every frame that was sought, with what its place rests on.
 pub(super) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
-    let sought: Vec<&(&FrameReport, &FramePage)> =
-        all.iter().filter(|(frame, _)| is_sought(frame.alignment.status)).collect();
     let mut out = String::new();
-    if sought.is_empty() {
+    if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
         out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
     } else {
         out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other they are white. Move the \
@@ -80,17 +84,14 @@ pub(super) fn moved(page: &Page, report: &Report) -> String {
                 white. A blue or an orange edge alone is one that the other frame cannot show, because it is burnt out or black there, or something \
                 that moved in the scene.</p>\n";
     }
-    let is_aligned = |f: &&&(&FrameReport, &FramePage)| f.0.alignment.status == Status::Aligned;
-    let first = sought.iter().find(is_aligned).or(sought.first()).map(|(frame, _)| frame.path.as_str());
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
-        let open = if Some(frame.path.as_str()) == first { " open" } else { "" };
         let status = status_word(frame.alignment.status);
         let class = status.replace(' ', "-");
         let mut heading = format!("<b>{}</b> <span class=\"chip\">{status}</span>", file_name(&frame.path));
         if matches!(frame.alignment.status, Status::Aligned | Status::Assumed) {
             let _ = write!(heading, " <span class=\"n\">{}</span>", summary::motion(frame));
         }
-        let _ = write!(out, "<details class=\"frame {class}\"{open}>\n<summary>{heading}</summary>\n");
+        let _ = write!(out, "<details class=\"frame {class}\">\n<summary>{heading}</summary>\n");
         if let Some(reason) = frame.alignment.reason.as_ref() {
             let what = if frame.alignment.status == Status::Assumed { "Assumed" } else { "Left out" };
             let _ = writeln!(out, "<p class=\"reason\">{what}: {}</p>", escape(reason));
@@ -134,8 +135,8 @@ fn compare(overlay: &Overlay, name: &str) -> String {
         false => "",
     };
     format!(
-        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n<span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n\
-         </div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
+        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n\
+         <span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n</div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
          as photographed, the rest as aligned\"><span>after</span></label>\n<figcaption><span class=\"key orange\"></span> reference \
          <span class=\"key blue\"></span> this frame <span class=\"key white\"></span> both.{details}</figcaption>\n</figure>\n",
         img(&overlay.before, before_words),

@@ -1,4 +1,4 @@
-//! The summary: the numbers that matter, what the user should know, and how the run went.
+//! The summary: the numbers that matter, the settings, and how long the run took.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
@@ -51,23 +51,24 @@ pub(super) fn facts(report: &Report) -> String {
     format!("<dl class=\"facts\">\n{}</dl>\n", facts.iter().map(item).collect::<String>())
 }
 
-/// What the user should know, in words.
-pub(super) fn warnings(report: &Report) -> String {
-    if report.warnings.is_empty() {
-        return "<p class=\"calm\">No warnings: every frame has its place, exposures are known, and nothing had to be guessed.</p>\n"
-            .into();
+/// The files written, and the settings.
+pub(super) fn settings(report: &Report) -> String {
+    let mut out = String::new();
+    if !report.outputs.is_empty() {
+        let item = |path: &String| format!("<li><code>{}</code></li>\n", escape(path));
+        let items: String = report.outputs.iter().map(item).collect();
+        out += &format!("<h3>Files written</h3>\n<ul class=\"files\">\n{items}</ul>\n");
     }
-    let item = |w: &crate::report::WarningReport| {
-        let (class, word) = if w.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
-        format!("<li class=\"{class}\"><b>{word}.</b> {}</li>\n", escape(&w.message))
-    };
-    let items: String = report.warnings.iter().map(item).collect();
-    format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
+    out += "<h3>Options used</h3>\n<table class=\"options\">\n";
+    for (name, value) in options(report) {
+        let _ = writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(&name), escape(&value));
+    }
+    out + "</table>\n"
 }
 
-/// Times, options, and files.
-pub(super) fn run(report: &Report, page_s: f64) -> String {
-    let mut out = String::from("<div class=\"columns\">\n<div>\n<h3>Time</h3>\n<table class=\"times\">\n");
+/// The time of each stage.
+pub(super) fn times(report: &Report, page_s: f64) -> String {
+    let mut out = String::from("<table class=\"times\">\n");
     let times = &report.time_s;
     let stages = [
         ("Load", times.load),
@@ -86,20 +87,7 @@ pub(super) fn run(report: &Report, page_s: f64) -> String {
             "<tr><th scope=\"row\">{name}</th><td class=\"n\">{time:.2} s</td><td class=\"bar\"><i style=\"width:{share:.1}%\"></i></td></tr>"
         );
     }
-    out += "</table>\n";
-    if !report.outputs.is_empty() {
-        out += "<h3>Files written</h3>\n<ul class=\"files\">\n";
-        report.outputs.iter().for_each(|path| {
-            let _ = writeln!(out, "<li><code>{}</code></li>", escape(path));
-        });
-        out += "</ul>\n";
-    }
-    out += "</div>\n<div>\n<h3>Options used</h3>\n<table class=\"options\">\n";
-    for (name, value) in options(report) {
-        let _ = writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(&name), escape(&value));
-    }
-    out += "</table>\n</div>\n</div>\n";
-    out
+    out + "</table>\n"
 }
 
 /// Every option and its value, as the report has them, and the reference.
