@@ -39,9 +39,9 @@ pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> St
          <meta name=\"color-scheme\" content=\"light dark\">\n\
          <meta name=\"generator\" content=\"{software}\">\n<title>{title}: {kind} by hdralign</title>\n\
          <style>\n{style}</style>\n</head>\n<body>\n<a class=\"skip\" href=\"#main\">To the report</a>\n\
-         <header>\n<h1>{title}</h1>\n<p class=\"kind\">bracket {kind} by {software}</p>\n</header>\n\
+         <header>\n<h1>{title}</h1>\n<p class=\"kind\">bracket {kind} by {software}</p>\n\
          <nav aria-label=\"Sections\">\n<a href=\"#main\">Picture</a>\n<a href=\"#frames\">Frames</a>\n\
-         <a href=\"#settings\">Settings</a>\n<a href=\"#details\">Details</a>\n</nav>\n\
+         <a href=\"#settings\">Settings</a>\n<a href=\"#details\">Details</a>\n</nav>\n</header>\n\
          <main id=\"main\">\n<div class=\"first\">\n{viewer}<section class=\"story\" aria-labelledby=\"story-h\">\n\
          <h2 id=\"story-h\">What was done</h2>\n{warnings}{done}</section>\n</div>\n{facts}{bodies}</main>\n\
          <footer><p>Made by {software}. This page is one file that loads nothing and sends nothing. The same facts for \

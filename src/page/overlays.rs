@@ -20,7 +20,7 @@ const NEARLY_ALL: u8 = 200;
 /// Colours of places that a frame shows brighter and darker than its exposure explains, and the opacity of the strongest.
 const BRIGHTER: [u8; 3] = [20, 110, 255];
 const DARKER: [u8; 3] = [255, 120, 0];
-const OPAQUE: f64 = 190.0;
+const OPAQUE: f64 = 130.0;
 /// Steps of the local gain to either side.
 const STEPS: i32 = 7;
 
@@ -29,9 +29,9 @@ const STEPS: i32 = 7;
 pub(super) struct Local {
     /// What the strongest colours stand for, in stops.
     pub most_stops: f64,
-    /// Of all frames the strongest at each place.
-    pub strongest: Picture,
-    /// The index of each frame but the reference, and its own.
+    /// Which of `frames` the greatest gain is of.
+    pub strongest: usize,
+    /// The index in the bracket of each frame but the reference, and its own.
     pub frames: Vec<(usize, Picture)>,
 }
 
@@ -73,16 +73,12 @@ pub(super) fn local(gain: &LocalGain, placed: &[usize], size: (usize, usize)) ->
     if maps.is_empty() {
         return Ok(None);
     }
-    let strongest = Plane::from_rows(across, down, |y, row: &mut [f32]| {
-        for (x, v) in row.iter_mut().enumerate() {
-            let all = maps.iter().map(|(_, map)| map.at(x, y));
-            *v = all.fold(0.0f32, |a, b| if b.abs() > a.abs() { b } else { a });
-        }
-    });
-    let most = strongest.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
+    let greatest = |map: &Plane<f32>| map.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
+    let most = maps.iter().map(|(_, map)| greatest(map)).fold(0.0, f32::max);
+    // Of equals the first.
+    let strongest = maps.iter().position(|(_, map)| greatest(map) >= most).unwrap_or(0);
     let frames = maps.iter().map(|(frame, map)| Ok((*frame, coloured(map, most)?)));
-    let frames = frames.collect::<Result<Vec<_>, String>>()?;
-    Ok(Some(Local { most_stops: f64::from(most), strongest: coloured(&strongest, most)?, frames }))
+    Ok(Some(Local { most_stops: f64::from(most), strongest, frames: frames.collect::<Result<_, String>>()? }))
 }
 
 /// `stops` in colours, of which the strongest stand for `most`.
@@ -131,6 +127,6 @@ mod tests {
         let picture = coloured(&stops, 1.0).unwrap();
         let [blue, clear, orange] = [0, 1, 2].map(|x| pixel(&picture, x, 0));
         assert_eq!((&blue[..3], clear[3], &orange[..3]), (&BRIGHTER[..], 0, &DARKER[..]));
-        assert_eq!((blue[3], orange[3]), (190, 190));
+        assert_eq!((blue[3], orange[3]), (130, 130));
     }
 }

@@ -32,7 +32,12 @@ pub(super) fn frames(page: &Page, report: &Report) -> String {
         let (name, status) = (file_name(&frame.path), status_word(frame.alignment.status));
         let class = status.replace(' ', "-");
         let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
-        let lies = if frame.alignment.rejected_by.is_some() { "as it was photographed" } else { "moved to fit" };
+        let lies = match frame.alignment.status {
+            Status::Reference => "the reference",
+            Status::Unmoved => "as it was photographed",
+            Status::Aligned | Status::Assumed => "moved to fit",
+            Status::Rejected | Status::Excluded | Status::Flash => "left out, as it was photographed",
+        };
         let ghosts = report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
         let left_out = ghosts.map_or_else(String::new, |ghost| {
             format!("<div><dt>left out</dt><dd>{}, where it moved</dd></div>\n", percent(ghost.ghost_fraction))
@@ -81,7 +86,7 @@ pub(super) fn moved(page: &Page, report: &Report) -> String {
     } else {
         out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other they are white. Move the \
                 slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider nearly all should be \
-                white. A blue or an orange edge alone is one that the other frame cannot show, because it is burnt out or black there, or something \
+                white. A blue or an orange edge alone is one that the other frame cannot show, because it is clipped or black there, or something \
                 that moved in the scene.</p>\n";
     }
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {

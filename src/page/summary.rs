@@ -32,7 +32,8 @@ pub(super) fn facts(report: &Report) -> String {
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);
     let turned = report.frames.iter().filter_map(|f| f.alignment.rotation_deg).map(f64::abs).fold(0.0, f64::max);
     if aligned > 0 {
-        facts.push(("Largest motion", format!("{most:.1} px"), format!("and a turn of {turned:.2}°")));
+        let turn = if turned >= 0.005 { format!("and a turn of {turned:.2}°") } else { "without a turn".to_owned() };
+        facts.push(("Largest motion", format!("{most:.1} px"), turn));
     }
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
@@ -59,11 +60,44 @@ pub(super) fn settings(report: &Report) -> String {
         let items: String = report.outputs.iter().map(item).collect();
         out += &format!("<h3>Files written</h3>\n<ul class=\"files\">\n{items}</ul>\n");
     }
-    out += "<h3>Options used</h3>\n<table class=\"options\">\n";
-    for (name, value) in options(report) {
-        let _ = writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(&name), escape(&value));
+    out += "<h3>Settings</h3>\n<dl class=\"numbers\">\n";
+    let mut rows: Vec<_> = options(report).into_iter().map(|(name, value)| (named(&name), value)).collect();
+    // The parameters of the tone mapping after its name.
+    rows.sort_by_key(|((at, words, option), ..)| (*at, *option == "--tmo-set", words.clone()));
+    for ((_, words, option), value) in rows {
+        let option = if option.is_empty() { String::new() } else { format!(" <code>{option}</code>") };
+        let _ = writeln!(out, "<div><dt>{}{option}</dt><dd>{}</dd></div>", escape(&words), escape(&value));
     }
-    out + "</table>\n"
+    out + "</dl>\n"
+}
+
+/// Options by their names in the report, what a photographer calls them, and how they are typed.
+const NAMES: [(&str, &str, &str); 14] = [
+    ("reference", "Reference frame", "--reference"),
+    ("operator, name", "Tone mapping", "--tmo"),
+    ("crop", "Part that is kept", "--crop"),
+    ("deghost strength", "Removal of movement, strength", "--deghost"),
+    ("align", "Alignment", "--align"),
+    ("transforms from", "Places taken from", "--transforms"),
+    ("exposures", "Exposures", "--exposures"),
+    ("response model", "Camera response", "--response-model"),
+    ("response file", "Camera response, from", "--response"),
+    ("flare", "Removal of lens flare", "--flare"),
+    ("colour", "Colour space", "--colour"),
+    ("weight", "Weight of pixel values", "--weight"),
+    ("max rotation deg", "Largest rotation, degrees", "--max-rotation"),
+    ("robust", "Fit of matching points", "--robust"),
+];
+
+/// What a photographer calls the option of that name in the report, how it is typed, and where it stands in the list.
+fn named(name: &str) -> (usize, String, &'static str) {
+    let known = NAMES.iter().position(|(key, ..)| *key == name);
+    match (known, name.strip_prefix("operator, ")) {
+        (Some(at), _) => (at, NAMES[at].1.to_owned(), NAMES[at].2),
+        // Right after its name.
+        (None, Some(key)) => (1, format!("Tone mapping, {key}"), "--tmo-set"),
+        (None, None) => (NAMES.len(), name.to_owned(), ""),
+    }
 }
 
 /// The time of each stage.
@@ -127,7 +161,7 @@ fn flatten(name: &str, value: &Value, rows: &mut Vec<(String, String)>) {
 pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
     let place = &frame.alignment;
     match (place.status, place.shift_px, place.rotation_deg) {
-        (Status::Reference, ..) => "the others are laid on it".into(),
+        (Status::Reference, ..) => "the others are fitted to it".into(),
         (Status::Unmoved, ..) => "lies as the reference does".into(),
         (Status::Assumed, ..) if place.model == Some(Model::Unmoved) => "assumed to lie as the reference does".into(),
         (Status::Assumed, Some([dx, dy]), Some(angle)) => {

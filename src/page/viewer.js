@@ -3,7 +3,7 @@
 const viewer = document.getElementById("viewer");
 const stage = viewer.querySelector(".stage");
 const canvas = viewer.querySelector(".canvas");
-const shows = viewer.querySelector(".shows");
+const shows = viewer.querySelector("[role=status]");
 const gain = canvas.querySelector(".gain");
 const strongest = gain && gain.src;
 const radios = (name) => [...viewer.querySelectorAll("input[name=" + name + "]")];
@@ -48,9 +48,14 @@ const show = async () => {
 const tell = () => {
   const value = chosen("shown").value;
   const shown = value === "result" ? "Result" : cards[value].dataset.caption;
-  const percent = 100 * canvas.clientWidth * devicePixelRatio / viewer.dataset.width;
-  shows.textContent = shown + " · " + Math.round(percent) + " %";
+  shows.textContent = shown + " · " + Math.round(100 * scale()) + " %";
 };
+
+// Pixels of the screen for one of the picture.
+const scale = () => canvas.clientWidth * devicePixelRatio / viewer.dataset.width;
+
+// The zoom that shows more than all of the picture does.
+const closer = () => scale() < 0.8 ? 1 : 2;
 
 // Sets the zoom, 0 for all of it, and keeps the place (x, y), of the picture, in the middle; where it was, if none is given.
 const zoom = (value, place) => {
@@ -112,14 +117,15 @@ stage.addEventListener("click", (event) => {
   if (drag && drag.moved) return;
   const box = canvas.getBoundingClientRect();
   const place = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
-  zoom(stage.classList.contains("zoomed") ? 0 : 1, place);
+  zoom(stage.classList.contains("zoomed") ? 0 : closer(), place);
 });
 
-// Where something moved: there, at 100 %, with the overlay.
+// Where something moved: there, larger, with the overlay.
 for (const button of viewer.querySelectorAll(".places button")) {
   button.addEventListener("click", () => {
     viewer.querySelector("input[name=movement]").checked = true;
-    zoom(1, [Number(button.dataset.x), Number(button.dataset.y)]);
+    zoom(0);
+    zoom(closer(), [Number(button.dataset.x), Number(button.dataset.y)]);
   });
 }
 // A card's picture shows the frame in the viewer.

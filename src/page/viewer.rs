@@ -32,7 +32,8 @@ pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> 
          <div class=\"tools\" hidden>\n{}{}</div>\n\
          <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, 1 and 2 show 100 and 200 \
          percent, N and P the next and the previous frame, R the result\">\n<div class=\"canvas\">\n{picture}\n{layers}</div>\n</div>\n\
-         <p class=\"shows\" role=\"status\" hidden></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
+         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click to zoom, drag to move.<span class=\"keyed\"> Keys: F fit, 1 and \
+         2 zoom, N and P frames, R result.</span></span></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
         choices(report, result.is_some()),
         ZOOMS,
         caption(page, report, result)
@@ -50,6 +51,7 @@ fn choices(report: &Report, has_result: bool) -> String {
     if has_result {
         out += "<label><input type=\"radio\" name=\"shown\" value=\"result\" checked><span>Result</span></label>\n";
     }
+    out += "<span class=\"word\">Frames, EV</span>\n";
     let stops = stops_over_reference(report);
     for (i, frame) in report.frames.iter().enumerate() {
         let colour = frame_css(i, report.frames.len());
@@ -87,7 +89,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
         let reference = reference.map_or_else(String::new, |frame| file_name(&frame.path));
         let mut words = format!(
-            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs from it was left out",
+            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs from it was left out.",
             percent(ghosts.ghost_fraction)
         );
         let (width, height) = (report.crop.width_px.max(1) as f64, report.crop.height_px.max(1) as f64);
@@ -100,12 +102,13 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         let _ = write!(words, " <span class=\"places\" hidden>Go to: {places}</span>");
         switches += &switch("movement", "Movement", &words);
     }
-    if let Some(local) = &page.local {
-        layers += &layer(&local.strongest, "gain", "Overlay: where the phone brightened and darkened the frames.");
+    if let Some((local, (frame, picture))) = page.local.as_ref().and_then(|l| Some((l, l.frames.get(l.strongest)?))) {
+        layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
-            "what the phone did to the frame, against the reference: <span class=\"key brighter\"></span> brightened, <span class=\"key darker\"></span> \
-             darkened, up to {:.1} stops; over the result, the strongest of all frames",
-            local.most_stops
+            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> darkened, against the reference, by up to \
+             {:.1} stops; over the result that of {}.",
+            local.most_stops,
+            report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
         );
         switches += &switch("gain", "Phone processing", &words);
     }

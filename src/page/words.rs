@@ -13,9 +13,68 @@ use std::path::Path;
 const UNSEEN_PX: f64 = 0.3;
 const SOFT_PX: f64 = 1.0;
 /// A share of the picture that is worth a sentence.
-const WORTH: f64 = 0.001;
+const WORTH: f64 = 0.005;
 /// A correction of an exposure that is worth a sentence, in stops.
-const CORRECTED: f64 = 0.1;
+const CORRECTED: f64 = 0.15;
+
+/// A warning, of frames that have the same one.
+struct Advice {
+    /// The names of the frames; none where it is of the bracket.
+    names: Vec<String>,
+    what: String,
+    remedy: String,
+    degrades: bool,
+}
+
+impl Advice {
+    fn of(warning: &WarningReport, report: &Report) -> Self {
+        let message = without_folders(&warning.message, report);
+        let is_frame = |name: &str| report.frames.iter().any(|frame| name == own_name(&frame.path));
+        let (names, text) = match message.split_once(": ") {
+            Some((names, text)) if names.split(", ").all(is_frame) => (names.split(", ").map(str::to_owned).collect(), text),
+            _ => (Vec::new(), message.as_str()),
+        };
+        let (what, remedy) = text.rsplit_once("; ").unwrap_or((text, ""));
+        Advice { names, what: what.to_owned(), remedy: remedy.to_owned(), degrades: warning.degrades }
+    }
+
+    /// What is done about it, for any of its frames.
+    fn general(&self) -> String {
+        self.names.iter().fold(self.remedy.clone(), |text, name| text.replace(name.as_str(), "FILE"))
+    }
+
+    /// Takes the frames of `other`, if that says the same of them but for what is measured.
+    fn takes(&mut self, other: &Advice) -> bool {
+        if self.names.is_empty() || other.names.is_empty() || self.general() != other.general() {
+            return false;
+        }
+        // What is measured stands behind a colon or between brackets.
+        let end = common(&self.what, &other.what);
+        let is_end = |text: &str| text.is_empty() || text.trim_start().starts_with([':', '(']);
+        let end = match is_end(&self.what[end..]) && is_end(&other.what[end..]) {
+            true => Some(end),
+            false => self.what[..end].rfind([':', '(']),
+        };
+        let Some(end) = end else { return false };
+        self.what.truncate(self.what[..end].trim_end().len());
+        self.remedy = self.general();
+        self.names.extend(other.names.iter().cloned());
+        true
+    }
+
+    fn html(&self) -> String {
+        let (class, word) = if self.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
+        let names = if self.names.is_empty() { String::new() } else { format!(": {}", escape(&self.names.join(", "))) };
+        let [what, remedy] = [&self.what, &self.remedy].map(|text| capital(&with_code(&escape(text))));
+        let remedy = if remedy.is_empty() { remedy } else { format!("<span class=\"remedy\">{remedy}.</span>") };
+        format!("<li class=\"{class}\"><b>{word}{names}.</b> {what}.{remedy}</li>\n")
+    }
+}
+
+/// Where `a` and `b` begin to differ.
+fn common(a: &str, b: &str) -> usize {
+    a.char_indices().zip(b.chars()).find(|((_, a), b)| a != b).map_or(a.len().min(b.len()), |((at, _), _)| at)
+}
 
 /// What the user should know, each with what to do about it.
 pub(super) fn warnings(report: &Report) -> String {
@@ -23,24 +82,25 @@ pub(super) fn warnings(report: &Report) -> String {
         return "<p class=\"calm\"><b>No warnings.</b> Every frame has its place, the exposures are known, and nothing had to be guessed.</p>\n"
             .into();
     }
-    let item = |warning: &WarningReport| {
-        let (class, word) = if warning.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
-        let (what, remedy) = warning.message.rsplit_once("; ").unwrap_or((&warning.message, ""));
-        let [what, remedy] = [what, remedy].map(|text| with_code(&escape(&without_folders(text, report))));
-        let remedy = match remedy.is_empty() {
-            true => String::new(),
-            false => format!("<span class=\"remedy\">{}.</span>", capital(&remedy)),
-        };
-        format!("<li class=\"{class}\"><b>{word}.</b> {what}.{remedy}</li>\n")
-    };
-    let items: String = report.warnings.iter().map(item).collect();
+    let mut all: Vec<Advice> = Vec::new();
+    for warning in &report.warnings {
+        let advice = Advice::of(warning, report);
+        if !all.iter_mut().any(|other| other.degrades == advice.degrades && other.takes(&advice)) {
+            all.push(advice);
+        }
+    }
+    let items: String = all.iter().map(Advice::html).collect();
     format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
+}
+
+/// The name of a file without its folder.
+fn own_name(path: &str) -> String {
+    Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
 /// `text` in which frames are named without their folders.
 fn without_folders(text: &str, report: &Report) -> String {
-    let name = |path: &str| Path::new(path).file_name().map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into());
-    report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &name(&frame.path)))
+    report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &own_name(&frame.path)))
 }
 
 /// Escaped `text` with options set as code.
@@ -137,8 +197,12 @@ fn alignment(report: &Report) -> String {
         let shift = aligned.clone().map(length).fold(0.0, f64::max);
         let angle = aligned.clone().filter_map(|f| f.alignment.rotation_deg).map(f64::abs).fold(0.0, f64::max);
         let turn = if angle >= 0.05 { format!(" and {angle:.1}°") } else { String::new() };
+        let moved = match shift < 1.0 && turn.is_empty() {
+            true => "by less than a pixel".to_owned(),
+            false => format!("by up to {shift:.1}\u{a0}px{turn}"),
+        };
         words += &format!(
-            "The camera moved by up to {shift:.1}\u{a0}px{turn} between the frames. They were laid on {}, the reference.",
+            "The camera moved {moved} between the frames. They were fitted to {}, the reference.",
             reference(report)
         );
         if let Some(error) = aligned.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
@@ -283,6 +347,22 @@ fn bounds(report: &Report) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn advice(name: &str, what: &str) -> Advice {
+        Advice { names: vec![name.into()], what: what.into(), remedy: format!("give --unmoved {name}"), degrades: true }
+    }
+
+    #[test]
+    fn frames_with_one_warning_but_for_its_numbers_share_it() {
+        let mut all = advice("a.jpg", "left out: nothing fits: 3 of 9 parts contradict");
+        assert!(all.takes(&advice("b.jpg", "left out: nothing fits: 4 of 9 parts contradict")));
+        assert!(all.takes(&advice("c.jpg", "left out: nothing fits: 53 of 99 parts contradict")));
+        assert!(!all.takes(&advice("d.jpg", "aligned with low confidence (0.4)")));
+        assert_eq!((all.what.as_str(), all.names.len(), all.remedy.as_str()), ("left out: nothing fits", 3, "give --unmoved FILE"));
+        let mut low = advice("a.jpg", "aligned with low confidence (0.43)");
+        assert!(low.takes(&advice("b.jpg", "aligned with low confidence (0.28)")));
+        assert_eq!(low.what, "aligned with low confidence");
+    }
 
     #[test]
     fn options_are_code_and_marks_are_not() {
