@@ -4,7 +4,7 @@
 
 use super::encoded::Picture;
 use super::markup::escape;
-use super::{Page, light, photographs, scene, summary, viewer, words};
+use super::{Page, advice, light, photographs, scene, summary, viewer, words};
 use crate::inspect::text::file_name;
 use crate::report::Report;
 
@@ -30,7 +30,7 @@ pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> St
     };
     let bodies: String = sections.iter().map(section).collect();
     let (viewer, facts) = (viewer::viewer(page, report, result), summary::facts(report));
-    let (warnings, done) = (words::warnings(report), words::done(report));
+    let (warnings, done) = (advice::warnings(report), words::done(report));
     let [style, script] = [STYLE, SCRIPT].map(|parts| parts.concat());
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

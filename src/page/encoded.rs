@@ -1,7 +1,9 @@
 //! Pictures in the page: JPEG and PNG files as `data:` addresses.
 //!
-//! In: pixels. Out: [`Picture`]s. Cost: some 30 ns a pixel, for JPEG as often as a quality is tried. Source: ITU-T T.81 (JPEG), by the `jpeg-encoder`
-//! crate: colours at half the resolution and Huffman tables of its own for each picture, by which it takes a fourth less; RFC 2397 (data URLs),
+//! In: pixels. Out: [`Picture`]s. Cost: some 30 ns a pixel, for JPEG as often as a quality is tried. Source: ITU-T
+//! T.81 (JPEG), by the `jpeg-encoder`
+//! crate: colours at half the resolution and Huffman tables of its own for each picture, by which it takes a fourth
+//! less; RFC 2397 (data URLs),
 //! RFC 4648 section 4 (base64).
 
 use crate::plane::Plane;
@@ -33,7 +35,8 @@ pub(super) fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
-/// Pictures with their profiles as JPEG, of the best quality at which they take no more than `most` bytes of the page together; of the least where none does.
+/// Pictures with their profiles as JPEG, of the best quality at which they take no more than `most` bytes of the page
+/// together; of the least where none does.
 pub(super) fn jpegs_within(
     most: usize,
     pictures: &[(Plane<[u8; 3]>, Option<Vec<u8>>)],

@@ -1,6 +1,7 @@
 //! What a frame's place rests on, as the page shows it: overlay, bitmaps, XOR curves, keypoints and matches.
 //!
-//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures. Source: Ward 2003, section 2
+//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures.
+//! Source: Ward 2003, section 2
 //! (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
 
 use super::encoded::{Picture, grey_jpeg, jpeg, paletted};
@@ -17,7 +18,7 @@ use std::fmt::Write;
 
 /// Columns of an overlay at the most, for as many frames; more share the room.
 const OVERLAY: (usize, usize) = (680, 3);
-const LEAST_OVERLAY: usize = 420;
+const LEAST_OVERLAY: usize = 360;
 /// The quality of an overlay's JPEG.
 const EDGES: u8 = 58;
 /// Lines between matches at the most: more hide each other.

@@ -1,10 +1,14 @@
-//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script or style from elsewhere.
+//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script
+//! or style from elsewhere.
 //!
-//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the [`Report`]. Out: HTML. Cost: that of
-//! an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2 MB whatever the size of
+//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the
+//! [`Report`]. Out: HTML. Cost: that of
+//! an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2
+//! MB whatever the size of
 //! the frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser refuses
 //! whatever a file name might smuggle in.
 
+mod advice;
 mod document;
 mod encoded;
 mod evidence;
@@ -38,7 +42,8 @@ use reduced::{Reduced, within, within_pixels};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Pixels at the most: of the result, of all frames together, and of one frame. What is smaller is in the page as it is, and 100 % are its own.
+/// Pixels at the most: of the result, of all frames together, and of one frame. What is smaller is in the page as it
+/// is, and 100 % are its own.
 const RESULT_PIXELS: usize = 3_000_000;
 const FRAMES_PIXELS: usize = 4_500_000;
 const FRAME_PIXELS: usize = 1_500_000;
@@ -120,7 +125,8 @@ impl Page {
         }
     }
 
-    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with `options`, with `warnings`, over the
+    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with
+    /// `options`, with `warnings`, over the
     /// part `region` of the reference; and, where they were merged, what was made of them.
     ///
     /// # Errors
@@ -173,7 +179,8 @@ impl Page {
         Ok(())
     }
 
-    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop: the first step and the counts.
+    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop:
+    /// the first step and the counts.
     pub fn take_luminance(&mut self, luminance: (i64, Vec<u64>)) {
         self.luminance = Some(luminance);
     }

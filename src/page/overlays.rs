@@ -1,6 +1,7 @@
 //! Overlays: what is laid over the picture to show where something moved, and where the phone or the camera processed the frames locally.
 //!
-//! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns a pixel of the picture.
+//! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns
+//! a pixel of the picture.
 
 use super::encoded::{Picture, paletted};
 use super::reduced::{Reduced, within};

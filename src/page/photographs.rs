@@ -21,7 +21,8 @@ pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
 /// The frames as cards.
 pub(super) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the result is. The colour of a \
+        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the result \
+         is. The colour of a \
          frame is its own throughout the page. EV counts from the reference.</p>\n",
     );
     let ratio = report.crop.width_px as f64 / report.crop.height_px.max(1) as f64;
@@ -38,14 +39,14 @@ pub(super) fn frames(page: &Page, report: &Report) -> String {
             Status::Aligned | Status::Assumed => "moved to fit",
             Status::Rejected | Status::Excluded | Status::Flash => "left out, as it was photographed",
         };
-        let ghosts = report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
+        let ghosts =
+            report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
         let left_out = ghosts.map_or_else(String::new, |ghost| {
             format!("<div><dt>left out</dt><dd>{}, where it moved</dd></div>\n", percent(ghost.ghost_fraction))
         });
-        let share = shown
-            .share
-            .as_ref()
-            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share)));
+        let share = shown.share.as_ref().map_or_else(String::new, |(share, _)| {
+            format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share))
+        });
         let _ = write!(
             out,
             "<li class=\"card {class}\" style=\"--own:{colour}\" data-caption=\"{name}, {ev} EV, {lies}\">\n{photograph}\n\
@@ -84,9 +85,12 @@ pub(super) fn moved(page: &Page, report: &Report) -> String {
     if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
         out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
     } else {
-        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other they are white. Move the \
-                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider nearly all should be \
-                white. A blue or an orange edge alone is one that the other frame cannot show, because it is clipped or black there, or something \
+        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other \
+         they are white. Move the \
+                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider \
+                nearly all should be \
+                white. A blue or an orange edge alone is one that the other frame cannot show, because it is clipped or black \
+                there, or something \
                 that moved in the scene.</p>\n";
     }
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
@@ -141,7 +145,8 @@ fn compare(overlay: &Overlay, name: &str) -> String {
     };
     format!(
         "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n\
-         <span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n</div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
+         <span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n</div>\n<label><span>before</span><input \
+         type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
          as photographed, the rest as aligned\"><span>after</span></label>\n<figcaption><span class=\"key orange\"></span> reference \
          <span class=\"key blue\"></span> this frame <span class=\"key white\"></span> both.{details}</figcaption>\n</figure>\n",
         img(&overlay.before, before_words),
@@ -196,9 +201,12 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
         "the motion found"
     };
     format!(
-        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and shift.</b> Of the pixels that count in \
-         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the two others. \
-         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look at.</figcaption>\n</figure>\n",
+        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and \
+         shift.</b> Of the pixels that count in \
+         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the \
+         two others. \
+         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look \
+         at.</figcaption>\n</figure>\n",
         percent(xor.before),
         percent(xor.after)
     )
@@ -212,21 +220,25 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
         let _ = write!(
             out,
             "<figure>\n{svg}<figcaption><b>Keypoints.</b> <span class=\"key plain\"></span> of the plain picture alone: {plain} \
-             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: {both}. They should lie all over \
+             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: \
+             {both}. They should lie all over \
              the picture; where there are none, nothing holds the frame.{bright}</figcaption>\n</figure>\n"
         );
     }
     if let Some((svg, all, inliers)) = &evidence.matches {
         let _ = write!(
             out,
-            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span class=\"key inlier\"></span> {inliers} agree \
-             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange ones as blue ones mean that \
+            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span \
+             class=\"key inlier\"></span> {inliers} agree \
+             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange \
+             ones as blue ones mean that \
              the motion rests on little.</figcaption>\n</figure>\n",
             all - inliers
         );
     }
     if out.is_empty() && is_sought(frame.alignment.status) {
-        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign inspect</code> draws them all \
+        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign \
+         inspect</code> draws them all \
                 the same.</p>\n";
     }
     out
@@ -235,8 +247,10 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
 /// The bitmaps of all frames.
 pub(super) fn bitmaps(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than the frame's threshold, black \
-         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where they do not, exposures \
+        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than \
+         the frame's threshold, black \
+         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where \
+         they do not, exposures \
          are too far apart, or the picture has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
     );
     for (frame, shown) in report.frames.iter().zip(&page.frames) {

@@ -1,6 +1,7 @@
 //! Reduced pictures: averages over cells, taken as rows come by.
 //!
-//! In: rows of a picture, from the first to the last, in parts of any number. Out: the same picture in fewer pixels. Cost: some ns a pixel, and
+//! In: rows of a picture, from the first to the last, in parts of any number. Out: the same picture in fewer pixels.
+//! Cost: some ns a pixel, and
 //! three bytes for each pixel of what comes out. Every pixel counts for the part of it that lies in a cell, in whole numbers, so that fine
 //! patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
 
@@ -107,7 +108,8 @@ impl Reduced {
     }
 }
 
-/// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it does not reach. Read in bands,
+/// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it
+/// does not reach. Read in bands,
 /// so that a frame on disk need not fit into memory.
 pub(super) fn frame(frame: &Frame, warp: &Warp, region: Rect, size: (usize, usize)) -> Result<Plane<[u8; 3]>> {
     let (width, height) = (region.width(), region.height());

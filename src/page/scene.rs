@@ -15,8 +15,10 @@ pub(super) fn moved(report: &Report) -> Option<String> {
     };
     let rows: String = ghosts.frames.iter().map(row).collect();
     Some(format!(
-        "<p class=\"intro\">The share of the picture in which each frame was left out in favour of the reference, because it shows something else there; \
-         strength {}. Switched on in the viewer, the places should have the shapes of people, leaves and water. Large smooth ones mean frames that do not \
+        "<p class=\"intro\">The share of the picture in which each frame was left out in favour of the reference, because it \
+         shows something else there; \
+         strength {}. Switched on in the viewer, the places should have the shapes of people, leaves and water. Large smooth \
+         ones mean frames that do not \
          fit.</p>\n<table class=\"narrow\">\n{rows}</table>\n",
         ghosts.strength
     ))
@@ -37,8 +39,10 @@ pub(super) fn processed(page: &Page, report: &Report) -> Option<String> {
     };
     let cards: String = local.frames.iter().map(card).collect();
     Some(format!(
-        "<p class=\"intro\">By how much each frame was multiplied, place by place, to have the brightness of the reference: <span class=\"key brighter\"></span> \
-         the phone had brightened it there, <span class=\"key darker\"></span> it had darkened it. The strongest colours are {:.1} stops. An exposure step \
+        "<p class=\"intro\">By how much each frame was multiplied, place by place, to have the brightness of the reference: \
+         <span class=\"key brighter\"></span> \
+         the phone had brightened it there, <span class=\"key darker\"></span> it had darkened it. The strongest colours are \
+         {:.1} stops. An exposure step \
          came out as {} of itself, so large differences of brightness were expanded by {:.2}.</p>\n<div class=\"grid\">\n{cards}</div>\n",
         local.most_stops,
         percent(found.exposure_step_fraction),

@@ -118,7 +118,8 @@ pub(super) fn times(report: &Report, page_s: f64) -> String {
         let share = (100.0 * time / times.total.max(1e-9)).min(100.0);
         let _ = writeln!(
             out,
-            "<tr><th scope=\"row\">{name}</th><td class=\"n\">{time:.2} s</td><td class=\"bar\"><i style=\"width:{share:.1}%\"></i></td></tr>"
+            "<tr><th scope=\"row\">{name}</th><td class=\"n\">{time:.2} s</td><td class=\"bar\"><i \
+             style=\"width:{share:.1}%\"></i></td></tr>"
         );
     }
     out + "</table>\n"

@@ -1,6 +1,7 @@
 //! The viewer: the result and every frame at the same place and zoom, with overlays that can be switched on.
 //!
-//! In: a [`Page`] and its [`Report`]. Out: HTML for `viewer.js`; without scripts it shows the result, and the overlays can be switched on all the same. Cost:
+//! In: a [`Page`] and its [`Report`]. Out: HTML for `viewer.js`; without scripts it shows the result, and the overlays
+//! can be switched on all the same. Cost:
 //! none: the frames are those of the cards, which the script puts over the result.
 
 use super::encoded::Picture;
@@ -30,9 +31,11 @@ pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> 
     format!(
         "<figure class=\"viewer\" id=\"viewer\" style=\"--ratio:{ratio:.4}\" data-width=\"{width}\"{hidden}>\n\
          <div class=\"tools\" hidden>\n{}{}</div>\n\
-         <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, 1 and 2 show 100 and 200 \
+         <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, 1 and 2 \
+         show 100 and 200 \
          percent, N and P the next and the previous frame, R the result\">\n<div class=\"canvas\">\n{picture}\n{layers}</div>\n</div>\n\
-         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click to zoom, drag to move.<span class=\"keyed\"> Keys: F fit, 1 and \
+         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click or tap to zoom, drag to move.<span \
+         class=\"keyed\"> Keys: F fit, 1 and \
          2 zoom, N and P frames, R result.</span></span></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
         choices(report, result.is_some()),
         ZOOMS,
@@ -59,7 +62,8 @@ fn choices(report: &Report, has_result: bool) -> String {
         let checked = if !has_result && frame.alignment.status == Status::Reference { " checked" } else { "" };
         let _ = writeln!(
             out,
-            "<label title=\"{name}\" style=\"--own:{colour}\"><input type=\"radio\" name=\"shown\" value=\"{i}\"{checked} aria-label=\"{name}, {ev} EV\">\
+            "<label title=\"{name}\" style=\"--own:{colour}\"><input type=\"radio\" name=\"shown\" value=\"{i}\"{checked} \
+             aria-label=\"{name}, {ev} EV\">\
              <span>{ev}</span></label>",
             ev = short(stops[i])
         );
@@ -81,7 +85,8 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     };
     let switch = |class: &str, name: &str, words: &str| {
         format!(
-            "<div class=\"switch\"><label><input type=\"checkbox\" name=\"{class}\"> <b>{name}</b></label> <span class=\"legend-{class}\">{words}</span></div>\n"
+            "<div class=\"switch\"><label><input type=\"checkbox\" name=\"{class}\"> <b>{name}</b></label> <span \
+             class=\"legend-{class}\">{words}</span></div>\n"
         )
     };
     if let (Some(picture), Some(ghosts)) = (&page.movement, &report.ghosts) {
@@ -89,14 +94,18 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
         let reference = reference.map_or_else(String::new, |frame| file_name(&frame.path));
         let mut words = format!(
-            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs from it was left out.",
+            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs \
+             from it was left out.",
             percent(ghosts.ghost_fraction)
         );
         let (width, height) = (report.crop.width_px.max(1) as f64, report.crop.height_px.max(1) as f64);
         let go = |(i, region): (usize, &crate::merge::deghost::GhostRegion)| {
             let x = (region.x_px as f64 + 0.5 * region.width_px as f64) / width;
             let y = (region.y_px as f64 + 0.5 * region.height_px as f64) / height;
-            format!("<button type=\"button\" data-x=\"{x:.4}\" data-y=\"{y:.4}\" aria-label=\"Go to place {n}\">{n}</button> ", n = i + 1)
+            format!(
+                "<button type=\"button\" data-x=\"{x:.4}\" data-y=\"{y:.4}\" aria-label=\"Go to place {n}\">{n}</button> ",
+                n = i + 1
+            )
         };
         let places: String = ghosts.regions.iter().take(REGIONS).enumerate().map(go).collect();
         let _ = write!(words, " <span class=\"places\" hidden>Go to: {places}</span>");
@@ -105,7 +114,8 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     if let Some((local, (frame, picture))) = page.local.as_ref().and_then(|l| Some((l, l.frames.get(l.strongest)?))) {
         layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
-            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> darkened, against the reference, by up to \
+            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> darkened, against \
+             the reference, by up to \
              {:.1} stops; over the result that of {}.",
             local.most_stops,
             report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
@@ -114,7 +124,10 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     }
     match switches.is_empty() {
         true => (layers, switches),
-        false => (layers, format!("<fieldset class=\"switches\"><legend>Show on the picture</legend>\n{switches}</fieldset>\n")),
+        false => (
+            layers,
+            format!("<fieldset class=\"switches\"><legend>Show on the picture</legend>\n{switches}</fieldset>\n"),
+        ),
     }
 }
 
@@ -128,9 +141,13 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
             format!(" Open <code>{}</code> to judge sharpness.", escape(&text::file_name(path)))
         });
         words += &match result.width == crop.width_px {
-            true => format!("The result is here with all its {} × {} pixels: 100\u{a0}% is that of the file.", crop.width_px, crop.height_px),
+            true => format!(
+                "The result is here with all its {} × {} pixels: 100\u{a0}% is that of the file.",
+                crop.width_px, crop.height_px
+            ),
             false => format!(
-                "To keep the page small, the result is here with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is {:.0}\u{a0}% of the file.</b>{open}",
+                "To keep the page small, the result is here with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
+                 {:.0}\u{a0}% of the file.</b>{open}",
                 result.width,
                 result.height,
                 crop.width_px,
