@@ -42,10 +42,11 @@ pub(super) fn within(full: (usize, usize), most: usize) -> (usize, usize) {
     (side(full.0), side(full.1))
 }
 
-/// The size of a picture of `full` pixels that has at most about `most` altogether.
+/// The size of a picture of `full` pixels that has at most about `most` altogether; what is larger by less than a fourth keeps its size, for so small
+/// a reduction would only make it softer.
 pub(super) fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
     let all = full.0 * full.1;
-    if all <= most {
+    if all <= most * 5 / 4 {
         return full;
     }
     let scale = (most as f64 / all as f64).sqrt();
@@ -172,6 +173,6 @@ mod tests {
         reduced.push(&pixels);
         assert_eq!(reduced.finish().as_slice(), pixels);
         assert_eq!((within((4000, 3000), 1400), within((3, 9000), 100)), ((1400, 1050), (1, 100)));
-        assert_eq!((within_pixels((4000, 3000), 3_000_000), within_pixels((30, 20), 600)), ((2000, 1500), (30, 20)));
+        assert_eq!((within_pixels((4000, 3000), 3_000_000), within_pixels((30, 20), 500)), ((2000, 1500), (30, 20)));
     }
 }
