@@ -24,6 +24,12 @@ pub(super) struct Picture {
     pub height: usize,
 }
 
+/// A photograph that is to be encoded, with the profile of its colours; sRGB where there is none.
+pub(super) struct Photograph {
+    pub pixels: Plane<[u8; 3]>,
+    pub icc: Option<Vec<u8>>,
+}
+
 /// `pixels` as JPEG of `quality` 1..=100, in the colours of the profile `icc`; of sRGB where there is none.
 pub(super) fn jpeg(pixels: &Plane<[u8; 3]>, quality: u8, icc: Option<&[u8]>) -> Result<Picture, String> {
     let bytes = pixels.as_slice().as_flattened();
@@ -35,15 +41,12 @@ pub(super) fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
-/// Pictures with their profiles as JPEG, of the best quality at which they take no more than `most` bytes of the page
-/// together; of the least where none does.
-pub(super) fn jpegs_within(
-    most: usize,
-    pictures: &[(Plane<[u8; 3]>, Option<Vec<u8>>)],
-) -> Result<Vec<Picture>, String> {
+/// `photographs` as JPEG, of the best quality at which they take no more than `most` bytes of the page together; of the
+/// least where none does.
+pub(super) fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
     let mut encoded = Vec::new();
     for quality in QUALITIES {
-        let all = pictures.par_iter().map(|(pixels, icc)| jpeg(pixels, quality, icc.as_deref()));
+        let all = photographs.par_iter().map(|one| jpeg(&one.pixels, quality, one.icc.as_deref()));
         encoded = all.collect::<Result<Vec<_>, _>>()?;
         if encoded.iter().map(|picture| picture.address.len()).sum::<usize>() <= most {
             break;
@@ -135,7 +138,7 @@ mod tests {
 
     #[test]
     fn quality_is_the_best_that_has_room() {
-        let pictures = [(ramp((120, 80)), None), (ramp((60, 60)), None)];
+        let pictures = [(120, 80), (60, 60)].map(|size| Photograph { pixels: ramp(size), icc: None });
         let size = |pictures: &[Picture]| pictures.iter().map(|p| p.address.len()).sum::<usize>();
         let best = size(&jpegs_within(usize::MAX, &pictures).unwrap());
         let fits = jpegs_within(best - 1, &pictures).unwrap();

@@ -35,7 +35,7 @@ use crate::merge::{MergeOptions, Merging};
 use crate::plane::Plane;
 use crate::report::Report;
 use crate::response::ResponseCurve;
-use encoded::{Picture, grey_jpeg, jpeg, jpegs_within};
+use encoded::{Photograph, Picture, grey_jpeg, jpeg, jpegs_within};
 use evidence::Evidence;
 use overlays::Local;
 use reduced::{Reduced, within, within_pixels};
@@ -200,7 +200,8 @@ impl Page {
     /// # Errors
     /// [`Error::Write`], where the picture cannot be encoded.
     pub fn to_html(&self, report: &Report) -> Result<String> {
-        let result = self.result.as_ref().map(|result| [(result.finish(), self.icc.clone())]);
+        let photograph = |result: &Reduced| [Photograph { pixels: result.finish(), icc: self.icc.clone() }];
+        let result = self.result.as_ref().map(photograph);
         let result = result.map(|picture| self.encoded(jpegs_within(RESULT_BYTES, &picture))).transpose()?;
         Ok(document::html(self, report, result.as_ref().and_then(|pictures| pictures.first())))
     }
@@ -211,15 +212,12 @@ impl Page {
 }
 
 /// The frames as they lie over the part `region` of the reference, with their profiles; those without a place as they were photographed.
-fn photographs(
-    bracket: &Bracket,
-    alignment: &Alignment,
-    region: Rect,
-) -> Result<Vec<(Plane<[u8; 3]>, Option<Vec<u8>>)>> {
+fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
     let of = |(frame, warp): (&Frame, Option<Warp>)| {
-        Ok((reduced::frame(frame, &warp.unwrap_or(Warp::Identity), region, size)?, icc(frame)))
+        let pixels = reduced::frame(frame, &warp.unwrap_or(Warp::Identity), region, size)?;
+        Ok(Photograph { pixels, icc: icc(frame) })
     };
     bracket.frames().iter().zip(alignment.verdicts.iter().map(|verdict| verdict.warp)).map(of).collect()
 }

@@ -20,9 +20,9 @@ const REGIONS: usize = 5;
 pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let ratio = crop.width_px as f64 / crop.height_px.max(1) as f64;
-    let (hidden, picture) = match result {
-        Some(picture) => ("", img(picture, "The result.")),
-        None => (" hidden", String::new()),
+    let (hidden, picture, to_result) = match result {
+        Some(picture) => ("", img(picture, "The result."), ", R result"),
+        None => (" hidden", String::new(), ""),
     };
     let (layers, switches) = overlays(page, report);
     // Pixels of the picture that is 100 %.
@@ -31,12 +31,11 @@ pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> 
     format!(
         "<figure class=\"viewer\" id=\"viewer\" style=\"--ratio:{ratio:.4}\" data-width=\"{width}\"{hidden}>\n\
          <div class=\"tools\" hidden>\n{}{}</div>\n\
-         <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, 1 and 2 \
-         show 100 and 200 \
-         percent, N and P the next and the previous frame, R the result\">\n<div class=\"canvas\">\n{picture}\n{layers}</div>\n</div>\n\
-         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click or tap to zoom, drag to move.<span \
-         class=\"keyed\"> Keys: F fit, 1 and \
-         2 zoom, N and P frames, R result.</span></span></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
+         <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, \
+         1 and 2 show 100 and 200 percent, N and P the next and the previous frame{to_result}\">\n\
+         <div class=\"canvas\">\n{picture}\n{layers}</div>\n</div>\n\
+         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click or tap to zoom, drag to move.\
+         <span class=\"keyed\"> Keys: F fit, 1 and 2 zoom, N and P frames{to_result}.</span></span></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
         choices(report, result.is_some()),
         ZOOMS,
         caption(page, report, result)

@@ -159,7 +159,7 @@ fn large_picture_is_reduced_and_the_page_says_so() {
     for (i, stops) in [-1.0, 1.0].iter().enumerate() {
         // Grain, which JPEG does not like.
         let photograph = RgbImage::from_fn(2400, 1600, |x, y| {
-            let grain = f64::from((x * 7919 ^ y * 104_729).wrapping_mul(0x9E37_79B9) >> 26) - 32.0;
+            let grain = f64::from(((x * 7919) ^ (y * 104_729)).wrapping_mul(0x9E37_79B9) >> 26) - 32.0;
             let v = 110.0 + 50.0 * (f64::from(x) / 70.0).sin() + 40.0 * (f64::from(y) / 50.0).cos() + grain;
             Rgb([(v * f64::exp2(0.5 * stops)).clamp(0.0, 255.0) as u8; 3])
         });
