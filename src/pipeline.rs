@@ -264,7 +264,7 @@ fn merged(
             let metadata = line::metadata(bracket.reference(), photographed, options);
             let merging = MergeOptions { weight: options.weight, region };
             let developed = Developed { curve: &camera.curve, merging, ghosts, local };
-            line.gather(&bracket, &alignment, Some(&developed), options)?;
+            line.gather(&bracket, &alignment, region, Some(&developed), options)?;
             let mut report = Report::new(&bracket, &alignment, region);
             // The frames make room for what is encoded.
             drop(bracket);
@@ -303,8 +303,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             let (bracket, alignment) = line.align(bracket, options)?;
-            line.gather(&bracket, &alignment, None, options)?;
             let region = options.crop.rect(&bracket, &alignment);
+            line.gather(&bracket, &alignment, region, None, options)?;
             let mut report = Report::new(&bracket, &alignment, region);
             report.options = Some(asked::report(options, false));
             report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Opens report pages in headless Chromium and checks them: no error, no request, a slider that works, nothing wider than the screen.
+"""Opens report pages in headless Chromium and checks them: no error, no request, nothing wider than the screen, words that can be read, a viewer that
+zooms, moves and changes frames by mouse, keyboard and finger, sliders that work, and a page that shows its pictures without scripts too.
 
     tests/page_in_chromium.py [--shots FOLDER] [--chromium PROGRAM] PAGE.html...
 
@@ -85,7 +86,7 @@ class Browser:
 SLIDER = """(() => {
   const figure = document.querySelector('.compare');
   if (!figure) return null;
-  figure.closest('details').open = true;
+  for (let part = figure; part; part = part.parentElement) if (part.tagName === 'DETAILS') part.open = true;
   const stack = figure.querySelector('.stack'), range = figure.querySelector('input');
   stack.scrollIntoView({block: 'center', behavior: 'instant'});
   const box = stack.getBoundingClientRect(), rail = range.getBoundingClientRect();
@@ -137,8 +138,150 @@ def check_slider(browser, problems, where):
     if float(browser.value(SLIDER)["value"]) != float(clicked["value"]) - 1:
         problems.append(f"{where}: the left arrow does not move it")
     browser.value("document.querySelector('.compare input').value = 50, "
-                  "document.querySelector('.compare input').dispatchEvent(new Event('input')), scrollTo(0, 0)")
+                  "document.querySelector('.compare input').dispatchEvent(new Event('input')), scrollTo(0, 0), "
+                  "document.querySelectorAll('details').forEach(part => part.open = false)")
     return True
+
+
+# What can be seen of the viewer: where the stage and the picture lie, what is shown, and how far the picture is moved.
+VIEWER = """(() => {
+  const stage = document.querySelector('.stage');
+  const box = (part) => { const r = part.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; };
+  return {stage: box(stage), canvas: box(stage.querySelector('.canvas')), moved: [stage.scrollLeft, stage.scrollTop],
+          shown: document.querySelector('input[name=shown]:checked').value, said: document.querySelector('[role=status]').textContent,
+          zoom: document.querySelector('input[name=zoom]:checked').value,
+          layers: [...stage.querySelectorAll('.frame')].filter(i => !i.hidden).length, width: +document.querySelector('.viewer').dataset.width};
+})()"""
+
+
+def press(browser, letter):
+    for kind in ("keyDown", "keyUp"):
+        browser.ask("Input.dispatchKeyEvent", type=kind, key=letter, text=letter if kind == "keyDown" else "")
+
+
+def settled(browser):
+    """The viewer, after the pictures asked for are decoded and shown."""
+    browser.value("Promise.all([...document.querySelectorAll('.stage img')].map(i => i.decode().catch(() => 0)))"
+                  ".then(() => new Promise(done => setTimeout(done, 100)))")
+    return browser.value(VIEWER)
+
+
+def check_viewer(browser, problems, where):
+    if not browser.value("!!document.querySelector('.viewer')"):
+        problems.append(f"{where}: no viewer")
+        return
+    wrong = lambda words, state: problems.append(f"{where}: viewer: {words}: {state}")
+    browser.value("document.querySelector('.stage').scrollIntoView({block: 'center', behavior: 'instant'})")
+    fit = settled(browser)
+    left, top, width, height = fit["stage"]
+    if fit["canvas"][2] > width + 1 or fit["canvas"][3] > height + 1:
+        wrong("does not fit", fit)
+    shown = pixels(browser, fit["stage"])
+    # The zooms, at the pixels of the screen.
+    for zoom in (1, 2):
+        browser.value(f"document.querySelectorAll('input[name=zoom]')[{zoom}].click()")
+        state = settled(browser)
+        if abs(state["canvas"][2] - zoom * state["width"]) > 1 or f"{100 * zoom} %" not in state["said"]:
+            wrong(f"{100 * zoom} % is not that", state)
+    browser.value("document.querySelector('.stage').scrollIntoView({block: 'center', behavior: 'instant'})")
+    before = settled(browser)
+    left, top, width, height = before["stage"]
+    middle = (left + width / 2, top + height / 2)
+    drag(browser, middle, (middle[0] - 40, middle[1] - 30))
+    after = settled(browser)
+    if [b - a for a, b in zip(before["moved"], after["moved"])] != [40, 30] or after["zoom"] != "2":
+        wrong("dragged by 40 and 30", (before, after))
+    # Another frame, at the same place and zoom; the mouse has given the keyboard to the stage.
+    press(browser, "n")
+    other = settled(browser)
+    if other["shown"] == after["shown"] or other["moved"] != after["moved"] or other["canvas"] != after["canvas"] or other["layers"] != 1:
+        wrong("N does not show a frame at the same place", (after, other))
+    press(browser, "r")
+    back = settled(browser)
+    has_result = browser.value("!!document.querySelector('input[value=result]')")
+    if has_result and (back["shown"] != "result" or back["layers"] != 0):
+        wrong("R does not show the result", back)
+    press(browser, "f")
+    again = settled(browser)
+    if again["zoom"] != "0" or again["canvas"][2:] != fit["canvas"][2:]:
+        wrong("F does not fit", (fit, again))
+    # A click goes there, and back.
+    left, top, width, height = again["stage"]
+    for expected in (True, False):
+        spot = (left + width / 2, top + height / 2)
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.ask("Input.dispatchMouseEvent", type=kind, x=spot[0], y=spot[1], button="left", clickCount=1)
+        state = settled(browser)
+        if (state["zoom"] != "0") != expected:
+            wrong("clicked", state)
+    # A finger moves what is larger than the stage.
+    browser.value("document.querySelectorAll('input[name=zoom]')[2].click()")
+    browser.value("document.querySelector('.stage').scrollIntoView({block: 'center', behavior: 'instant'})")
+    before = settled(browser)
+    left, top, width, height = before["stage"]
+    browser.ask("Emulation.setTouchEmulationEnabled", enabled=True)
+    finger = lambda kind, *points: browser.ask("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in points])
+    finger("touchStart", (left + width / 2, top + height / 2))
+    for step in range(1, 11):
+        finger("touchMove", (left + width / 2 - 10 * step, top + height / 2))
+    finger("touchEnd")
+    browser.ask("Emulation.setTouchEmulationEnabled", enabled=False)
+    after = settled(browser)
+    # The first pixels tell a drag from a tap; what it moves on after the finger is gone is the browser's.
+    if after["moved"][0] - before["moved"][0] < 50 or after["zoom"] != "2":
+        wrong("a finger does not move it", (before, after))
+    browser.value("document.querySelectorAll('input[name=zoom]')[0].click()")
+    # Every overlay changes what is seen.
+    for name in browser.value("[...document.querySelectorAll('.switch input')].map(i => i.name)"):
+        browser.value("document.querySelector('.stage').scrollIntoView({block: 'center', behavior: 'instant'})")
+        clear = pixels(browser, settled(browser)["stage"])
+        browser.value(f"document.querySelector('.switch input[name={name}]').click()")
+        if pixels(browser, settled(browser)["stage"]) == clear:
+            wrong(f"the overlay {name} shows nothing", "")
+        browser.value(f"document.querySelector('.switch input[name={name}]').click()")
+    browser.value("scrollTo(0, 0)")
+    if not shown:
+        wrong("shows nothing", "")
+
+
+# Texts whose contrast with what lies behind them is under 4.5 (WCAG 2, relative luminance); those over pictures are left out.
+CONTRAST = """(() => {
+  const parse = (text) => text.match(/[\\d.]+/g).map(Number);
+  const luminance = (c) => { const [r, g, b] = c.map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+                             return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const behind = (part) => { for (; part; part = part.parentElement) { const c = parse(getComputedStyle(part).backgroundColor);
+                             if (c.length < 4 || c[3] === 1) return c.slice(0, 3); } return [255, 255, 255]; };
+  const low = new Set();
+  for (const d of document.querySelectorAll('details')) d.open = true;
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walk.nextNode()) {
+    const part = walk.currentNode.parentElement;
+    if (!walk.currentNode.data.trim() || part.closest('script, style, title, .tag, .pills legend')) continue;
+    const style = getComputedStyle(part), colour = part.closest('svg') ? style.fill : style.color;
+    const [a, b] = [luminance(parse(colour).slice(0, 3)), luminance(behind(part))].sort((x, y) => y - x);
+    const ratio = (a + 0.05) / (b + 0.05);
+    if (ratio < 4.5) low.add(part.tagName + '.' + part.className.baseVal + part.className + ' ' + ratio.toFixed(2));
+  }
+  for (const d of document.querySelectorAll('details')) d.open = false;
+  return [...low];
+})()"""
+
+
+def check_without_scripts(browser, address, problems, where):
+    """The result, every frame and the overlays can be seen without scripts."""
+    browser.ask("Emulation.setScriptExecutionDisabled", value=True)
+    browser.events.clear()
+    browser.ask("Page.navigate", url=address)
+    browser.wait("Page.loadEventFired")
+    browser.ask("Emulation.setScriptExecutionDisabled", value=False)
+    seen = browser.value("[...document.querySelectorAll('.card img, .stage img:not(.over)')].filter(i => i.clientWidth < 60).length + "
+                         "[...document.querySelectorAll('.tools, .places')].filter(i => !i.hidden).length")
+    if seen:
+        problems.append(f"{where}: without scripts {seen} pictures are not seen, or tools that do nothing are")
+    for name in browser.value("[...document.querySelectorAll('.switch input')].map(i => i.name)"):
+        browser.value(f"document.querySelector('.switch input[name={name}]').checked = true")
+        if not browser.value(f"document.querySelector('.over.{name}').clientWidth"):
+            problems.append(f"{where}: without scripts the overlay {name} cannot be switched on")
 
 
 def check_events(browser, address, problems, where):
@@ -183,8 +326,11 @@ def check(browser, page, shots, problems):
             paper = browser.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).slice(0, 3).map(Number)")
             if (sum(paper) < 384) != (scheme == "dark"):
                 problems.append(f"{where}: the paper is {paper}")
+            problems.extend(f"{where}: contrast: {low}" for low in browser.value(CONTRAST))
+            check_viewer(browser, problems, where)
             sliders = check_slider(browser, problems, where) or sliders
             check_events(browser, address, problems, where)
+            check_without_scripts(browser, address, problems, where)
             if shots:
                 whole = browser.ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)
                 (shots / f"{page.stem}-{width}-{scheme}.png").write_bytes(base64.b64decode(whole["data"]))

@@ -81,16 +81,12 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
 /// How much moved, and where most; none where nothing did or it was not sought.
 fn movement(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
-    let most = ghosts.regions.first()?;
-    let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
-    let third = |at: usize, size: usize| (3 * at / size.max(1)).min(2);
-    let row = ["at the top", "in the middle", "at the bottom"][third(y, report.crop.height_px)];
-    let column = [" left", "", " right"][third(x, report.crop.width_px)];
+    let place = ghosts.place((report.crop.width_px, report.crop.height_px))?;
     let percent = match 100.0 * ghosts.ghost_fraction {
         percent if percent < 0.1 => "under 0.1".to_owned(),
         percent => format!("{percent:.1}"),
     };
-    Some(format!("{percent} % of the picture, most of it {row}{column}; removed"))
+    Some(format!("{percent} % of the picture, most of it {place}; removed"))
 }
 
 /// Photographs, and the size of what came of them.

@@ -1,4 +1,4 @@
-"use strict";
+// Before and after alignment, under a slider.
 for (const figure of document.querySelectorAll(".compare")) {
   const range = figure.querySelector("input");
   const stack = figure.querySelector(".stack");
@@ -21,14 +21,3 @@ for (const figure of document.querySelectorAll(".compare")) {
   });
   show();
 }
-// On paper nothing can be opened.
-const closed = [];
-addEventListener("beforeprint", () => {
-  for (const part of document.querySelectorAll("details:not([open])")) {
-    closed.push(part);
-    part.open = true;
-  }
-});
-addEventListener("afterprint", () => {
-  while (closed.length) closed.pop().open = false;
-});

@@ -3,13 +3,13 @@
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
 use super::encoded::Picture;
-use super::markup::{escape, figure};
-use super::{Page, light, photographs, summary};
+use super::markup::escape;
+use super::{Page, advice, light, photographs, scene, summary, viewer, words};
 use crate::inspect::text::file_name;
 use crate::report::Report;
 
-const STYLE: &str = include_str!("style.css");
-const SCRIPT: &str = include_str!("compare.js");
+const STYLE: [&str; 2] = [include_str!("style.css"), include_str!("viewer.css")];
+const SCRIPT: [&str; 2] = [include_str!("viewer.js"), include_str!("compare.js")];
 
 /// What a browser may load for the page: what is in it.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
@@ -18,43 +18,54 @@ const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inlin
 /// The whole of it.
 pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let title = escape(&bracket_name(report));
-    let mut sections = vec![("frames", "Frames", photographs::frames(page, report))];
-    let moved = photographs::moved(page, report);
-    sections.push(("moved", "What moved", moved));
-    sections.push(("bitmaps", "Bitmaps", photographs::bitmaps(page, report)));
-    if let Some(body) = light::scene(page, report) {
-        sections.push(("light", "Light", body));
-    }
-    if let Some(body) = light::shares(page, report) {
-        sections.push(("shares", "Who gave what", body));
-    }
-    sections.push(("run", "The run", summary::run(report, page.time_s)));
-    let links: String = sections.iter().map(|(id, name, _)| format!("<a href=\"#{id}\">{name}</a>\n")).collect();
-    let bodies: String = sections
-        .iter()
-        .map(|(id, name, body)| {
-            format!(
-                "<section id=\"{id}\" aria-labelledby=\"{id}-h\">\n<h2 id=\"{id}-h\">{name}</h2>\n{body}</section>\n"
-            )
-        })
-        .collect();
-    let lead = result.map_or_else(String::new, |picture| lead(picture, report));
-    let (facts, warnings) = (summary::facts(report), summary::warnings(report));
     let kind = if report.radiance.is_some() { "merged" } else { "aligned" };
     let software = escape(report.software);
+    let sections = [
+        ("frames", "Frames", photographs::frames(page, report)),
+        ("settings", "Files and settings", summary::settings(report)),
+        ("details", "Details", details(page, report)),
+    ];
+    let section = |(id, name, body): &(&str, &str, String)| {
+        format!("<section id=\"{id}\" aria-labelledby=\"{id}-h\">\n<h2 id=\"{id}-h\">{name}</h2>\n{body}</section>\n")
+    };
+    let bodies: String = sections.iter().map(section).collect();
+    let (viewer, facts) = (viewer::viewer(page, report, result), summary::facts(report));
+    let (warnings, done) = (advice::warnings(report), words::done(report));
+    let [style, script] = [STYLE, SCRIPT].map(|parts| parts.concat());
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <meta name=\"color-scheme\" content=\"light dark\">\n\
          <meta name=\"generator\" content=\"{software}\">\n<title>{title}: {kind} by hdralign</title>\n\
-         <style>\n{STYLE}</style>\n</head>\n<body>\n<a class=\"skip\" href=\"#main\">To the report</a>\n\
-         <header>\n<p class=\"kind\">{software} · {kind} bracket</p>\n<h1>{title}</h1>\n</header>\n\
-         <main id=\"main\">\n{lead}{facts}{warnings}<nav aria-label=\"Sections\">\n{links}</nav>\n{bodies}</main>\n\
-         <footer><p>Made by {software}. This page is whole in itself: it loads nothing, and sends nothing. The same facts for \
+         <style>\n{style}</style>\n</head>\n<body>\n<a class=\"skip\" href=\"#main\">To the report</a>\n\
+         <header>\n<h1>{title}</h1>\n<p class=\"kind\">bracket {kind} by {software}</p>\n\
+         <nav aria-label=\"Sections\">\n<a href=\"#main\">Picture</a>\n<a href=\"#frames\">Frames</a>\n\
+         <a href=\"#settings\">Settings</a>\n<a href=\"#details\">Details</a>\n</nav>\n</header>\n\
+         <main id=\"main\">\n<div class=\"first\">\n{viewer}<section class=\"story\" aria-labelledby=\"story-h\">\n\
+         <h2 id=\"story-h\">What was done</h2>\n{warnings}{done}</section>\n</div>\n{facts}{bodies}</main>\n\
+         <footer><p>Made by {software}. This page is one file that loads nothing and sends nothing. The same facts for \
          programs: <code>--report FILE.json</code>. Every drawing at full size: <code>hdralign inspect</code>.</p></footer>\n\
-         <script>\n{SCRIPT}</script>\n</body>\n</html>\n"
+         <script>\n{script}</script>\n</body>\n</html>\n"
     )
+}
+
+/// How it was done, for those who want to know; closed.
+fn details(page: &Page, report: &Report) -> String {
+    let parts = [
+        ("alignment", "Alignment, frame by frame", Some(photographs::moved(page, report))),
+        ("bitmaps", "Bitmaps", Some(photographs::bitmaps(page, report))),
+        ("movement", "Movement, frame by frame", scene::moved(report)),
+        ("local", "Phone processing, frame by frame", scene::processed(page, report)),
+        ("light", "Light: histogram and camera response", light::scene(page, report)),
+        ("shares", "Which frame the result is made of", light::shares(page, report)),
+        ("run", "Time", Some(summary::times(report, page.time_s))),
+    ];
+    let part = |(id, name, body): (&str, &str, Option<String>)| {
+        let body = body?;
+        Some(format!("<details class=\"part\" id=\"{id}\">\n<summary><h3>{name}</h3></summary>\n{body}</details>\n"))
+    };
+    parts.into_iter().filter_map(part).collect()
 }
 
 /// The first and the last of the frames by name, without what comes after the dot.
@@ -68,26 +79,4 @@ fn bracket_name(report: &Report) -> String {
         (Some(one), _) => stem(one),
         _ => String::new(),
     }
-}
-
-/// The picture that it is all about.
-fn lead(picture: &Picture, report: &Report) -> String {
-    let crop = &report.crop;
-    let reduced = if picture.width == crop.width_px {
-        String::new()
-    } else {
-        format!(", shown at {} × {}", picture.width, picture.height)
-    };
-    let cut = (report.width_px * report.height_px).saturating_sub(crop.width_px * crop.height_px);
-    let cut = match 100.0 * cut as f64 / (report.width_px * report.height_px).max(1) as f64 {
-        share if share < 0.05 => "the whole of the reference".to_owned(),
-        share => format!("the part of the reference that all placed frames cover; {share:.1}\u{a0}% is cut off"),
-    };
-    let caption = format!(
-        "<b>The picture</b>, tone-mapped from the merged radiance: {} × {} pixels{reduced}; {cut}. Look for double edges (a frame lies \
-         wrong), for people and leaves that show through (<code>--deghost=1</code>), and for grey patches in the sky (nothing held it).",
-        crop.width_px, crop.height_px
-    );
-    let figure = figure(picture, "The tone-mapped result of the bracket.", &caption);
-    figure.replacen("<figure>", "<figure class=\"lead\">", 1)
 }

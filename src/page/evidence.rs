@@ -1,13 +1,14 @@
 //! What a frame's place rests on, as the page shows it: overlay, bitmaps, XOR curves, keypoints and matches.
 //!
-//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures. Source: Ward 2003, section 2
+//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures.
+//! Source: Ward 2003, section 2
 //! (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
 
-use super::encoded::{Picture, four_colours, grey_jpeg, jpeg};
+use super::encoded::{Picture, grey_jpeg, jpeg, paletted};
 use super::is_sought;
 use super::markup::escape;
 use super::plot::{Axis, Plot};
-use super::{COARSE, FRAME};
+use super::{COARSE, DRAWING};
 use crate::align::evidence::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::{Alignment, Status};
 use crate::bracket::Bracket;
@@ -16,8 +17,8 @@ use crate::plane::Plane;
 use std::fmt::Write;
 
 /// Columns of an overlay at the most, for as many frames; more share the room.
-const OVERLAY: (usize, usize) = (760, 4);
-const LEAST_OVERLAY: usize = 420;
+const OVERLAY: (usize, usize) = (680, 3);
+const LEAST_OVERLAY: usize = 360;
 /// The quality of an overlay's JPEG.
 const EDGES: u8 = 58;
 /// Lines between matches at the most: more hide each other.
@@ -26,7 +27,7 @@ const LINES: usize = 120;
 const UNITS: usize = 2;
 
 /// Dark, bright, and too near the threshold to count.
-const BITMAP: [[u8; 3]; 4] = [[28, 33, 40], [238, 241, 244], [214, 142, 48], [214, 142, 48]];
+const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142, 48, 255]];
 
 /// What a frame's place rests on.
 #[derive(Debug, Clone)]
@@ -85,14 +86,14 @@ pub(super) fn gather(
     let of = |i: usize| -> Result<Evidence, String> {
         let bitmaps = inspection.bitmaps(i);
         let is_placed = verdicts[i].warp.is_some();
-        let (grey, brightened) = inspection.photograph(i, (FRAME, FRAME));
+        let (grey, brightened) = inspection.photograph(i, (DRAWING, DRAWING));
         let scale = grey.width() as f64 / bracket.width() as f64;
         let photograph = || grey_jpeg(&grey, COARSE);
         let keypoints = needed(i).then(|| keypoints(inspection, i, &photograph()?, scale)).transpose()?;
         let matches = match inspection.matching(i).filter(|_| needed(i)) {
             None => None,
             Some(matching) => {
-                let (reference, _) = inspection.photograph(base, (FRAME, FRAME));
+                let (reference, _) = inspection.photograph(base, (DRAWING, DRAWING));
                 let both = [grey_jpeg(&reference, COARSE)?, photograph()?];
                 Some((matched(matching, &both, scale), matching.pairs.len(), matching.inliers()))
             }
@@ -107,7 +108,7 @@ pub(super) fn gather(
             Ok(Overlay { before: jpeg(&o.before, EDGES, None)?, after, has_details })
         });
         Ok(Evidence {
-            bitmap: four_colours(&three_levels(bitmaps), &BITMAP)?,
+            bitmap: paletted(&three_levels(bitmaps), &BITMAP)?,
             threshold: (
                 bitmaps.percentile.percent(),
                 inspection.tables().frames[i].mtb.threshold_level,
@@ -127,7 +128,7 @@ pub(super) fn gather(
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());
-    let (across, down) = super::within(full, FRAME);
+    let (across, down) = super::within(full, DRAWING);
     Plane::from_rows(across, down, |y, row: &mut [u8]| {
         for (x, v) in row.iter_mut().enumerate() {
             let (x, y) = ((2 * x + 1) * full.0 / (2 * across), (2 * y + 1) * full.1 / (2 * down));

@@ -67,7 +67,8 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
         let name = escape(&report.frames[*i].path);
         let _ = write!(
             bars,
-            "<rect class=\"range\" x=\"{left:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" rx=\"3\" fill=\"{}\"><title>{name}</title></rect>",
+            "<rect class=\"range\" x=\"{left:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" rx=\"3\" \
+             fill=\"{}\"><title>{name}</title></rect>",
             (right - left).max(1.0),
             RANGE - 6.0,
             frame_css(*i, stops.len())
@@ -89,8 +90,10 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
         )
     });
     Some(format!(
-        "<figure class=\"plots wide\">\n{}<figcaption><b>What the scene holds, and which frame covers it.</b> Above, how many pixels have which luminance, in \
-         quarters of a stop. Below, for each frame (EV over the reference) from where to where its codes {} to {} tell light. Every column should have \
+        "<figure class=\"plots wide\">\n{}<figcaption><b>What the scene holds, and which frame covers it.</b> Above, how many \
+         pixels have which luminance, in \
+         quarters of a stop. Below, for each frame (EV over the reference) from where to where its codes {} to {} tell light. \
+         Every column should have \
          a bar under it; one without is noise or a guess. Between the bars there should be no gap.{bounds}</figcaption>\n</figure>\n",
         plot.finish("big", &words),
         TELLING.0,
@@ -138,9 +141,12 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
         "The camera's response: exposure in stops against code, for red, green and blue, with the sRGB curve.",
     );
     format!(
-        "<figure class=\"plots beside\">\n{svg}<figcaption><b>What a code means</b> to this camera, by <code>{}</code>: <span class=\"key red\"></span> red \
-         <span class=\"key green\"></span> green <span class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for comparison. The three should rise \
-         smoothly and lie near each other; steps or crossings in the middle are the mark of a scene that does not tell, and of exposures that are not \
+        "<figure class=\"plots beside\">\n{svg}<figcaption><b>What a code means</b> to this camera, by <code>{}</code>: <span \
+         class=\"key red\"></span> red \
+         <span class=\"key green\"></span> green <span class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for \
+         comparison. The three should rise \
+         smoothly and lie near each other; steps or crossings in the middle are the mark of a scene that does not tell, and of \
+         exposures that are not \
          what the files say.{fallback}</figcaption>\n</figure>\n",
         escape(model)
     )
@@ -158,50 +164,23 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
         let colour = frame_css(i, count);
         let _ = writeln!(
             legend,
-            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> <b class=\"n\">{}</b><i></i></li>",
+            "<li style=\"--own:{colour};--share:{:.1}%\"><span class=\"swatch\"></span><span>{name}</span> \
+             <b class=\"n\">{}</b><i></i></li>",
             100.0 * share,
             percent(*share)
         );
         let caption = format!("<b>{name}</b> gives {}", percent(*share));
         each += &figure(picture, &format!("Where {} contributes.", frame.path), &caption);
     }
-    let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made of several. Bright places should be of \
-                   short exposures, dark ones of long ones. Sharp borders across a smooth surface mean exposures or a response that do not fit.";
-    let mut out = format!(
-        "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n<details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n\
-         <p class=\"intro\">White where the result is of this frame alone, black where it gives nothing.</p>\n<div class=\"grid\">\n{each}</div>\n</details>\n",
+    let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made of several. \
+     Bright places should be of \
+                   short exposures, dark ones of long ones. Sharp borders across a smooth surface mean exposures or a response \
+                   that do not fit.";
+    Some(format!(
+        "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n\
+         <details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n\
+         <p class=\"intro\">White where the result is of this frame alone, black where it gives nothing.</p>\n\
+         <div class=\"grid\">\n{each}</div>\n</details>\n",
         figure(map, "Which frame the result is made of, place by place.", caption)
-    );
-    if let (Some(mask), Some(ghosts)) = (&page.ghosts, &report.ghosts) {
-        let frames: String = ghosts
-            .frames
-            .iter()
-            .map(|f| {
-                format!(
-                    "<tr><th scope=\"row\">{}</th><td class=\"n\">{}</td></tr>\n",
-                    file_name(&f.path),
-                    percent(f.ghost_fraction)
-                )
-            })
-            .collect();
-        let continued = match ghosts.continued_fraction {
-            0.0 => String::new(),
-            share => format!(" Where the reference clips there, light is continued from around: {}.", percent(share)),
-        };
-        let caption = match ghosts.regions.is_empty() {
-            true => "<b>Movement.</b> None was found: every frame takes part everywhere.".to_owned(),
-            false => format!(
-                "<b>Movement.</b> Where something moved, and other frames were left out in favour of what the reference shows: black nothing, white all \
-                 of them; strength {}. {} of the result. It should have the shapes of people, leaves, water; large smooth areas mean frames that do not fit.{continued}",
-                ghosts.strength,
-                percent(ghosts.ghost_fraction)
-            ),
-        };
-        let _ = write!(
-            out,
-            "<div class=\"shares\">\n{}<table class=\"ghosts\"><caption>Left out of each frame</caption>\n{frames}</table>\n</div>\n",
-            figure(mask, "Where frames were left out because something moved.", &caption)
-        );
-    }
-    Some(out)
+    ))
 }

@@ -1,6 +1,7 @@
 //! Markup: text made safe for HTML, and numbers as people read them.
 //!
-//! In: whatever files and cameras are called, and numbers. Out: HTML text. Cost: none. Source: the HTML standard (WHATWG), section 13.1 (writing
+//! In: whatever files and cameras are called, and numbers. Out: HTML text. Cost: none. Source: the HTML standard
+//! (WHATWG), section 13.1 (writing
 //! documents): `&`, `<`, `>` and both quotes are all that means something in text and in quoted attributes.
 
 use super::encoded::Picture;

@@ -1,21 +1,30 @@
-//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script or style from elsewhere.
+//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script
+//! or style from elsewhere.
 //!
-//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the [`Report`]. Out: HTML. Cost: that of
-//! an [inspection](crate::inspect), a pass over the frames for reduced pictures, every few rows merged again for the shares; some 2 MB for
-//! five frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser refuses
+//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the
+//! [`Report`]. Out: HTML. Cost: that of
+//! an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2
+//! MB whatever the size of
+//! the frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser refuses
 //! whatever a file name might smuggle in.
 
+mod advice;
 mod document;
 mod encoded;
 mod evidence;
 mod light;
 mod markup;
+mod overlays;
 mod photographs;
 mod plot;
 mod reduced;
+mod scene;
 mod summary;
+mod viewer;
+mod words;
 
-use crate::align::{AlignOptions, Alignment, Status};
+use crate::align::warp::Warp;
+use crate::align::{AlignOptions, Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::inspect;
@@ -26,17 +35,26 @@ use crate::merge::{MergeOptions, Merging};
 use crate::plane::Plane;
 use crate::report::Report;
 use crate::response::ResponseCurve;
-use encoded::{Picture, grey_jpeg, jpeg};
+use encoded::{Photograph, Picture, grey_jpeg, jpeg, jpegs_within};
 use evidence::Evidence;
-use reduced::{Reduced, within};
+use overlays::Local;
+use reduced::{Reduced, within, within_pixels};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Long sides of the pictures at the most, in pixels.
-const RESULT: usize = 1400;
-const FRAME: usize = 480;
-/// Qualities of JPEG: of what is looked at, and of what only gives an idea.
-const FINE: u8 = 84;
+/// Pixels at the most: of the result, of all frames together, and of one frame. What is smaller is in the page as it
+/// is, and 100 % are its own.
+const RESULT_PIXELS: usize = 3_000_000;
+const FRAMES_PIXELS: usize = 4_500_000;
+const FRAME_PIXELS: usize = 1_500_000;
+/// Bytes of the page that the result and all frames together may take at the most; their quality is chosen by it.
+const RESULT_BYTES: usize = 620_000;
+const FRAMES_BYTES: usize = 720_000;
+/// Long side of a drawing at the most, in pixels, and of the map of a frame's share.
+const DRAWING: usize = 480;
+const SHARE: usize = 360;
+/// Qualities of JPEG: of a map in colours, and of what only gives an idea.
+const FINE: u8 = 82;
 const COARSE: u8 = 74;
 
 /// The colours of the frames from the shortest exposure to the longest: from violet to yellow, of rising lightness.
@@ -56,7 +74,10 @@ pub struct Page {
     curve: Option<ResponseCurve>,
     /// Which frame gives what, in the frames' colours.
     shares: Option<Picture>,
-    ghosts: Option<Picture>,
+    /// Where something moved.
+    movement: Option<Picture>,
+    /// Where the frames were processed locally.
+    local: Option<Local>,
     /// Wall time of the gathering, in seconds.
     time_s: f64,
 }
@@ -64,6 +85,7 @@ pub struct Page {
 /// What the page shows of one frame beside its report.
 #[derive(Debug, Clone)]
 struct FramePage {
+    /// The part that the results show, on their grid; as it was photographed where the frame has no place.
     photograph: Picture,
     evidence: Evidence,
     /// What it gives of the result, 0..=1, and where.
@@ -97,13 +119,15 @@ impl Page {
             luminance: None,
             curve: None,
             shares: None,
-            ghosts: None,
+            movement: None,
+            local: None,
             time_s: 0.0,
         }
     }
 
-    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with `options`, with `warnings`;
-    /// and, where they were merged, what was made of them.
+    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with
+    /// `options`, with `warnings`, over the
+    /// part `region` of the reference; and, where they were merged, what was made of them.
     ///
     /// # Errors
     /// [`Error::Scratch`], where frames are on disk; [`Error::Write`] where a picture cannot be encoded.
@@ -111,17 +135,14 @@ impl Page {
         &mut self,
         bracket: &Bracket,
         alignment: &Alignment,
+        region: Rect,
         options: &AlignOptions,
         warnings: &[Warning],
         developed: Option<&Developed>,
     ) -> Result<()> {
         self.icc = icc(bracket.reference());
-        let frames = bracket.frames();
-        let photographs = frames.iter().map(|frame| {
-            let small = reduced::frame(frame, FRAME)?;
-            self.encoded(jpeg(&small, COARSE, icc(frame).as_deref()))
-        });
-        let photographs = photographs.collect::<Result<Vec<_>>>()?;
+        let photographs = photographs(bracket, alignment, region)?;
+        let photographs = self.encoded(jpegs_within(FRAMES_BYTES, &photographs))?;
         let needs_features = |i: usize| evidence::needs_features(alignment, i);
         let inspection = inspect::inspect_part(bracket, alignment, options, warnings, &needs_features)?;
         let evidence = self.encoded(evidence::gather(&inspection, alignment, bracket))?;
@@ -131,12 +152,16 @@ impl Page {
             .zip(evidence)
             .map(|(photograph, evidence)| FramePage { photograph, evidence, share: None })
             .collect();
-        let Some(developed) = developed else { return Ok(()) };
+        developed.map_or(Ok(()), |developed| self.gather_merged(bracket, alignment, developed))
+    }
+
+    /// Takes what was made of the frames.
+    fn gather_merged(&mut self, bracket: &Bracket, alignment: &Alignment, developed: &Developed) -> Result<()> {
         self.curve = Some(developed.curve.clone());
         let merging = Merging::of(bracket, alignment, developed.curve, &developed.merging, developed.ghosts)?;
         let merging = merging.with_local_gain(developed.local)?;
-        let shares = merging.shares(within(merging.size(), FRAME))?;
-        self.shares = Some(self.encoded(jpeg(&mixed(&shares, frames.len()), FINE, None))?);
+        let shares = merging.shares(within(merging.size(), SHARE))?;
+        self.shares = Some(self.encoded(jpeg(&mixed(&shares, self.frames.len()), FINE, None))?);
         for share in &shares {
             let cells = &share.cells;
             let grey = Plane::from_rows(cells.width(), cells.height(), |y, row: &mut [u8]| {
@@ -144,19 +169,18 @@ impl Page {
             });
             self.frames[share.frame].share = Some((share.mean(), self.encoded(grey_jpeg(&grey, COARSE))?));
         }
-        if let Some(ghosts) = developed.ghosts {
-            let mask = ghosts.mask();
-            let mut small = Reduced::new((mask.width(), mask.height()), FRAME);
-            small.push(mask.as_slice().iter().map(|&v| [v; 3]));
-            let small = small.finish();
-            let grey = small.as_slice().iter().map(|v| v[0]).collect();
-            let grey = Plane::from_vec(small.width(), small.height(), grey);
-            self.ghosts = Some(self.encoded(grey_jpeg(&grey, FINE))?);
+        if let Some(ghosts) = developed.ghosts.filter(|ghosts| !ghosts.report().regions.is_empty()) {
+            self.movement = Some(self.encoded(overlays::movement(&ghosts.mask()))?);
+        }
+        if let Some(gain) = developed.local {
+            let placed: Vec<usize> = alignment.placed(bracket).map(|(i, ..)| i).collect();
+            self.local = self.encoded(overlays::local(gain, &placed, merging.size()))?;
         }
         Ok(())
     }
 
-    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop: the first step and the counts.
+    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop:
+    /// the first step and the counts.
     pub fn take_luminance(&mut self, luminance: (i64, Vec<u64>)) {
         self.luminance = Some(luminance);
     }
@@ -168,7 +192,7 @@ impl Page {
 
     /// Takes the next rows of the picture, which is of `size` pixels.
     pub fn see(&mut self, size: (usize, usize), rows: &[[u8; 3]]) {
-        self.result.get_or_insert_with(|| Reduced::new(size, RESULT)).push(rows.iter().copied());
+        self.result.get_or_insert_with(|| Reduced::new(size, within_pixels(size, RESULT_PIXELS))).push(rows);
     }
 
     /// The page, with what `report` says.
@@ -176,15 +200,26 @@ impl Page {
     /// # Errors
     /// [`Error::Write`], where the picture cannot be encoded.
     pub fn to_html(&self, report: &Report) -> Result<String> {
-        let icc = self.icc.as_deref();
-        let result = self.result.as_ref().map(|result| jpeg(&result.finish(), FINE, icc));
-        let result = result.map(|picture| self.encoded(picture)).transpose()?;
-        Ok(document::html(self, report, result.as_ref()))
+        let photograph = |result: &Reduced| [Photograph { pixels: result.finish(), icc: self.icc.clone() }];
+        let result = self.result.as_ref().map(photograph);
+        let result = result.map(|picture| self.encoded(jpegs_within(RESULT_BYTES, &picture))).transpose()?;
+        Ok(document::html(self, report, result.as_ref().and_then(|pictures| pictures.first())))
     }
 
     fn encoded<T>(&self, result: std::result::Result<T, String>) -> Result<T> {
         result.map_err(|reason| Error::Write { path: self.path.clone(), source: io::Error::other(reason) })
     }
+}
+
+/// The frames as they lie over the part `region` of the reference, with their profiles; those without a place as they were photographed.
+fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
+    let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
+    let size = within_pixels((region.width(), region.height()), most);
+    let of = |(frame, warp): (&Frame, Option<Warp>)| {
+        let pixels = reduced::frame(frame, &warp.unwrap_or(Warp::Identity), region, size)?;
+        Ok(Photograph { pixels, icc: icc(frame) })
+    };
+    bracket.frames().iter().zip(alignment.verdicts.iter().map(|verdict| verdict.warp)).map(of).collect()
 }
 
 /// The bytes of the frame's profile.

@@ -21,29 +21,41 @@ pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
 /// The frames as cards.
 pub(super) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, as they were photographed. The colour below a frame is its own throughout \
-         the page.</p>\n",
+        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the result \
+         is. The colour of a \
+         frame is its own throughout the page. EV counts from the reference.</p>\n",
     );
-    let _ =
-        writeln!(out, "<ul class=\"cards\" style=\"--ratio:{:.4}\">", report.width_px as f64 / report.height_px as f64);
+    let ratio = report.crop.width_px as f64 / report.crop.height_px.max(1) as f64;
+    let _ = writeln!(out, "<ul class=\"cards\" style=\"--ratio:{ratio:.4}\">");
     let stops = stops_over_reference(report);
     for (i, (frame, shown)) in report.frames.iter().zip(&page.frames).enumerate() {
         let colour = frame_css(i, report.frames.len());
         let (name, status) = (file_name(&frame.path), status_word(frame.alignment.status));
         let class = status.replace(' ', "-");
         let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
-        let share = shown
-            .share
-            .as_ref()
-            .map_or_else(String::new, |(share, _)| format!("<div><dt>share</dt><dd>{}</dd></div>\n", percent(*share)));
+        let lies = match frame.alignment.status {
+            Status::Reference => "the reference",
+            Status::Unmoved => "as it was photographed",
+            Status::Aligned | Status::Assumed => "moved to fit",
+            Status::Rejected | Status::Excluded | Status::Flash => "left out, as it was photographed",
+        };
+        let ghosts =
+            report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
+        let left_out = ghosts.map_or_else(String::new, |ghost| {
+            format!("<div><dt>left out</dt><dd>{}, where it moved</dd></div>\n", percent(ghost.ghost_fraction))
+        });
+        let share = shown.share.as_ref().map_or_else(String::new, |(share, _)| {
+            format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share))
+        });
         let _ = write!(
             out,
-            "<li class=\"card {class}\" style=\"--own:{colour}\">\n{photograph}\n<div class=\"about\">\n<h3>{name}</h3>\n\
-             <p class=\"stops\">{} <small>EV</small> <span class=\"chip\">{status}</span></p>\n<dl>\n\
-             <div><dt>exposure</dt><dd>{}</dd></div>\n<div><dt>motion</dt><dd>{}</dd></div>\n{share}</dl>\n</div>\n</li>\n",
-            signed(stops[i], 2),
+            "<li class=\"card {class}\" style=\"--own:{colour}\" data-caption=\"{name}, {ev} EV, {lies}\">\n{photograph}\n\
+             <div class=\"about\">\n<h3>{name}</h3>\n\
+             <p class=\"stops\">{ev} <small>EV</small> <span class=\"chip\">{status}</span></p>\n<dl>\n\
+             <div><dt>exposure</dt><dd>{}</dd></div>\n<div><dt>motion</dt><dd>{}</dd></div>\n{share}{left_out}</dl>\n</div>\n</li>\n",
             exposure(frame),
             summary::motion(frame),
+            ev = signed(stops[i], 2),
         );
     }
     out + "</ul>\n"
@@ -69,28 +81,26 @@ fn exposure(frame: &FrameReport) -> String {
 /// Every frame that was sought, with what its place rests on.
 pub(super) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
-    let sought: Vec<&(&FrameReport, &FramePage)> =
-        all.iter().filter(|(frame, _)| is_sought(frame.alignment.status)).collect();
     let mut out = String::new();
-    if sought.is_empty() {
+    if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
         out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
     } else {
-        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other they are white. Move the \
-                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider nearly all should be \
-                white. A blue or an orange edge alone is one that the other frame cannot show, because it is burnt out or black there, or something \
+        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other \
+         they are white. Move the \
+                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider \
+                nearly all should be \
+                white. A blue or an orange edge alone is one that the other frame cannot show, because it is clipped or black \
+                there, or something \
                 that moved in the scene.</p>\n";
     }
-    let is_aligned = |f: &&&(&FrameReport, &FramePage)| f.0.alignment.status == Status::Aligned;
-    let first = sought.iter().find(is_aligned).or(sought.first()).map(|(frame, _)| frame.path.as_str());
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
-        let open = if Some(frame.path.as_str()) == first { " open" } else { "" };
         let status = status_word(frame.alignment.status);
         let class = status.replace(' ', "-");
         let mut heading = format!("<b>{}</b> <span class=\"chip\">{status}</span>", file_name(&frame.path));
         if matches!(frame.alignment.status, Status::Aligned | Status::Assumed) {
             let _ = write!(heading, " <span class=\"n\">{}</span>", summary::motion(frame));
         }
-        let _ = write!(out, "<details class=\"frame {class}\"{open}>\n<summary>{heading}</summary>\n");
+        let _ = write!(out, "<details class=\"frame {class}\">\n<summary>{heading}</summary>\n");
         if let Some(reason) = frame.alignment.reason.as_ref() {
             let what = if frame.alignment.status == Status::Assumed { "Assumed" } else { "Left out" };
             let _ = writeln!(out, "<p class=\"reason\">{what}: {}</p>", escape(reason));
@@ -134,8 +144,9 @@ fn compare(overlay: &Overlay, name: &str) -> String {
         false => "",
     };
     format!(
-        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n<span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n\
-         </div>\n<label><span>before</span><input type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
+        "<figure class=\"compare\" style=\"--ratio:{ratio:.4}\">\n<div class=\"stack\">\n{}\n{}\n\
+         <span class=\"tag left\">before</span><span class=\"tag right\">after</span>\n</div>\n<label><span>before</span><input \
+         type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"1\" aria-label=\"{name}: how much is shown \
          as photographed, the rest as aligned\"><span>after</span></label>\n<figcaption><span class=\"key orange\"></span> reference \
          <span class=\"key blue\"></span> this frame <span class=\"key white\"></span> both.{details}</figcaption>\n</figure>\n",
         img(&overlay.before, before_words),
@@ -190,9 +201,12 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
         "the motion found"
     };
     format!(
-        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and shift.</b> Of the pixels that count in \
-         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the two others. \
-         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look at.</figcaption>\n</figure>\n",
+        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and \
+         shift.</b> Of the pixels that count in \
+         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the \
+         two others. \
+         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look \
+         at.</figcaption>\n</figure>\n",
         percent(xor.before),
         percent(xor.after)
     )
@@ -206,21 +220,25 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
         let _ = write!(
             out,
             "<figure>\n{svg}<figcaption><b>Keypoints.</b> <span class=\"key plain\"></span> of the plain picture alone: {plain} \
-             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: {both}. They should lie all over \
+             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: \
+             {both}. They should lie all over \
              the picture; where there are none, nothing holds the frame.{bright}</figcaption>\n</figure>\n"
         );
     }
     if let Some((svg, all, inliers)) = &evidence.matches {
         let _ = write!(
             out,
-            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span class=\"key inlier\"></span> {inliers} agree \
-             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange ones as blue ones mean that \
+            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span \
+             class=\"key inlier\"></span> {inliers} agree \
+             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange \
+             ones as blue ones mean that \
              the motion rests on little.</figcaption>\n</figure>\n",
             all - inliers
         );
     }
     if out.is_empty() && is_sought(frame.alignment.status) {
-        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign inspect</code> draws them all \
+        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign \
+         inspect</code> draws them all \
                 the same.</p>\n";
     }
     out
@@ -229,8 +247,10 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
 /// The bitmaps of all frames.
 pub(super) fn bitmaps(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than the frame's threshold, black \
-         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where they do not, exposures \
+        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than \
+         the frame's threshold, black \
+         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where \
+         they do not, exposures \
          are too far apart, or the picture has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
     );
     for (frame, shown) in report.frames.iter().zip(&page.frames) {

@@ -1,6 +1,7 @@
 //! Plots: curves and bars in the page's own colours, so that they are right in the light and in the dark.
 //!
-//! In: numbers. Out: inline SVG whose strokes, fills and letters are classes of the page's style sheet. Cost: some bytes a point. Source: SVG 2
+//! In: numbers. Out: inline SVG whose strokes, fills and letters are classes of the page's style sheet. Cost: some
+//! bytes a point. Source: SVG 2
 //! (W3C), chapters 9 (paths) and 11 (text).
 
 use super::markup::escape;

@@ -1,4 +1,4 @@
-//! The summary: the numbers that matter, what the user should know, and how the run went.
+//! The summary: the numbers that matter, the settings, and how long the run took.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
@@ -32,7 +32,8 @@ pub(super) fn facts(report: &Report) -> String {
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);
     let turned = report.frames.iter().filter_map(|f| f.alignment.rotation_deg).map(f64::abs).fold(0.0, f64::max);
     if aligned > 0 {
-        facts.push(("Largest motion", format!("{most:.1} px"), format!("and a turn of {turned:.2}°")));
+        let turn = if turned >= 0.005 { format!("and a turn of {turned:.2}°") } else { "without a turn".to_owned() };
+        facts.push(("Largest motion", format!("{most:.1} px"), turn));
     }
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
@@ -51,23 +52,57 @@ pub(super) fn facts(report: &Report) -> String {
     format!("<dl class=\"facts\">\n{}</dl>\n", facts.iter().map(item).collect::<String>())
 }
 
-/// What the user should know, in words.
-pub(super) fn warnings(report: &Report) -> String {
-    if report.warnings.is_empty() {
-        return "<p class=\"calm\">No warnings: every frame has its place, exposures are known, and nothing had to be guessed.</p>\n"
-            .into();
+/// The files written, and the settings.
+pub(super) fn settings(report: &Report) -> String {
+    let mut out = String::new();
+    if !report.outputs.is_empty() {
+        let item = |path: &String| format!("<li><code>{}</code></li>\n", escape(path));
+        let items: String = report.outputs.iter().map(item).collect();
+        out += &format!("<h3>Files written</h3>\n<ul class=\"files\">\n{items}</ul>\n");
     }
-    let item = |w: &crate::report::WarningReport| {
-        let (class, word) = if w.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
-        format!("<li class=\"{class}\"><b>{word}.</b> {}</li>\n", escape(&w.message))
-    };
-    let items: String = report.warnings.iter().map(item).collect();
-    format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
+    out += "<h3>Settings</h3>\n<dl class=\"numbers\">\n";
+    let mut rows: Vec<_> = options(report).into_iter().map(|(name, value)| (named(&name), value)).collect();
+    // The parameters of the tone mapping after its name.
+    rows.sort_by_key(|((at, words, option), ..)| (*at, *option == "--tmo-set", words.clone()));
+    for ((_, words, option), value) in rows {
+        let option = if option.is_empty() { String::new() } else { format!(" <code>{option}</code>") };
+        let _ = writeln!(out, "<div><dt>{}{option}</dt><dd>{}</dd></div>", escape(&words), escape(&value));
+    }
+    out + "</dl>\n"
 }
 
-/// Times, options, and files.
-pub(super) fn run(report: &Report, page_s: f64) -> String {
-    let mut out = String::from("<div class=\"columns\">\n<div>\n<h3>Time</h3>\n<table class=\"times\">\n");
+/// Options by their names in the report, what a photographer calls them, and how they are typed.
+const NAMES: [(&str, &str, &str); 14] = [
+    ("reference", "Reference frame", "--reference"),
+    ("operator, name", "Tone mapping", "--tmo"),
+    ("crop", "Part that is kept", "--crop"),
+    ("deghost strength", "Removal of movement, strength", "--deghost"),
+    ("align", "Alignment", "--align"),
+    ("transforms from", "Places taken from", "--transforms"),
+    ("exposures", "Exposures", "--exposures"),
+    ("response model", "Camera response", "--response-model"),
+    ("response file", "Camera response, from", "--response"),
+    ("flare", "Removal of lens flare", "--flare"),
+    ("colour", "Colour space", "--colour"),
+    ("weight", "Weight of pixel values", "--weight"),
+    ("max rotation deg", "Largest rotation, degrees", "--max-rotation"),
+    ("robust", "Fit of matching points", "--robust"),
+];
+
+/// What a photographer calls the option of that name in the report, how it is typed, and where it stands in the list.
+fn named(name: &str) -> (usize, String, &'static str) {
+    let known = NAMES.iter().position(|(key, ..)| *key == name);
+    match (known, name.strip_prefix("operator, ")) {
+        (Some(at), _) => (at, NAMES[at].1.to_owned(), NAMES[at].2),
+        // Right after its name.
+        (None, Some(key)) => (1, format!("Tone mapping, {key}"), "--tmo-set"),
+        (None, None) => (NAMES.len(), name.to_owned(), ""),
+    }
+}
+
+/// The time of each stage.
+pub(super) fn times(report: &Report, page_s: f64) -> String {
+    let mut out = String::from("<table class=\"times\">\n");
     let times = &report.time_s;
     let stages = [
         ("Load", times.load),
@@ -83,23 +118,11 @@ pub(super) fn run(report: &Report, page_s: f64) -> String {
         let share = (100.0 * time / times.total.max(1e-9)).min(100.0);
         let _ = writeln!(
             out,
-            "<tr><th scope=\"row\">{name}</th><td class=\"n\">{time:.2} s</td><td class=\"bar\"><i style=\"width:{share:.1}%\"></i></td></tr>"
+            "<tr><th scope=\"row\">{name}</th><td class=\"n\">{time:.2} s</td><td class=\"bar\"><i \
+             style=\"width:{share:.1}%\"></i></td></tr>"
         );
     }
-    out += "</table>\n";
-    if !report.outputs.is_empty() {
-        out += "<h3>Files written</h3>\n<ul class=\"files\">\n";
-        report.outputs.iter().for_each(|path| {
-            let _ = writeln!(out, "<li><code>{}</code></li>", escape(path));
-        });
-        out += "</ul>\n";
-    }
-    out += "</div>\n<div>\n<h3>Options used</h3>\n<table class=\"options\">\n";
-    for (name, value) in options(report) {
-        let _ = writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(&name), escape(&value));
-    }
-    out += "</table>\n</div>\n</div>\n";
-    out
+    out + "</table>\n"
 }
 
 /// Every option and its value, as the report has them, and the reference.
@@ -139,7 +162,7 @@ fn flatten(name: &str, value: &Value, rows: &mut Vec<(String, String)>) {
 pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
     let place = &frame.alignment;
     match (place.status, place.shift_px, place.rotation_deg) {
-        (Status::Reference, ..) => "the others are laid on it".into(),
+        (Status::Reference, ..) => "the others are fitted to it".into(),
         (Status::Unmoved, ..) => "lies as the reference does".into(),
         (Status::Assumed, ..) if place.model == Some(Model::Unmoved) => "assumed to lie as the reference does".into(),
         (Status::Assumed, Some([dx, dy]), Some(angle)) => {

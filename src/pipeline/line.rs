@@ -160,11 +160,12 @@ impl<'a> Line<'a> {
         &mut self,
         bracket: &Bracket,
         alignment: &Alignment,
+        region: Rect,
         developed: Option<&Developed>,
         options: &Options,
     ) -> Result<()> {
         let Some(mut page) = self.page.take() else { return Ok(()) };
-        let gathered = || page.gather(bracket, alignment, &options.align, &self.warnings, developed);
+        let gathered = || page.gather(bracket, alignment, region, &options.align, &self.warnings, developed);
         let (gathered, time) = self.timed(Stage::Inspect, gathered);
         page.take_time(time.unwrap_or(0.0));
         self.page = Some(page);

@@ -1,8 +1,11 @@
-//! The report as a page: whole in itself, true to the run, and safe whatever the files are called.
+//! The report as a page: self-contained, true to the run, and safe whatever the files are called.
 //!
 //! `cargo test --test cli page -- --ignored` opens it in Chromium (`HDRALIGN_CHROMIUM` names another program), by `tests/page_in_chromium.py`.
 
-use crate::support::{FRAMES, Folder, small_jpeg, window};
+use crate::support::{FRAMES, Folder, jpeg, small, small_jpeg, window};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::{GrayImage, Rgb, RgbImage};
 use std::process::Command;
 
 /// A page of five frames may weigh so much, in bytes.
@@ -23,6 +26,38 @@ fn tags(html: &str) -> Vec<&str> {
 fn attributes<'a>(tags: &[&'a str], name: &str) -> Vec<&'a str> {
     let start = format!(" {name}=\"");
     tags.iter().filter_map(|t| Some(t.split_once(start.as_str())?.1.split('"').next().unwrap_or_default())).collect()
+}
+
+/// The picture behind the first `src="data:...` after `mark`.
+fn picture(html: &str, mark: &str) -> RgbImage {
+    let from = html.split_once(mark).unwrap_or_else(|| panic!("{mark}")).1;
+    let data = from.split_once("src=\"data:image/").expect("a picture").1.split_once("base64,").expect("data").1;
+    let bytes = STANDARD.decode(data.split('"').next().expect("an end")).expect("base64");
+    image::load_from_memory(&bytes).expect("a picture").to_rgb8()
+}
+
+/// The picture of frame `name`, from its card.
+fn card(html: &str, name: &str) -> GrayImage {
+    image::DynamicImage::from(picture(html, &format!("data-caption=\"{name}"))).to_luma8()
+}
+
+/// How well the edges of `a` agree with those of `b` moved by so much, -1..=1; both have the same size.
+fn agreement(a: &GrayImage, b: &GrayImage, (dx, dy): (i64, i64)) -> f64 {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let (w, h) = (i64::from(a.width()), i64::from(a.height()));
+    let slope = |of: &GrayImage, x: i64, y: i64| {
+        let at = |x: i64| f64::from(of.get_pixel(x as u32, y as u32)[0]);
+        // The logarithm makes exposures alike.
+        (at(x + 1) + 1.0).ln() - (at(x - 1) + 1.0).ln()
+    };
+    let (mut both, mut one, mut two) = (0.0, 0.0, 0.0);
+    for y in 12..h - 12 {
+        for x in 12..w - 12 {
+            let (p, q) = (slope(a, x, y), slope(b, x + dx, y + dy));
+            (both, one, two) = (both + p * q, one + p * p, two + q * q);
+        }
+    }
+    both / (one * two).sqrt()
 }
 
 /// What does not depend on how quick the machine was.
@@ -66,17 +101,32 @@ fn the_page_of_a_merge_has_everything_and_needs_nothing() {
     for i in 1..=FRAMES {
         assert!(html.contains(&format!("<h3>window_{i}.jpg</h3>")), "{i}");
     }
+    // The result is there with all its pixels, and so are the frames.
+    let crop = picture(&html, "class=\"canvas\"");
+    assert_eq!(crop.width(), image::image_dimensions(window(1)).map(|size| size.0).expect("a size").min(crop.width()));
+    assert_eq!(html.matches(&format!("width=\"{}\" height=\"{}\" alt=", crop.width(), crop.height())).count(), 6);
+    assert!(html.contains("100\u{a0}% is that of the file") && !html.contains("look softer"));
+    // What can be shown, and how large: the result and every frame; all, once and twice.
+    assert_eq!((html.matches("name=\"shown\"").count(), html.matches("name=\"zoom\"").count()), (1 + FRAMES, 3));
+    // Nothing moved: there is nothing to switch on.
+    assert!(!html.contains("type=\"checkbox\"") && html.contains("Nothing moved in the scene."));
     // Four frames moved: each with its slider; angle and two shifts for each.
     assert_eq!((html.matches("type=\"range\"").count(), html.matches("rotation, degrees</text>").count()), (4, 4));
-    for section in ["frames", "moved", "bitmaps", "light", "shares", "run"] {
+    for section in ["frames", "settings", "details"] {
         assert!(html.contains(&format!("<section id=\"{section}\"")), "{section}");
     }
+    for part in ["alignment", "bitmaps", "movement", "light", "shares", "run"] {
+        assert!(html.contains(&format!("<details class=\"part\" id=\"{part}\">")), "{part}");
+    }
+    assert!(tags(&html).iter().all(|tag| !(tag.starts_with("details") && tag.contains(" open"))), "open details");
     for words in [
         "No warnings",
-        "stops",
-        "<b>Movement.</b>",
+        "All 5 frames were merged. Their exposures are 8.0 stops apart.",
+        "The camera moved by up to",
+        "window_4.jpg</b>, the reference",
+        "<code>--crop none</code> keeps it",
         "a.exr",
-        "deghost strength",
+        "Removal of movement, strength <code>--deghost</code>",
         "sRGB curve",
         "1/512\u{a0}s",
         "Tone-map",
@@ -89,11 +139,80 @@ fn the_page_of_a_merge_has_everything_and_needs_nothing() {
 }
 
 #[test]
+fn frames_lie_where_the_result_does() {
+    let folder = Folder::with_bracket();
+    let html = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w4.jpg -o a.png");
+    let result = image::DynamicImage::from(picture(&html, "class=\"canvas\"")).to_luma8();
+    let file = image::open(folder.at("a.png")).expect("a picture").to_luma8();
+    assert!(result.dimensions() == file.dimensions() && agreement(&result, &file, (0, 0)) > 0.9);
+    for name in ["w2.jpg", "w3.jpg", "w4.jpg"] {
+        let frame = card(&html, name);
+        let here = agreement(&result, &frame, (0, 0));
+        let beside = [(2, 0), (-2, 0), (0, 2), (0, -2)].map(|by| agreement(&result, &frame, by));
+        assert!(beside.iter().all(|other| here > other + 0.1), "{name}: {here} {beside:?}");
+    }
+}
+
+#[test]
+fn large_picture_is_reduced_and_the_page_says_so() {
+    let folder = Folder::empty();
+    for (i, stops) in [-1.0, 1.0].iter().enumerate() {
+        // Grain, which JPEG does not like.
+        let photograph = RgbImage::from_fn(2400, 1600, |x, y| {
+            let grain = f64::from(((x * 7919) ^ (y * 104_729)).wrapping_mul(0x9E37_79B9) >> 26) - 32.0;
+            let v = 110.0 + 50.0 * (f64::from(x) / 70.0).sin() + 40.0 * (f64::from(y) / 50.0).cos() + grain;
+            Rgb([(v * f64::exp2(0.5 * stops)).clamp(0.0, 255.0) as u8; 3])
+        });
+        folder.put(&format!("p{i}.jpg"), &jpeg(&photograph, Some(3 + i)));
+    }
+    let html = page(&folder, "merge p0.jpg p1.jpg --align none --crop none -o r.jpg");
+    assert!(html.len() < MOST_BYTES, "{} bytes", html.len());
+    let result = picture(&html, "class=\"canvas\"");
+    let share = 100.0 * f64::from(result.width()) / 2400.0;
+    let pixels = result.width() * result.height();
+    assert!((2_900_000..=3_000_000).contains(&pixels), "{pixels}");
+    let words = format!(
+        "{} × {} of its 2400 × 1600 pixels: <b>100\u{a0}% here is {share:.0}\u{a0}% of the file.</b> Open <code>r.jpg</code>",
+        result.width(),
+        result.height()
+    );
+    assert!(html.contains(&words), "{words}");
+    let frame = card(&html, "p0.jpg");
+    let words = format!("The frames are here with {} × {} and look softer.", frame.width(), frame.height());
+    assert!(frame.width() < result.width() && html.contains(&words), "{words}");
+}
+
+#[test]
+fn movement_is_laid_over_the_picture() {
+    let folder = Folder::with_bracket();
+    let mut painted = small(4);
+    for (x, y) in (130..170).flat_map(|x| (80..120).map(move |y| (x, y))) {
+        painted.put_pixel(x, y, Rgb([if (x + y) / 8 % 2 == 0 { 40 } else { 60 }; 3]));
+    }
+    folder.put("w4.jpg", &jpeg(&painted, Some(4)));
+    let html = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr");
+    assert_whole(&html);
+    assert!(html.contains("Something moved in") && html.contains("There the picture shows what <b>w3.jpg</b> shows"));
+    assert!(html.contains("type=\"checkbox\" name=\"movement\"") && html.contains(">Go to: <button"));
+    let from = html.split_once("class=\"over movement\"").expect("an overlay").1.split_once("base64,").expect("data").1;
+    let bytes = STANDARD.decode(from.split('"').next().expect("an end")).expect("base64");
+    let overlay = image::load_from_memory(&bytes).expect("a picture").to_rgba8();
+    // Over the square it is coloured, in a corner it is clear.
+    assert_eq!(overlay.dimensions(), (300, 200));
+    assert!(overlay.get_pixel(150, 100)[3] > 100 && overlay.get_pixel(3, 3)[3] == 0);
+    let off = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off -o a.exr");
+    assert!(!off.contains("type=\"checkbox\"") && off.contains("Movement was not looked for"));
+}
+
+#[test]
 fn an_alignment_has_a_page_too_and_json_stays_json() {
     let folder = Folder::with_bracket();
     let html = page(&folder, "align w2.jpg w3.jpg w4.jpg");
     assert_whole(&html);
     assert!(html.contains("type=\"range\"") && !html.contains("id=\"shares\"") && !html.contains("id=\"light\""));
+    // The viewer has the frames, and no result.
+    assert!(html.contains("All 3 frames were aligned.") && !html.contains("value=\"result\""));
+    assert_eq!(html.matches("name=\"shown\"").count(), 3);
     folder.line("align w2.jpg w3.jpg w4.jpg --report R.JSON").done();
     assert!(folder.bytes("R.JSON").starts_with(b"{"));
     let refused = folder.line("merge w2.jpg w3.jpg -o a.exr --report page.pdf");
@@ -144,9 +263,15 @@ fn names_stay_names_and_warnings_are_said() {
     // The same warnings as on stderr.
     let said: Vec<&str> = run.stderr.lines().filter_map(|l| l.strip_prefix("warning: ")).collect();
     let left_out = said.iter().find(|w| w.contains("stripes.jpg")).unwrap_or_else(|| panic!("{}", run.stderr));
-    assert!(html.contains("Have a look.") && html.contains("left out"));
-    let plain = left_out.split(['\'', '"', '<', '&']).next().expect("its beginning");
-    assert!(html.contains(plain), "{plain}");
+    // What was found, and what to do about it.
+    let (what, remedy) = left_out.split_once(": ").and_then(|(_, text)| text.rsplit_once("; ")).expect("a remedy");
+    assert!(html.contains(&format!("<b>Have a look: stripes.jpg.</b> {}", what.replacen('l', "L", 1))), "{what}");
+    let remedy = remedy.replacen("if", "If", 1).replace("--unmoved", "<code>--unmoved</code>");
+    let plain = remedy.split(", or").next().expect("its beginning");
+    assert!(html.contains(&format!("<span class=\"remedy\">{plain}")), "{plain}");
+    assert!(
+        html.contains("4 frames were merged, 1 left out") && html.contains("<b>stripes.jpg</b> did not fit the others")
+    );
 }
 
 #[test]

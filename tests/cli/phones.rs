@@ -56,7 +56,20 @@ fn frames_of_a_phone_are_named_merged_with_a_gain_and_strict_exits_with_3() {
     assert!(gain(1)[1] > 0.5 && gain(0)[0] < -0.5, "{local}");
     assert_eq!(folder.line(&format!("{MERGE} --strict")).code, 3);
     folder.line(&format!("{MERGE} --report r.html")).done();
-    assert!(String::from_utf8_lossy(&folder.bytes("r.html")).contains("Local gain"));
+    let html = folder.bytes("r.html");
+    let html = String::from_utf8_lossy(&html);
+    // On the page what the phone did to a frame can be laid over the picture, and is there for each frame but the reference.
+    for words in [
+        "Local gain",
+        "class=\"over gain\"",
+        "name=\"gain\"",
+        "id=\"gain-0\"",
+        "id=\"gain-2\"",
+        "<dt>Phone processing</dt>",
+    ] {
+        assert!(html.contains(words), "{words}");
+    }
+    assert!(!html.contains("id=\"gain-1\""), "the reference has a gain");
 }
 
 #[test]

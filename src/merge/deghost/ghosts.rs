@@ -66,6 +66,18 @@ pub struct GhostFrame {
     pub ghost_fraction: f64,
 }
 
+impl GhostReport {
+    /// Where in a result of `size` pixels most of it moved, as "at the bottom right"; none where nothing did.
+    pub fn place(&self, size: (usize, usize)) -> Option<String> {
+        let most = self.regions.first()?;
+        let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
+        let third = |at: usize, size: usize| (3 * at / size.max(1)).min(2);
+        let row = ["at the top", "in the middle", "at the bottom"][third(y, size.1)];
+        let column = [" left", "", " right"][third(x, size.0)];
+        Some(format!("{row}{column}"))
+    }
+}
+
 impl Ghosts {
     /// Whether they are of this region and of these placed frames by rising exposure.
     ///

@@ -1,0 +1,147 @@
+//! Advice: every warning, with what to do about it; of frames that have the same one, once.
+//!
+//! In: a [`Report`]. Out: HTML. Cost: none.
+
+use super::markup::escape;
+use crate::report::{Report, WarningReport};
+use std::path::Path;
+
+/// A warning, of frames that have the same one.
+struct Advice {
+    /// The names of the frames; none where it is of the bracket.
+    names: Vec<String>,
+    what: String,
+    remedy: String,
+    degrades: bool,
+}
+
+impl Advice {
+    fn of(warning: &WarningReport, report: &Report) -> Self {
+        let message = without_folders(&warning.message, report);
+        let is_frame = |name: &str| report.frames.iter().any(|frame| name == own_name(&frame.path));
+        let (names, text) = match message.split_once(": ") {
+            Some((names, text)) if names.split(", ").all(is_frame) => {
+                (names.split(", ").map(str::to_owned).collect(), text)
+            }
+            _ => (Vec::new(), message.as_str()),
+        };
+        let (what, remedy) = text.rsplit_once("; ").unwrap_or((text, ""));
+        Advice { names, what: what.to_owned(), remedy: remedy.to_owned(), degrades: warning.degrades }
+    }
+
+    /// What is done about it, for any of its frames.
+    fn general(&self) -> String {
+        self.names.iter().fold(self.remedy.clone(), |text, name| text.replace(name.as_str(), "FILE"))
+    }
+
+    /// Takes the frames of `other`, if that says the same of them but for what is measured.
+    fn takes(&mut self, other: &Advice) -> bool {
+        if self.names.is_empty() || other.names.is_empty() || self.general() != other.general() {
+            return false;
+        }
+        // What is measured stands behind a colon or between brackets.
+        let end = common(&self.what, &other.what);
+        let is_end = |text: &str| text.is_empty() || text.trim_start().starts_with([':', '(']);
+        let end = match is_end(&self.what[end..]) && is_end(&other.what[end..]) {
+            true => Some(end),
+            false => self.what[..end].rfind([':', '(']),
+        };
+        let Some(end) = end else { return false };
+        self.what.truncate(self.what[..end].trim_end().len());
+        self.remedy = self.general();
+        self.names.extend(other.names.iter().cloned());
+        true
+    }
+
+    fn html(&self) -> String {
+        let (class, word) = if self.degrades { ("grave", "Have a look") } else { ("mild", "Good to know") };
+        let names = if self.names.is_empty() { String::new() } else { format!(": {}", escape(&self.names.join(", "))) };
+        let [what, remedy] = [&self.what, &self.remedy].map(|text| capital(&with_code(&escape(text))));
+        let remedy = if remedy.is_empty() { remedy } else { format!("<span class=\"remedy\">{remedy}.</span>") };
+        format!("<li class=\"{class}\"><b>{word}{names}.</b> {what}.{remedy}</li>\n")
+    }
+}
+
+/// Where `a` and `b` begin to differ.
+fn common(a: &str, b: &str) -> usize {
+    a.char_indices().zip(b.chars()).find(|((_, a), b)| a != b).map_or(a.len().min(b.len()), |((at, _), _)| at)
+}
+
+/// What the user should know, each with what to do about it.
+pub(super) fn warnings(report: &Report) -> String {
+    if report.warnings.is_empty() {
+        return "<p class=\"calm\"><b>No warnings.</b> Every frame has its place, the exposures are known, and nothing had to be guessed.</p>\n"
+            .into();
+    }
+    let mut all: Vec<Advice> = Vec::new();
+    for warning in &report.warnings {
+        let advice = Advice::of(warning, report);
+        if !all.iter_mut().any(|other| other.degrades == advice.degrades && other.takes(&advice)) {
+            all.push(advice);
+        }
+    }
+    let items: String = all.iter().map(Advice::html).collect();
+    format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
+}
+
+/// The name of a file without its folder.
+fn own_name(path: &str) -> String {
+    Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
+}
+
+/// `text` in which frames are named without their folders.
+fn without_folders(text: &str, report: &Report) -> String {
+    report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &own_name(&frame.path)))
+}
+
+/// Escaped `text` with options set as code.
+fn with_code(text: &str) -> String {
+    let word = |word: &str| {
+        let bare = word.trim_end_matches([',', '.', ';', ':']);
+        match bare.starts_with("--") || bare == "-e" {
+            true => format!("<code>{bare}</code>{}", &word[bare.len()..]),
+            false => word.to_owned(),
+        }
+    };
+    text.split(' ').map(word).collect::<Vec<_>>().join(" ")
+}
+
+/// `text` with a capital at its beginning, unless that is markup.
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn advice(name: &str, what: &str) -> Advice {
+        Advice { names: vec![name.into()], what: what.into(), remedy: format!("give --unmoved {name}"), degrades: true }
+    }
+
+    #[test]
+    fn frames_with_one_warning_but_for_its_numbers_share_it() {
+        let mut all = advice("a.jpg", "left out: nothing fits: 3 of 9 parts contradict");
+        assert!(all.takes(&advice("b.jpg", "left out: nothing fits: 4 of 9 parts contradict")));
+        assert!(all.takes(&advice("c.jpg", "left out: nothing fits: 53 of 99 parts contradict")));
+        assert!(!all.takes(&advice("d.jpg", "aligned with low confidence (0.4)")));
+        assert_eq!(
+            (all.what.as_str(), all.names.len(), all.remedy.as_str()),
+            ("left out: nothing fits", 3, "give --unmoved FILE")
+        );
+        let mut low = advice("a.jpg", "aligned with low confidence (0.43)");
+        assert!(low.takes(&advice("b.jpg", "aligned with low confidence (0.28)")));
+        assert_eq!(low.what, "aligned with low confidence");
+    }
+
+    #[test]
+    fn options_are_code_and_marks_are_not() {
+        assert_eq!(
+            with_code("give --unmoved a.jpg, or --crop none."),
+            "give <code>--unmoved</code> a.jpg, or <code>--crop</code> none."
+        );
+        assert_eq!(with_code("give -e to set it; --flare;"), "give <code>-e</code> to set it; <code>--flare</code>;");
+        assert_eq!((capital("it is"), capital("")), ("It is".to_owned(), String::new()));
+    }
+}

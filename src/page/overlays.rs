@@ -1,0 +1,133 @@
+//! Overlays: what is laid over the picture to show where something moved, and where the phone or the camera processed the frames locally.
+//!
+//! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns
+//! a pixel of the picture.
+
+use super::encoded::{Picture, paletted};
+use super::reduced::{Reduced, within};
+use crate::merge::local::LocalGain;
+use crate::plane::Plane;
+
+/// Long sides at the most, in pixels: of where something moved, and of the local gain, which is smooth.
+const MOVEMENT: usize = 900;
+const GAIN: usize = 200;
+
+/// Where something moved: red, green, blue and opacity where nothing was left out, some, most, and all.
+const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126, 150], [230, 0, 126, 180]];
+/// From where on in the mask some, half, and nearly all of the frames were left out: one of 15 is some.
+const FEW: u8 = 16;
+const HALF: u8 = 120;
+const NEARLY_ALL: u8 = 200;
+/// Colours of places that a frame shows brighter and darker than its exposure explains, and the opacity of the strongest.
+const BRIGHTER: [u8; 3] = [20, 110, 255];
+const DARKER: [u8; 3] = [255, 120, 0];
+const OPAQUE: f64 = 130.0;
+/// Steps of the local gain to either side.
+const STEPS: i32 = 7;
+
+/// By what frames were multiplied, place by place.
+#[derive(Debug, Clone)]
+pub(super) struct Local {
+    /// What the strongest colours stand for, in stops.
+    pub most_stops: f64,
+    /// Which of `frames` the greatest gain is of.
+    pub strongest: usize,
+    /// The index in the bracket of each frame but the reference, and its own.
+    pub frames: Vec<(usize, Picture)>,
+}
+
+/// Where something moved, by the `mask` of what was left out.
+pub(super) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
+    let full = (mask.width(), mask.height());
+    let mut small = Reduced::new(full, within(full, MOVEMENT));
+    let mut row = vec![[0u8; 3]; full.0];
+    for y in 0..full.1 {
+        row.iter_mut().zip(mask.row(y)).for_each(|(pixel, &v)| *pixel = [v; 3]);
+        small.push(&row);
+    }
+    let small = small.finish();
+    let level = |v: u8| match v {
+        0..FEW => 0,
+        FEW..HALF => 1,
+        HALF..NEARLY_ALL => 2,
+        NEARLY_ALL.. => 3,
+    };
+    let levels = small.as_slice().iter().map(|pixel| level(pixel[0])).collect();
+    paletted(&Plane::from_vec(small.width(), small.height(), levels), &MOVED)
+}
+
+/// The gains of the frames `placed`, by their indices in the bracket, over a picture of `size` pixels; none where nothing was multiplied.
+pub(super) fn local(gain: &LocalGain, placed: &[usize], size: (usize, usize)) -> Result<Option<Local>, String> {
+    let (across, down) = within(size, GAIN);
+    let stops = |layer: usize| -> Option<Plane<f32>> {
+        let mut all = Vec::with_capacity(across * down);
+        for y in 0..down {
+            let row = (2 * y + 1) * size.1 / (2 * down);
+            let factors = gain.at(layer, row..row + 1);
+            let factor = |x: usize| factors.get((2 * x + 1) * size.0 / (2 * across)).copied();
+            all.extend((0..across).filter_map(factor).map(libm::log2f));
+        }
+        (all.len() == across * down).then(|| Plane::from_vec(across, down, all))
+    };
+    let maps: Vec<(usize, Plane<f32>)> =
+        placed.iter().enumerate().filter_map(|(layer, &frame)| Some((frame, stops(layer)?))).collect();
+    if maps.is_empty() {
+        return Ok(None);
+    }
+    let greatest = |map: &Plane<f32>| map.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
+    let most = maps.iter().map(|(_, map)| greatest(map)).fold(0.0, f32::max);
+    // Of equals the first.
+    let strongest = maps.iter().position(|(_, map)| greatest(map) >= most).unwrap_or(0);
+    let frames = maps.iter().map(|(frame, map)| Ok((*frame, coloured(map, most)?)));
+    Ok(Some(Local { most_stops: f64::from(most), strongest, frames: frames.collect::<Result<_, String>>()? }))
+}
+
+/// `stops` in colours, of which the strongest stand for `most`.
+fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
+    let index = |v: f32| {
+        let step = (v / most.max(f32::MIN_POSITIVE) * STEPS as f32).round() as i32;
+        (step.clamp(-STEPS, STEPS) + STEPS) as u8
+    };
+    let indices = stops.as_slice().iter().map(|&v| index(v)).collect();
+    paletted(&Plane::from_vec(stops.width(), stops.height(), indices), &gain_palette())
+}
+
+/// The colours from the least gain, of places that a frame shows too bright, to the greatest.
+fn gain_palette() -> Vec<[u8; 4]> {
+    let colour = |step: i32| {
+        let [r, g, b] = if step < 0 { BRIGHTER } else { DARKER };
+        [r, g, b, (OPAQUE * f64::from(step.abs()) / f64::from(STEPS)).round() as u8]
+    };
+    (-STEPS..=STEPS).map(colour).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use base64::Engine;
+    use base64::engine::general_purpose::STANDARD;
+
+    fn pixel(picture: &Picture, x: u32, y: u32) -> [u8; 4] {
+        let (_, data) = picture.address.split_once(";base64,").unwrap();
+        image::load_from_memory(&STANDARD.decode(data).unwrap()).unwrap().to_rgba8().get_pixel(x, y).0
+    }
+
+    #[test]
+    fn movement_is_coloured_and_the_rest_is_clear() {
+        let mask = Plane::from_rows(40, 20, |_, row: &mut [u8]| row[20..].fill(255));
+        let picture = movement(&mask).unwrap();
+        assert_eq!((pixel(&picture, 5, 5)[3], pixel(&picture, 30, 5)), (0, MOVED[3]));
+        // One of three frames left out is seen too.
+        let third = movement(&Plane::filled(9, 9, 85)).unwrap();
+        assert_eq!(pixel(&third, 4, 4), MOVED[1]);
+    }
+
+    #[test]
+    fn gain_has_a_colour_for_either_side() {
+        let stops = Plane::from_vec(3, 1, vec![-1.0, 0.0, 1.0]);
+        let picture = coloured(&stops, 1.0).unwrap();
+        let [blue, clear, orange] = [0, 1, 2].map(|x| pixel(&picture, x, 0));
+        assert_eq!((&blue[..3], clear[3], &orange[..3]), (&BRIGHTER[..], 0, &DARKER[..]));
+        assert_eq!((blue[3], orange[3]), (130, 130));
+    }
+}

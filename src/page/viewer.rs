@@ -1,0 +1,163 @@
+//! The viewer: the result and every frame at the same place and zoom, with overlays that can be switched on.
+//!
+//! In: a [`Page`] and its [`Report`]. Out: HTML for `viewer.js`; without scripts it shows the result, and the overlays
+//! can be switched on all the same. Cost:
+//! none: the frames are those of the cards, which the script puts over the result.
+
+use super::encoded::Picture;
+use super::markup::{escape, file_name, img, percent, signed};
+use super::photographs::stops_over_reference;
+use super::{Page, frame_css};
+use crate::align::Status;
+use crate::inspect::text;
+use crate::report::Report;
+use std::fmt::Write;
+
+/// Regions of movement that can be gone to, at the most.
+const REGIONS: usize = 5;
+
+/// The viewer of the `result`, or of the frames where there is none.
+pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> String {
+    let crop = &report.crop;
+    let ratio = crop.width_px as f64 / crop.height_px.max(1) as f64;
+    let (hidden, picture, to_result) = match result {
+        Some(picture) => ("", img(picture, "The result."), ", R result"),
+        None => (" hidden", String::new(), ""),
+    };
+    let (layers, switches) = overlays(page, report);
+    // Pixels of the picture that is 100 %.
+    let held = result.or(page.frames.first().map(|frame| &frame.photograph));
+    let width = held.map_or(crop.width_px, |picture| picture.width);
+    format!(
+        "<figure class=\"viewer\" id=\"viewer\" style=\"--ratio:{ratio:.4}\" data-width=\"{width}\"{hidden}>\n\
+         <div class=\"tools\" hidden>\n{}{}</div>\n\
+         <div class=\"stage\" tabindex=\"0\" role=\"group\" aria-label=\"Picture: the arrow keys move it, F fits it, \
+         1 and 2 show 100 and 200 percent, N and P the next and the previous frame{to_result}\">\n\
+         <div class=\"canvas\">\n{picture}\n{layers}</div>\n</div>\n\
+         <p class=\"shows\" hidden><span role=\"status\"></span> <span class=\"hint\">Click or tap to zoom, drag to move.\
+         <span class=\"keyed\"> Keys: F fit, 1 and 2 zoom, N and P frames{to_result}.</span></span></p>\n{switches}<figcaption>{}</figcaption>\n</figure>\n",
+        choices(report, result.is_some()),
+        ZOOMS,
+        caption(page, report, result)
+    )
+}
+
+const ZOOMS: &str = "<fieldset class=\"pills\"><legend>Zoom</legend>\n\
+    <label><input type=\"radio\" name=\"zoom\" value=\"0\" checked><span>Fit</span></label>\n\
+    <label><input type=\"radio\" name=\"zoom\" value=\"1\"><span>100\u{a0}%</span></label>\n\
+    <label><input type=\"radio\" name=\"zoom\" value=\"2\"><span>200\u{a0}%</span></label>\n</fieldset>\n";
+
+/// What can be shown: the result, and every frame by its exposure.
+fn choices(report: &Report, has_result: bool) -> String {
+    let mut out = String::from("<fieldset class=\"pills shown\"><legend>Show</legend>\n");
+    if has_result {
+        out += "<label><input type=\"radio\" name=\"shown\" value=\"result\" checked><span>Result</span></label>\n";
+    }
+    out += "<span class=\"word\">Frames, EV</span>\n";
+    let stops = stops_over_reference(report);
+    for (i, frame) in report.frames.iter().enumerate() {
+        let colour = frame_css(i, report.frames.len());
+        let name = file_name(&frame.path);
+        let checked = if !has_result && frame.alignment.status == Status::Reference { " checked" } else { "" };
+        let _ = writeln!(
+            out,
+            "<label title=\"{name}\" style=\"--own:{colour}\"><input type=\"radio\" name=\"shown\" value=\"{i}\"{checked} \
+             aria-label=\"{name}, {ev} EV\">\
+             <span>{ev}</span></label>",
+            ev = short(stops[i])
+        );
+    }
+    out + "</fieldset>\n"
+}
+
+/// Stops in as few letters as tell them.
+fn short(stops: f64) -> String {
+    let words = signed(stops, 1);
+    words.strip_suffix(".0").map_or_else(|| words.clone(), str::to_owned)
+}
+
+/// What lies over the picture, and the switches for it.
+fn overlays(page: &Page, report: &Report) -> (String, String) {
+    let (mut layers, mut switches) = (String::new(), String::new());
+    let layer = |picture: &Picture, class: &str, alt: &str| {
+        img(picture, alt).replacen("<img ", &format!("<img class=\"over {class}\" "), 1) + "\n"
+    };
+    let switch = |class: &str, name: &str, words: &str| {
+        format!(
+            "<div class=\"switch\"><label><input type=\"checkbox\" name=\"{class}\"> <b>{name}</b></label> <span \
+             class=\"legend-{class}\">{words}</span></div>\n"
+        )
+    };
+    if let (Some(picture), Some(ghosts)) = (&page.movement, &report.ghosts) {
+        layers += &layer(picture, "movement", "Overlay: where something moved.");
+        let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
+        let reference = reference.map_or_else(String::new, |frame| file_name(&frame.path));
+        let mut words = format!(
+            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs \
+             from it was left out.",
+            percent(ghosts.ghost_fraction)
+        );
+        let (width, height) = (report.crop.width_px.max(1) as f64, report.crop.height_px.max(1) as f64);
+        let go = |(i, region): (usize, &crate::merge::deghost::GhostRegion)| {
+            let x = (region.x_px as f64 + 0.5 * region.width_px as f64) / width;
+            let y = (region.y_px as f64 + 0.5 * region.height_px as f64) / height;
+            format!(
+                "<button type=\"button\" data-x=\"{x:.4}\" data-y=\"{y:.4}\" aria-label=\"Go to place {n}\">{n}</button> ",
+                n = i + 1
+            )
+        };
+        let places: String = ghosts.regions.iter().take(REGIONS).enumerate().map(go).collect();
+        let _ = write!(words, " <span class=\"places\" hidden>Go to: {places}</span>");
+        switches += &switch("movement", "Movement", &words);
+    }
+    if let Some((local, (frame, picture))) = page.local.as_ref().and_then(|l| Some((l, l.frames.get(l.strongest)?))) {
+        layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
+        let words = format!(
+            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> darkened, against \
+             the reference, by up to \
+             {:.1} stops; over the result that of {}.",
+            local.most_stops,
+            report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
+        );
+        switches += &switch("gain", "Phone processing", &words);
+    }
+    match switches.is_empty() {
+        true => (layers, switches),
+        false => (
+            layers,
+            format!("<fieldset class=\"switches\"><legend>Show on the picture</legend>\n{switches}</fieldset>\n"),
+        ),
+    }
+}
+
+/// What is in the page of the picture, and what is not.
+fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
+    let crop = &report.crop;
+    let mut words = String::new();
+    if let Some(result) = result {
+        let file = |path: &&String| [".png", ".jpg", ".jpeg"].iter().any(|end| path.to_lowercase().ends_with(end));
+        let open = report.outputs.iter().find(file).map_or_else(String::new, |path| {
+            format!(" Open <code>{}</code> to judge sharpness.", escape(&text::file_name(path)))
+        });
+        words += &match result.width == crop.width_px {
+            true => format!(
+                "The result is here with all its {} × {} pixels: 100\u{a0}% is that of the file.",
+                crop.width_px, crop.height_px
+            ),
+            false => format!(
+                "To keep the page small, the result is here with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
+                 {:.0}\u{a0}% of the file.</b>{open}",
+                result.width,
+                result.height,
+                crop.width_px,
+                crop.height_px,
+                100.0 * result.width as f64 / crop.width_px as f64
+            ),
+        };
+    }
+    let held = page.frames.first().map(|frame| &frame.photograph).filter(|frame| frame.width < crop.width_px);
+    if let Some(frame) = held.filter(|frame| result.is_none_or(|result| frame.width < result.width)) {
+        let _ = write!(words, " The frames are here with {} × {} and look softer.", frame.width, frame.height);
+    }
+    words
+}
