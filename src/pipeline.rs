@@ -11,6 +11,7 @@ mod fusion;
 mod line;
 mod names;
 mod referred;
+mod results;
 mod slabs;
 mod tonemapping;
 
@@ -31,7 +32,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, Pending, Target, Whole, aligned};
+use crate::write::{self, Output, Pending, Target, Whole, aligned};
 use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
@@ -118,6 +119,11 @@ impl Options {
     pub(crate) fn merging(&self) -> Stages {
         let fusing = matches!(self.rendering, Rendering::Fused(_));
         Stages { merging: true, deghosting: self.deghost.is_on(), fusing, ..self.aligning() }
+    }
+
+    /// The radiance maps and pictures.
+    fn results(&self) -> Result<Vec<Output>> {
+        Output::results(&self.outputs)
     }
 
     /// Whether the file of transforms is there, and so is read and not written.
@@ -417,9 +423,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
     options.write.jpeg.validate()?;
-    for path in &options.outputs {
-        write::Format::of(path)?;
-    }
+    options.write.picture.check(&options.results()?)?;
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
     }

@@ -1,5 +1,6 @@
 //! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
 
+use super::picture::Picture;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
 use super::tone::Tone;
@@ -10,6 +11,7 @@ use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::Options;
+use hdralign::write;
 
 /// How radiance and the picture come about.
 #[derive(Debug, Args)]
@@ -39,6 +41,9 @@ pub struct Merging {
 
     #[command(flatten)]
     pub tone: Tone,
+
+    #[command(flatten)]
+    picture: Picture,
 
     #[command(flatten)]
     radiance: Radiance,
@@ -95,7 +100,7 @@ impl Merging {
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
             rendering: self.tone.rendering()?,
-            write: self.radiance.write(options.write.overwrite),
+            write: write::Options { picture: self.picture.options(), ..self.radiance.write(options.write.overwrite) },
             ..options
         })
     }

@@ -165,6 +165,7 @@ impl Radiance {
                     GainMapArg::None => Resolution::None,
                 },
             },
+            picture: write::picture::Options::default(),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::input::Reading;
 use super::leftovers;
+use super::picture::Picture;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
 use super::summary;
@@ -9,6 +10,7 @@ use super::terminal::Terminal;
 use super::tone::Tone;
 use hdralign::error::Error;
 use hdralign::pipeline::{self, TonemapOptions};
+use hdralign::write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -37,6 +39,9 @@ pub struct Args {
 
     #[command(flatten)]
     tone: Tone,
+
+    #[command(flatten)]
+    picture: Picture,
 
     #[command(flatten)]
     radiance: Radiance,
@@ -70,7 +75,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         operator: args.tone.operator()?,
         colour: args.radiance.colour(),
         outputs,
-        write: args.radiance.write(args.force),
+        write: write::Options { picture: args.picture.options(), ..args.radiance.write(args.force) },
         threads: args.threads,
         limits: args.reading.limits(),
     };

@@ -1,6 +1,6 @@
 //! Exposure fusion within the line: the aligned frames to a picture, without radiance.
 //!
-//! In: a bracket and its alignment. Out: the picture, 8-bit sRGB. Cost: each frame resampled twice, and where something moved once more
+//! In: a bracket and its alignment. Out: the picture, encoded as sRGB. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
 use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
@@ -28,11 +28,11 @@ pub(super) struct Aligned<'a> {
 }
 
 impl Aligned<'_> {
-    /// The picture.
+    /// The picture: codes, 0 to 1 but for some overshoot.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch).
-    pub fn fused(&self, options: &mertens::Options) -> Result<Plane<[u8; 3]>> {
+    pub fn fused(&self, options: &mertens::Options) -> Result<Channels> {
         let placed: Vec<Placed> = self.alignment.placed(self.bracket).collect();
         let to_srgb = ToSrgb::of(self.bracket.reference());
         let channels = |k: usize| -> Result<Channels> {
@@ -45,13 +45,7 @@ impl Aligned<'_> {
             }
             Ok(channels)
         };
-        let codes = mertens::fuse(placed.len(), channels, options)?;
-        let (width, height) = (codes[0].width(), codes[0].height());
-        Ok(Plane::from_rows(width, height, |y, row| {
-            for (x, to) in row.iter_mut().enumerate() {
-                *to = codes.each_ref().map(|c| (255.0 * c.at(x, y).clamp(0.0, 1.0) + 0.5) as u8);
-            }
-        }))
+        mertens::fuse(placed.len(), channels, options)
     }
 
     /// The codes 0..=1 of frame `k` of those placed, -1 outside it.

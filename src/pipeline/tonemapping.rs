@@ -3,6 +3,7 @@
 //! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
 //! the report has each one's time.
 
+use super::results::{Picture, Results};
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
 use crate::budget;
@@ -12,8 +13,9 @@ use crate::merge::gamut;
 use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;
-use crate::tonemap::{self, Operator};
-use crate::write::{self, Target};
+use crate::tonemap::Operator;
+use crate::tonemap::overview::Overview;
+use crate::write::{self, Output, Target};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -34,6 +36,13 @@ pub struct TonemapOptions {
     pub limits: Limits,
 }
 
+impl TonemapOptions {
+    /// The radiance maps and pictures.
+    fn results(&self) -> Result<Vec<Output>> {
+        Output::results(&self.outputs)
+    }
+}
+
 /// Tone-maps the radiance map `input` and writes what is asked for. Of a map that `merge` wrote as floats the picture is the same, to
 /// the byte, as the one that `merge` wrote beside it.
 ///
@@ -48,9 +57,7 @@ pub fn tonemap_file(
     in_pool(options.threads, || {
         options.operator.validate()?;
         options.write.jpeg.validate()?;
-        for path in &options.outputs {
-            write::Format::of(path)?;
-        }
+        options.write.picture.check(&options.results()?)?;
         // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
         read::check(input)?;
         write::check_targets(&Target::of("-o", &options.outputs), &[input.to_owned()], options.write.overwrite)?;
@@ -90,19 +97,33 @@ fn tonemapped(
     report.operator = options.operator.clone();
     report.time_s.load = timed(Stage::Tonemap, began);
     let since = Instant::now();
-    let display = tonemap::tonemap(&map, &options.operator);
+    let size = (map.pixels.width(), map.pixels.height());
+    let mut overview = Overview::new(size, &map.primaries);
+    overview.see(0, &map.pixels);
+    let picture = Picture::Toned(options.operator.settled(overview));
     report.time_s.tonemap = timed(Stage::Write, since);
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
+    let results = Results {
+        outputs: options.results()?,
+        options: &options.write,
+        metadata,
+        size,
+        primaries: map.primaries,
+        bright: report.radiance.p99_9,
+    };
+    let (files, mapping) = results.written(&|see| see(0, &map), &picture, None)?;
     let mut pending = Vec::new();
-    for written in write::write(&options.outputs, &map, &display, &metadata, &options.write)? {
+    for written in files {
         warnings.extend(written.warnings);
         report.outputs.push(written.file.target().to_string_lossy().into_owned());
         pending.push(written.file);
     }
     write::commit(pending, options.write.overwrite)?;
-    report.time_s.write = Some(since.elapsed().as_secs_f64());
+    let mapping = mapping.as_secs_f64();
+    report.time_s.tonemap = report.time_s.tonemap.map(|time| time + mapping);
+    report.time_s.write = Some(since.elapsed().as_secs_f64() - mapping);
     report.time_s.total = began.elapsed().as_secs_f64();
     report.not_number_pixels = repaired.not_numbers;
     report.infinite_pixels = repaired.infinite;

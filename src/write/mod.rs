@@ -24,6 +24,7 @@ mod kept;
 pub mod logluv;
 pub mod luv;
 pub mod mask;
+pub mod picture;
 mod piz;
 pub(crate) mod rgbe;
 mod target;
@@ -36,12 +37,12 @@ use crate::bracket::{Capture, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::merge::calibration::Factor;
 use crate::plane::Plane;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bands::Bands;
 pub use check::{Target, check_targets};
 pub use claim::sweep;
-pub use files::{Files, Settled, is_among, write};
+pub use files::{Codes, Files, Settled, is_among, write};
 pub use target::{Pending, Whole, commit, place};
 pub use unnamed::{NewFolder, abandon};
 
@@ -86,6 +87,25 @@ impl Format {
             Format::Exr | Format::Hdr | Format::Tiff => true,
             Format::Png | Format::Jpeg => false,
         }
+    }
+}
+
+/// A result: the file, and what it holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// The file.
+    pub path: PathBuf,
+    /// Its format.
+    pub format: Format,
+}
+
+impl Output {
+    /// What `-o` names: `paths` by their extensions.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`].
+    pub fn results(paths: &[PathBuf]) -> Result<Vec<Output>> {
+        paths.iter().map(|path| Ok(Output { path: path.clone(), format: Format::of(path)? })).collect()
     }
 }
 
@@ -220,6 +240,8 @@ pub struct Options {
     pub tiff: tiff::Encoding,
     /// How `.jpg` is encoded.
     pub jpeg: ultra_hdr::Options,
+    /// How pictures are made.
+    pub picture: picture::Options,
 }
 
 /// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
