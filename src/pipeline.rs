@@ -96,6 +96,8 @@ pub struct Options {
     pub write: write::Options,
     /// Radiance maps and pictures, by extension.
     pub outputs: Vec<PathBuf>,
+    /// Pictures, whatever the extension: a `.tif` too.
+    pub pictures: Vec<PathBuf>,
     /// The response is saved here, by extension as JSON, `.rsp` or `.csv`.
     pub save_response: Option<PathBuf>,
     /// Aligned frames are saved under this prefix, as TIFF.
@@ -123,7 +125,7 @@ impl Options {
 
     /// The radiance maps and pictures.
     fn results(&self) -> Result<Vec<Output>> {
-        Output::results(&self.outputs)
+        Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
     }
 
     /// Whether the file of transforms is there, and so is read and not written.
@@ -398,6 +400,7 @@ pub fn start_threads() -> Result<()> {
 /// [`Error::Option`] where two aligned frames would have one name.
 pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
     let mut files = Target::of("-o", &options.outputs);
+    files.extend(Target::of("--picture", &options.pictures));
     files.extend(Target::of("--save-response", options.save_response.as_slice()));
     files.extend(Target::of("--report", options.report.as_slice()));
     files.extend(Target::of("--ghost-mask", options.ghost_mask.as_slice()));
@@ -422,8 +425,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.rendering.validate()?;
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
-    options.write.jpeg.validate()?;
-    options.write.picture.check(&options.results()?)?;
+    options.write.check(&options.results()?)?;
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
     }

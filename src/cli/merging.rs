@@ -57,7 +57,7 @@ pub struct Merging {
     #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
     calibration_factor: Option<f64>,
 
-    /// Let the .jpg tell where the photograph was taken, as the reference does
+    /// Let pictures tell where the photograph was taken, as the reference does
     #[arg(long)]
     keep_gps: bool,
 }

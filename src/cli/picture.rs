@@ -1,7 +1,7 @@
-//! Arguments on the picture that is written: bits.
+//! Arguments on the picture that is written: bits and colours.
 
 use clap::{Args, ValueEnum};
-use hdralign::tonemap::codes::Depth;
+use hdralign::tonemap::codes::{Colours, Depth};
 use hdralign::write::picture;
 
 /// How the picture is written.
@@ -10,6 +10,22 @@ pub struct Picture {
     /// Bits of a code of the picture: 16 for who edits it further. JPEG holds 8
     #[arg(long, value_enum, default_value_t, value_name = "BITS")]
     bit_depth: DepthArg,
+
+    /// The colours of the picture: its primaries and curve, and the profile that is embedded. What a space lacks is drawn to grey
+    #[arg(long, visible_alias = "picture-color", value_enum, default_value_t, value_name = "SPACE")]
+    picture_colour: ColoursArg,
+}
+
+/// See [`Colours`].
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum ColoursArg {
+    /// What every program and display shows right
+    #[default]
+    Srgb,
+    /// For displays of phones and newer computers: more saturated reds and greens
+    DisplayP3,
+    /// Adobe RGB (1998), for print; .jpg needs --gain-map none
+    AdobeRgb,
 }
 
 /// See [`Depth`].
@@ -31,6 +47,11 @@ impl Picture {
             depth: match self.bit_depth {
                 DepthArg::Eight => Depth::Eight,
                 DepthArg::Sixteen => Depth::Sixteen,
+            },
+            colours: match self.picture_colour {
+                ColoursArg::Srgb => Colours::Srgb,
+                ColoursArg::DisplayP3 => Colours::DisplayP3,
+                ColoursArg::AdobeRgb => Colours::AdobeRgb,
             },
         }
     }

@@ -314,7 +314,7 @@ impl<'a> Line<'a> {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
                     unused.extend(options.flare.then_some("--flare"));
-                    return Ok(Picture::Fused(aligned.fused(fused)?));
+                    return Ok(Picture::Fused(aligned.fused(fused, options.write.picture.colours)?));
                 }
             };
             let mut overview = Overview::new(slabs.size(), &slabs.primaries());

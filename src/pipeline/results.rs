@@ -71,7 +71,7 @@ impl Results<'_> {
         mut shown: Option<&mut dyn FnMut(&[[u8; 3]])>,
     ) -> Result<(Vec<Written>, Duration)> {
         let Results { outputs, options, metadata, size, primaries, bright } = self;
-        let (encoder, depth) = (Encoder::default(), options.picture.depth);
+        let (encoder, depth) = (Encoder::of(options.picture.colours), options.picture.depth);
         let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(&encoder, y, row, codes);
         let settled = Settled::seen(&outputs, options, (size, primaries), bright, each, codes)?;
         let metadata = Metadata { primaries, ..metadata };

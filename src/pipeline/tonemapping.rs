@@ -28,6 +28,8 @@ pub struct TonemapOptions {
     pub colour: Option<Space>,
     /// Pictures by extension; radiance maps too, which are the input's in another format.
     pub outputs: Vec<PathBuf>,
+    /// Pictures, whatever the extension: a `.tif` too.
+    pub pictures: Vec<PathBuf>,
     /// How files are encoded, and whether those that exist are replaced.
     pub write: write::Options,
     /// Threads that compute; none for as many as there are cores. The results are the same.
@@ -39,7 +41,7 @@ pub struct TonemapOptions {
 impl TonemapOptions {
     /// The radiance maps and pictures.
     fn results(&self) -> Result<Vec<Output>> {
-        Output::results(&self.outputs)
+        Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
     }
 }
 
@@ -56,11 +58,11 @@ pub fn tonemap_file(
 ) -> Result<TonemapReport> {
     in_pool(options.threads, || {
         options.operator.validate()?;
-        options.write.jpeg.validate()?;
-        options.write.picture.check(&options.results()?)?;
+        options.write.check(&options.results()?)?;
         // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
         read::check(input)?;
-        write::check_targets(&Target::of("-o", &options.outputs), &[input.to_owned()], options.write.overwrite)?;
+        let targets = [Target::of("-o", &options.outputs), Target::of("--picture", &options.pictures)].concat();
+        write::check_targets(&targets, &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
         watch(Progress::Begins(Stage::Load));
         let contents = read::read_within(input, &options.limits)?;

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::fold_bands;
 use crate::tonemap::DisplayImage;
-use crate::tonemap::codes::Depth;
+use crate::tonemap::codes::{Colours, Depth};
 use rayon::prelude::*;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,7 @@ impl Settled {
         }
         let mut rendition = Rendition::default();
         if is_among(outputs, Format::Jpeg) {
-            let mut survey = Survey::new(size, &primaries);
+            let mut survey = Survey::new(size, &primaries, options.picture.colours);
             each(&mut |first, map| {
                 survey.see(first, &map.pixels, &codes);
                 Ok(())
@@ -180,7 +180,8 @@ pub struct Files {
 }
 
 impl Files {
-    /// Begins a file for each of `outputs`, all of `size` pixels. The radiance is of the [`primaries`](Metadata::primaries), pictures are sRGB.
+    /// Begins a file for each of `outputs`, all of `size` pixels. The radiance is of the [`primaries`](Metadata::primaries), pictures of the
+    /// [`colours`](super::picture::Options::colours) asked for.
     ///
     /// # Errors
     /// [`Error::Option`] where the format of a picture does not hold what is asked for; [`Error::Write`]. Nothing is left behind then.
@@ -191,23 +192,25 @@ impl Files {
         options: &Options,
         settled: Settled,
     ) -> Result<Files> {
-        options.picture.check(outputs)?;
+        options.check(outputs)?;
         let mut files = Files { radiance: Vec::new(), eight: Vec::new(), sixteen: Vec::new(), both: Vec::new() };
-        let shown = Metadata { profile: None, ..metadata.clone() };
+        let colours = options.picture.colours;
+        let shown = Metadata { profile: colours.profile(), ..metadata.clone() };
         for (place, output) in outputs.iter().enumerate() {
             let (path, pixels) = (output.path.clone(), size.0 * size.1);
             if output.format == Format::Jpeg {
                 let pending = Pending::create(&path)?;
-                let writer = ultra_hdr::Writer::new(pending, size, &shown, &options.jpeg, &settled.rendition)?;
+                let writer =
+                    ultra_hdr::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
                 files.both.push(Both { place, path, state: Some(Box::new(writer)) });
             } else if output.format.holds_radiance() {
                 let state = State::Begun(radiance_writer(output, size, metadata, options, settled)?, pixels);
                 files.radiance.push(Slot { place, path, state });
             } else if options.picture.depth == Depth::Eight {
-                let state = State::Begun(picture_writer(output, size, &shown)?, pixels);
+                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
                 files.eight.push(Slot { place, path, state });
             } else {
-                let state = State::Begun(picture_writer(output, size, &shown)?, pixels);
+                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
                 files.sixteen.push(Slot { place, path, state });
             }
         }
@@ -272,7 +275,7 @@ fn radiance_writer(
             Box::new(logluv::Writer::new(file, size, metadata, depth, settled.logluv_scale)?)
         }
         (Format::Hdr, _) => Box::new(hdr::Writer::new(file, size, metadata, options.hdr)?),
-        (Format::Png | Format::Jpeg, _) => {
+        (Format::Png | Format::Jpeg | Format::TiffPicture, _) => {
             return Err(Error::UnknownExtension { path: output.path.clone(), known: ".exr, .hdr, .pic, .tif, .tiff" });
         }
         (Format::Exr, _) => {
@@ -287,8 +290,13 @@ fn picture_writer<T: display::Sample>(
     output: &Output,
     size: (usize, usize),
     metadata: &Metadata,
+    colours: Colours,
 ) -> Result<Box<dyn RowWriter<[T; 3]>>> {
-    Ok(Box::new(display::Writer::new(Pending::create(&output.path)?, size, metadata)?))
+    let file = Pending::create(&output.path)?;
+    Ok(match output.format {
+        Format::TiffPicture => Box::new(tiff::Writer::picture(file, size, metadata)?),
+        _ => Box::new(display::Writer::new(file, size, metadata, colours)?),
+    })
 }
 
 /// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for

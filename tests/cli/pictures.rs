@@ -1,7 +1,12 @@
 //! Pictures as photographers ask for them: bits, formats, colours, capture data, parts and sizes. What was written is read by others' decoders.
 
 use crate::support::Folder;
-use image::DynamicImage;
+use hdralign::bracket::colour::{Conversion, Primaries, Space, srgb_to_linear};
+use hdralign::merge::RadianceMap;
+use hdralign::plane::Plane;
+use hdralign::tonemap::DisplayImage;
+use hdralign::write::{self, Metadata};
+use image::{DynamicImage, ImageDecoder, ImageReader};
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
 
@@ -62,4 +67,150 @@ fn bits_that_a_file_does_not_hold_are_refused() {
         refused(&folder, &format!("{line} --bit-depth 16 -o a.exr"), &["--bit-depth", "no picture is written"]);
         refused(&folder, &format!("{line} --bit-depth 12 -o a.png"), &["--bit-depth", "12", "16"]);
     }
+}
+
+/// The profile embedded in a file, and what it calls itself.
+fn profile(folder: &Folder, name: &str) -> Option<(moxcms::ColorProfile, String)> {
+    let mut decoder = ImageReader::open(folder.at(name)).expect("a file").into_decoder().expect("a picture");
+    let icc = decoder.icc_profile().expect("a readable file")?;
+    let profile = moxcms::ColorProfile::new_from_slice(&icc).unwrap_or_else(|e| panic!("{name}: {e:?}"));
+    let Some(moxcms::ProfileText::Localizable(words)) = &profile.description else { panic!("{name}: no words") };
+    let words = words[0].value.clone();
+    Some((profile, words))
+}
+
+/// `codes` of `profile` as sRGB, by another's colour management.
+fn to_srgb(profile: &moxcms::ColorProfile, codes: &[u8]) -> Vec<u8> {
+    let (layout, srgb) = (moxcms::Layout::Rgb, moxcms::ColorProfile::new_srgb());
+    let options = moxcms::TransformOptions::default();
+    let transform = profile.create_transform_8bit(layout, &srgb, layout, options).expect("a way");
+    let mut out = vec![0; codes.len()];
+    transform.transform(codes, &mut out).expect("as many");
+    out
+}
+
+/// Mean of what codes differ by, and what 19 of 20 are within: the most saturated colours are drawn to grey by as much as a space lacks.
+fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
+    let mut off: Vec<u8> = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).collect();
+    let mean = off.iter().map(|&d| f64::from(d)).sum::<f64>() / off.len() as f64;
+    let place = off.len() * 95 / 100;
+    (mean, *off.select_nth_unstable(place).1)
+}
+
+/// Read by its profile, a picture of any colours looks like that of sRGB; taken for sRGB it does not.
+#[test]
+fn colours_of_the_picture_are_told_by_its_profile_in_every_format() {
+    let folder = Folder::with_bracket();
+    folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
+    for line in ["tonemap a.exr -q --force", &format!("{MERGE} --tmo mertens")] {
+        let pictures = "--picture a.png --picture a.tif --picture a.jpg --gain-map none --jpeg-quality 100";
+        folder.line(&format!("{line} {pictures}")).done();
+        let srgb = ["a.png", "a.tif", "a.jpg"].map(|name| eight(&folder, name).0);
+        assert!(srgb[0] == srgb[1], "{line}: the codes of a TIFF are those of a PNG");
+        assert!(profile(&folder, "a.png").is_none() && profile(&folder, "a.tif").is_none(), "sRGB needs none");
+        for (colours, words) in [("display-p3", "Display P3"), ("adobe-rgb", "Adobe RGB (1998)")] {
+            folder.line(&format!("{line} {pictures} --picture-colour {colours}")).done();
+            for (name, srgb) in ["a.png", "a.tif", "a.jpg"].iter().zip(&srgb) {
+                let (codes, _) = eight(&folder, name);
+                let (profile, named) = profile(&folder, name).unwrap_or_else(|| panic!("{name} has no profile"));
+                assert_eq!(named, words, "{name}");
+                let (mean, most) = difference(&to_srgb(&profile, &codes), srgb);
+                // Fusion weighs by codes, which are others; JPEG loses something even of the best quality.
+                let allowed = if *name == "a.jpg" { 1.8 } else { 1.2 };
+                assert!(mean < allowed && most <= 3, "{line} {name} {colours}: {mean}, {most}");
+                let (taken_for_srgb, _) = difference(&codes, srgb);
+                assert!(taken_for_srgb > mean + 0.4, "{line} {name} {colours}: {taken_for_srgb}");
+            }
+        }
+    }
+    // cICP of Display P3 for readers that know it; the profile for the others.
+    folder.line("tonemap a.exr --picture a.png --picture-color display-p3 --bit-depth 16 -q --force").done();
+    let bytes = folder.bytes("a.png");
+    let at = |name: &[u8; 4]| bytes.windows(4).position(|w| w == name);
+    let cicp = at(b"cICP").expect("cICP");
+    assert_eq!(bytes[cicp + 4..cicp + 8], [12, 13, 0, 1]);
+    assert!(Some(cicp) < at(b"iCCP") && at(b"iCCP") < at(b"IDAT") && at(b"sRGB").is_none());
+}
+
+/// Display P3's own red is in a picture of Display P3 as it is, and drawn to grey in one of sRGB.
+#[test]
+fn gamut_is_that_of_the_picture() {
+    let folder = Folder::empty();
+    let pixels = Plane::from_rows(90, 60, |y, row| {
+        for (x, p) in row.iter_mut().enumerate() {
+            let v = libm::exp2f(x as f32 / 15.0 - 3.0);
+            *p = if y < 30 { [v; 3] } else { [v, 0.0, 0.0] };
+        }
+    });
+    let map = RadianceMap { pixels, primaries: Primaries::DISPLAY_P3 };
+    let display = DisplayImage { pixels: Plane::filled(90, 60, [0; 3]) };
+    let files = write::write(&[folder.at("a.tif")], &map, &display, &Metadata::default(), &write::Options::default());
+    write::commit(files.expect("a file").into_iter().map(|w| w.file).collect(), false).expect("a name");
+    // The share of other light in the red, of Display P3's primaries.
+    let other = |options: &str, space: Space| {
+        folder.line(&format!("tonemap a.tif --tmo drago --picture p.png -q --force {options}")).done();
+        let (codes, _) = eight(&folder, "p.png");
+        let red = codes.chunks(3).nth(50 * 90 + 30).expect("a pixel");
+        let light = [0, 1, 2].map(|c| srgb_to_linear(f64::from(red[c]) / 255.0) as f32);
+        let light = Conversion::between(&space.primaries(), &Primaries::DISPLAY_P3).expect("a way").apply(light);
+        (light[1] / light[0], light[2] / light[0])
+    };
+    let (p3, srgb) = (other("--picture-colour display-p3", Space::DisplayP3), other("", Space::Srgb));
+    // What the tone curve takes of the saturation is grey; codes of 8 bits are rounded by 5 % of it.
+    assert!(p3.0 < 0.015 && (p3.0 / p3.1 - 1.0).abs() < 0.05, "{p3:?}");
+    assert!(srgb.0 > 2.0 * p3.0, "{srgb:?} {p3:?}");
+}
+
+#[test]
+fn picture_is_what_picture_names_whatever_the_extension() {
+    let folder = Folder::with_bracket();
+    let run = folder.line(&format!("{MERGE} -o a.tif --picture b.tif --bit-depth 16 --picture c.png")).done();
+    assert_eq!(run.stdout, "a.tif\nb.tif\nc.png\n");
+    assert!(hdralign::read::read(&folder.at("a.tif")).is_ok(), "-o stays radiance");
+    assert!(sixteen(&folder, "b.tif") == sixteen(&folder, "c.png"), "the same codes");
+    let mut tiff = tiff::decoder::Decoder::new(std::io::Cursor::new(folder.bytes("b.tif"))).expect("a TIFF");
+    let resolution = tiff.get_tag(tiff::tags::Tag::XResolution).expect("a resolution");
+    assert_eq!(format!("{resolution:?}"), "Rational(72, 1)");
+    assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::ResolutionUnit).expect("a unit"), 2);
+    assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::Compression).expect("a kind"), 8);
+    // Pictures are no radiance, and no photographs.
+    assert_eq!(folder.line("tonemap b.tif -o x.png").code, 1);
+    refused(&folder, "merge w1.jpg w2.jpg b.tif -o x.exr", &["b.tif is a result of hdralign"]);
+    // Who names a picture gets that alone.
+    let run = folder.line("tonemap a.tif --picture d.tif -q").done();
+    assert_eq!(run.stdout, "d.tif\n");
+    assert!(eight(&folder, "d.tif").1 == (300, 200) && !folder.at("a.png").exists());
+    for (line, said) in [
+        ("--picture a.exr", &["--picture", "a.exr holds radiance", "-o"][..]),
+        ("--picture a.bmp", &["a.bmp", ".tif"]),
+        ("--picture w2.jpg", &["--picture", "w2.jpg", "one of the files that are read"]),
+        ("-o x.png --picture x.png", &["--picture", "named twice, also by -o"]),
+        ("--picture a.jpg --picture-colour adobe-rgb", &["--picture-colour", "a.jpg", "--gain-map none"]),
+        ("-o a.exr --picture-colour display-p3", &["--picture-colour", "no picture is written"]),
+        ("--picture a.png --picture-colour prophoto", &["prophoto", "adobe-rgb"]),
+    ] {
+        refused(&folder, &format!("{MERGE} {line}"), said);
+    }
+}
+
+#[test]
+fn batch_makes_pictures_beside_its_results() {
+    let folder = Folder::empty();
+    for i in 2..=4 {
+        std::fs::create_dir_all(folder.at("in")).expect("a folder");
+        folder.put(&format!("in/w{i}.jpg"), crate::support::small_jpeg(i));
+    }
+    let line = "batch in -d out -q --formats exr --pictures tif,png --bit-depth 16 --picture-colour display-p3";
+    let run = folder.line(line).done();
+    assert_eq!(
+        run.stdout,
+        "out/w2-w4.exr\nout/w2-w4.tif\nout/w2-w4.png\n".replace("out/", &format!("{}/", folder.at("out").display()))
+    );
+    assert!(sixteen(&folder, "out/w2-w4.tif") == sixteen(&folder, "out/w2-w4.png"));
+    let before = folder.bytes("out/w2-w4.tif");
+    folder.line(line).done();
+    assert!(before == folder.bytes("out/w2-w4.tif"), "done before");
+    refused(&folder, "batch in -d other --formats exr,tif --pictures tif", &["--pictures", "tif stands there"]);
+    refused(&folder, "batch in -d other --formats exr --bit-depth 16", &["--bit-depth", "no picture"]);
+    refused(&folder, "batch in -d other --formats png,jpg --bit-depth 16", &["--bit-depth", "JPEG"]);
 }
