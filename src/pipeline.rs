@@ -5,6 +5,7 @@
 
 mod asked;
 pub mod camera;
+mod crop;
 mod curves;
 mod doubts;
 mod fusion;
@@ -16,7 +17,7 @@ mod slabs;
 mod tonemapping;
 
 use crate::align::given::SavedAlignment;
-use crate::align::{AlignMode, AlignOptions, Alignment, Rect};
+use crate::align::{AlignMode, AlignOptions, Alignment};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
 use crate::budget::Stages;
@@ -38,27 +39,9 @@ use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
 
+pub use crop::Crop;
 pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use tonemapping::{TonemapOptions, tonemap_file};
-
-/// Which part of the reference the results show.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Crop {
-    /// The largest rectangle found that all placed frames cover.
-    #[default]
-    Common,
-    /// All of it; where fewer frames reach, fewer are merged.
-    None,
-}
-
-impl Crop {
-    fn rect(self, bracket: &Bracket, alignment: &Alignment) -> Rect {
-        match self {
-            Crop::Common => alignment.overlap,
-            Crop::None => Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
-        }
-    }
-}
 
 /// What is done to a bracket, and where the results go.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -252,6 +235,7 @@ fn merged(
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, &options.merging(), options)?;
+        options.crop.check(&bracket)?;
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             options.calibration.check(bracket.reference())?;
@@ -307,6 +291,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let (options, taken) = &with_transforms(images, options)?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, &options.aligning(), options)?;
+        options.crop.check(&bracket)?;
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             let (bracket, alignment) = line.align(bracket, options)?;

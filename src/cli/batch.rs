@@ -176,7 +176,7 @@ impl Acting {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
         let load = LoadOptions { reference, ..options.load };
-        Ok(Options { load, crop: self.cut.crop(), ..options })
+        Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
     /// Those of a step.

@@ -1,8 +1,8 @@
-//! Arguments on the picture that is written: bits and colours.
+//! Arguments on the picture that is written: bits, colours and size.
 
 use clap::{Args, ValueEnum};
 use hdralign::tonemap::codes::{Colours, Depth};
-use hdralign::write::picture;
+use hdralign::write::picture::{self, Size};
 
 /// How the picture is written.
 #[derive(Debug, Args)]
@@ -14,6 +14,11 @@ pub struct Picture {
     /// The colours of the picture: its primaries and curve, and the profile that is embedded. What a space lacks is drawn to grey
     #[arg(long, visible_alias = "picture-color", value_enum, default_value_t, value_name = "SPACE")]
     picture_colour: ColoursArg,
+
+    /// Make the picture smaller, in linear light: the pixels of its longest side, as 2048, or 50%. It is never enlarged, and radiance is
+    /// never resized
+    #[arg(long, value_name = "PIXELS|PERCENT%")]
+    resize: Option<Size>,
 }
 
 /// See [`Colours`].
@@ -53,6 +58,7 @@ impl Picture {
                 ColoursArg::DisplayP3 => Colours::DisplayP3,
                 ColoursArg::AdobeRgb => Colours::AdobeRgb,
             },
+            size: self.resize.unwrap_or_default(),
         }
     }
 }

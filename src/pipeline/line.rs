@@ -363,6 +363,7 @@ impl<'a> Line<'a> {
             results.written(&|see| slabs.each(see), picture, is_seen.then_some(&mut shown))
         });
         self.page = page;
+        self.warnings.extend(options.write.picture.size.warning((width, height)));
         let (files, mapping) = written?;
         let mapping = mapping.as_secs_f64();
         self.times.tonemap = self.times.tonemap.map(|time| time + mapping);

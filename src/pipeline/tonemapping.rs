@@ -107,6 +107,7 @@ fn tonemapped(
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
+    warnings.extend(options.write.picture.size.warning(size));
     let results = Results {
         outputs: options.results()?,
         options: &options.write,

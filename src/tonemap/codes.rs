@@ -5,7 +5,8 @@
 //! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer; Adobe RGB (1998) Color Image Encoding, section 4.3.4.
 
 use crate::bracket::colour::{Conversion, Curve, Primaries, Profile, linear_to_srgb, srgb_to_linear};
-use crate::simd::{at_most, floor32, integer32};
+use crate::simd::{Loops, at_most, floor32, integer32, vectorised};
+use rayon::prelude::*;
 use std::sync::LazyLock;
 
 /// The colours of a picture: primaries and transfer.
@@ -163,6 +164,36 @@ fn within(light: f32) -> f32 {
 impl Default for Encoder {
     fn default() -> Self {
         Encoder::of(Colours::default())
+    }
+}
+
+/// The codes of `light`.
+pub fn encoded<C: Code>(encoder: &Encoder, light: &[[f32; 3]], codes: &mut Vec<[C; 3]>) {
+    const AT_ONCE: usize = 1 << 12;
+    codes.resize(light.len(), [C::default(); 3]);
+    let parts = codes.par_chunks_mut(AT_ONCE).zip(light.par_chunks(AT_ONCE));
+    parts.for_each(|(codes, light)| vectorised(Encoded { encoder, light, codes }));
+}
+
+/// Light that is encoded.
+struct Encoded<'a, C> {
+    encoder: &'a Encoder,
+    light: &'a [[f32; 3]],
+    codes: &'a mut [[C; 3]],
+}
+
+impl<C: Code> Loops for Encoded<'_, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        const BLOCK: usize = 96;
+        let (light, codes) = (self.light.as_flattened(), self.codes.as_flattened_mut());
+        let mut block = [0.0f32; BLOCK];
+        for (light, codes) in light.chunks(BLOCK).zip(codes.chunks_mut(BLOCK)) {
+            block[..light.len()].copy_from_slice(light);
+            codes.copy_from_slice(&C::of_light(self.encoder, &block)[..codes.len()]);
+        }
     }
 }
 

@@ -24,6 +24,7 @@ pub mod overview;
 mod poisson;
 mod quadratic;
 pub mod reinhard;
+pub mod resize;
 pub mod settings;
 pub mod tones;
 

@@ -180,7 +180,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Begins a file for each of `outputs`, all of `size` pixels. The radiance is of the [`primaries`](Metadata::primaries), pictures of the
+    /// Begins a file for each of `outputs`, radiance of `size` pixels. It is of the [`primaries`](Metadata::primaries), pictures of the
     /// [`colours`](super::picture::Options::colours) asked for.
     ///
     /// # Errors
@@ -196,6 +196,7 @@ impl Files {
         let mut files = Files { radiance: Vec::new(), eight: Vec::new(), sixteen: Vec::new(), both: Vec::new() };
         let colours = options.picture.colours;
         let shown = Metadata { profile: colours.profile(), ..metadata.clone() };
+        let (full, size) = (size, options.picture.size.of(size));
         for (place, output) in outputs.iter().enumerate() {
             let (path, pixels) = (output.path.clone(), size.0 * size.1);
             if output.format == Format::Jpeg {
@@ -204,7 +205,7 @@ impl Files {
                     ultra_hdr::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
                 files.both.push(Both { place, path, state: Some(Box::new(writer)) });
             } else if output.format.holds_radiance() {
-                let state = State::Begun(radiance_writer(output, size, metadata, options, settled)?, pixels);
+                let state = State::Begun(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);
                 files.radiance.push(Slot { place, path, state });
             } else if options.picture.depth == Depth::Eight {
                 let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
@@ -217,9 +218,9 @@ impl Files {
         Ok(files)
     }
 
-    /// Whether there is a radiance map among them, or another file that needs the radiance.
-    pub fn hold_radiance(&self) -> bool {
-        !self.radiance.is_empty() || !self.both.is_empty()
+    /// Whether there is a picture among them that needs the radiance that it shows.
+    pub fn hold_gains(&self) -> bool {
+        !self.both.is_empty()
     }
 
     /// Whether there is a picture among them.
@@ -227,21 +228,22 @@ impl Files {
         !self.eight.is_empty() || !self.sixteen.is_empty() || !self.both.is_empty()
     }
 
-    /// The next rows of both, side by side; either may be empty.
+    /// The next rows of radiance for the maps; and of the pictures the next `codes`, and the radiance `shown` by them, which is as large as they
+    /// are. Side by side; any may be empty.
     ///
     /// # Errors
     /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
     ///
     /// # Panics
     /// As [`RowWriter::push`]; and where codes are not of the depth that was asked for.
-    pub fn push(&mut self, radiance: &[[f32; 3]], codes: Codes) -> Result<()> {
+    pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[f32; 3]], codes: Codes) -> Result<()> {
         let Files { radiance: maps, eight, sixteen, both } = self;
-        let (shown, fine): (&[[u8; 3]], &[[u16; 3]]) = match codes {
+        let (coarse, fine): (&[[u8; 3]], &[[u16; 3]]) = match codes {
             Codes::Eight(codes) => (codes, &[]),
             Codes::Sixteen(codes) => (&[], codes),
         };
-        let push_both = || both.iter_mut().try_for_each(|file| file.push(radiance, shown));
-        let push_pictures = || push_all(eight, shown).and(push_all(sixteen, fine));
+        let push_both = || both.iter_mut().try_for_each(|file| file.push(shown, coarse));
+        let push_pictures = || push_all(eight, coarse).and(push_all(sixteen, fine));
         let (a, (b, c)) = rayon::join(|| push_all(maps, radiance), || rayon::join(push_pictures, push_both));
         a.and(b).and(c)
     }
@@ -320,7 +322,8 @@ pub fn write(
     let size = (radiance.pixels.width(), radiance.pixels.height());
     let settled = Settled::of(&outputs, radiance, display, options)?;
     let mut files = Files::begin(&outputs, size, &metadata, options, settled)?;
-    files.push(radiance.pixels.as_slice(), Codes::Eight(display.pixels.as_slice()))?;
+    let rows = radiance.pixels.as_slice();
+    files.push(rows, rows, Codes::Eight(display.pixels.as_slice()))?;
     files.finish()
 }
 
@@ -392,14 +395,14 @@ mod tests {
                 let outputs = Output::results(paths).unwrap();
                 let settled = Settled::of(&outputs, &radiance, &picture, &options).unwrap();
                 let mut files = Files::begin(&outputs, (width, height), &metadata, &options, settled).unwrap();
-                assert!(files.hold_radiance() && files.hold_pictures());
+                assert!(files.hold_pictures() && files.hold_gains());
                 let maps = radiance.pixels.as_slice().chunks(portion * width);
                 for (map, picture) in maps.zip(picture.pixels.as_slice().chunks(portion * width)) {
                     if together {
-                        files.push(map, Codes::Eight(picture)).unwrap();
+                        files.push(map, map, Codes::Eight(picture)).unwrap();
                     } else {
-                        files.push(map, Codes::Eight(&[])).unwrap();
-                        files.push(&[], Codes::Eight(picture)).unwrap();
+                        files.push(map, map, Codes::Eight(&[])).unwrap();
+                        files.push(&[], &[], Codes::Eight(picture)).unwrap();
                     }
                 }
                 files.finish().unwrap()
@@ -409,8 +412,8 @@ mod tests {
         let outputs = Output::results(&[dir.path().join("short.exr"), dir.path().join("short.png")]).unwrap();
         let settled = Settled::of(&outputs, &radiance, &picture, &options).unwrap();
         let mut files = Files::begin(&outputs, (width, height), &metadata, &options, settled).unwrap();
-        files.push(radiance.pixels.as_slice(), Codes::Eight(&[])).unwrap();
-        files.push(&[], Codes::Eight(&picture.pixels.as_slice()[..width])).unwrap();
+        files.push(radiance.pixels.as_slice(), &[], Codes::Eight(&[])).unwrap();
+        files.push(&[], &[], Codes::Eight(&picture.pixels.as_slice()[..width])).unwrap();
         assert!(files.finish().unwrap_err().to_string().contains("only 1 of 323 rows"));
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3, "nothing but the folders");
     }
