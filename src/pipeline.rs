@@ -259,12 +259,12 @@ fn merged(
             let mut report = Report::new(&bracket, &alignment, region);
             // The frames make room for what is encoded.
             drop(bracket);
-            let Radiance { slabs, merged, ghosts, flare, local } = radiance;
+            let Radiance { slabs, merged, limits, ghosts, flare, local } = radiance;
             report.options = Some(asked::report(options, true));
             report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
             report.local_processing = camera.local_report(local.as_ref());
             report.response = Some(camera.report);
-            report.radiance = Some(merged.report(statistics, options.unit_exposure));
+            report.radiance = Some(merged.report(statistics, limits, options.unit_exposure));
             report.calibration = calibration;
             report.colour = Some(slabs.primaries().into());
             report.flare = flare;

@@ -18,6 +18,7 @@ use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::local::{self, LocalGain, LocalReport, expansion};
+use crate::merge::range::Limits;
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, gamut, normalisation};
 use crate::page::{Developed, Page};
@@ -39,6 +40,8 @@ use std::time::Instant;
 pub(super) struct Radiance {
     pub slabs: Slabs,
     pub merged: Merged,
+    /// Between which radiances the frames tell light; none where they are locally processed.
+    pub limits: Option<Limits>,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
     /// By what the frames were multiplied, where they are locally processed.
@@ -244,6 +247,7 @@ impl<'a> Line<'a> {
             if let Some(evidence) = camera.local() {
                 slabs = expanded(slabs, local::expansion(evidence))?;
             }
+            let limits = if local.is_none() { Limits::of(bracket, alignment, curve)? } else { None };
             let mut flare = None;
             if options.flare {
                 let mut cells = flare::Cells::new(slabs.size().0, slabs.size().1);
@@ -260,7 +264,7 @@ impl<'a> Line<'a> {
                     })?;
                 }
             }
-            Ok(Radiance { slabs, merged, ghosts, flare, local })
+            Ok(Radiance { slabs, merged, limits, ghosts, flare, local })
         });
         self.times.merge = time;
         merged
@@ -303,7 +307,8 @@ impl<'a> Line<'a> {
         }
         let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
         self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
-        Ok((Radiance { slabs, ..radiance }, statistics))
+        let limits = radiance.limits.map(|limits| limits.times(factor.unwrap_or(1.0)));
+        Ok((Radiance { slabs, limits, ..radiance }, statistics))
     }
 
     /// What rows of the picture come from.
