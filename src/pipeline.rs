@@ -5,17 +5,19 @@
 
 mod asked;
 pub mod camera;
+mod crop;
 mod curves;
 mod doubts;
 mod fusion;
 mod line;
 mod names;
 mod referred;
+mod results;
 mod slabs;
 mod tonemapping;
 
 use crate::align::given::SavedAlignment;
-use crate::align::{AlignMode, AlignOptions, Alignment, Rect};
+use crate::align::{AlignMode, AlignOptions, Alignment};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
 use crate::budget::Stages;
@@ -31,33 +33,15 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, Pending, Target, Whole, aligned};
+use crate::write::{self, Output, Pending, Target, Whole, aligned};
 use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
 
+pub use crop::Crop;
 pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use tonemapping::{TonemapOptions, tonemap_file};
-
-/// Which part of the reference the results show.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Crop {
-    /// The largest rectangle found that all placed frames cover.
-    #[default]
-    Common,
-    /// All of it; where fewer frames reach, fewer are merged.
-    None,
-}
-
-impl Crop {
-    fn rect(self, bracket: &Bracket, alignment: &Alignment) -> Rect {
-        match self {
-            Crop::Common => alignment.overlap,
-            Crop::None => Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
-        }
-    }
-}
 
 /// What is done to a bracket, and where the results go.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -95,6 +79,8 @@ pub struct Options {
     pub write: write::Options,
     /// Radiance maps and pictures, by extension.
     pub outputs: Vec<PathBuf>,
+    /// Pictures, whatever the extension: a `.tif` too.
+    pub pictures: Vec<PathBuf>,
     /// The response is saved here, by extension as JSON, `.rsp` or `.csv`.
     pub save_response: Option<PathBuf>,
     /// Aligned frames are saved under this prefix, as TIFF.
@@ -118,6 +104,11 @@ impl Options {
     pub(crate) fn merging(&self) -> Stages {
         let fusing = matches!(self.rendering, Rendering::Fused(_));
         Stages { merging: true, deghosting: self.deghost.is_on(), fusing, ..self.aligning() }
+    }
+
+    /// The radiance maps and pictures.
+    fn results(&self) -> Result<Vec<Output>> {
+        Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
     }
 
     /// Whether the file of transforms is there, and so is read and not written.
@@ -244,6 +235,7 @@ fn merged(
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, &options.merging(), options)?;
+        options.crop.check(&bracket)?;
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             options.calibration.check(bracket.reference())?;
@@ -268,12 +260,12 @@ fn merged(
             let mut report = Report::new(&bracket, &alignment, region);
             // The frames make room for what is encoded.
             drop(bracket);
-            let Radiance { slabs, merged, ghosts, flare, local, .. } = radiance;
+            let Radiance { slabs, merged, limits, ghosts, flare, local, .. } = radiance;
             report.options = Some(asked::report(options, true));
             report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
             report.local_processing = camera.local_report(local.as_ref());
             report.response = Some(camera.report);
-            report.radiance = Some(merged.report(statistics, options.unit_exposure));
+            report.radiance = Some(merged.report(statistics, limits, options.unit_exposure));
             report.calibration = calibration;
             report.colour = Some(slabs.primaries().into());
             report.flare = flare;
@@ -300,6 +292,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progres
         let (options, taken) = &with_transforms(images, options)?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, &options.aligning(), options)?;
+        options.crop.check(&bracket)?;
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
             let (bracket, alignment) = line.align(bracket, options)?;
@@ -393,6 +386,7 @@ pub fn start_threads() -> Result<()> {
 /// [`Error::Option`] where two aligned frames would have one name.
 pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
     let mut files = Target::of("-o", &options.outputs);
+    files.extend(Target::of("--picture", &options.pictures));
     files.extend(Target::of("--save-response", options.save_response.as_slice()));
     files.extend(Target::of("--report", options.report.as_slice()));
     files.extend(Target::of("--ghost-mask", options.ghost_mask.as_slice()));
@@ -417,10 +411,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     options.rendering.validate()?;
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
-    options.write.jpeg.validate()?;
-    for path in &options.outputs {
-        write::Format::of(path)?;
-    }
+    options.write.check(&options.results()?)?;
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
     }

@@ -50,7 +50,7 @@ impl Kernel {
 }
 
 /// sinc(x) sinc(x / 3) for |x| < 3, otherwise 0.
-pub(super) fn lanczos3(x: f64) -> f64 {
+pub(crate) fn lanczos3(x: f64) -> f64 {
     if x == 0.0 {
         1.0
     } else if x.abs() >= 3.0 {

@@ -25,7 +25,7 @@ pub mod features;
 pub mod given;
 pub mod homography;
 pub mod intensity_map;
-mod lanczos;
+pub(crate) mod lanczos;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;

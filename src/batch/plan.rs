@@ -51,6 +51,9 @@ pub struct Step {
     pub set: Option<usize>,
     /// The results.
     pub outputs: Vec<PathBuf>,
+    /// Of the results those that are the picture, whatever their extension.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pictures: Vec<PathBuf>,
     /// The report as a page to look at, where that is wanted.
     pub page: Option<PathBuf>,
     /// The report, as JSON; the step's record is in it.
@@ -150,6 +153,8 @@ pub struct Settings {
     pub template: Template,
     /// Extensions of the results, without dots; there must be one.
     pub formats: Vec<String>,
+    /// Extensions of the pictures beside them; none of the same.
+    pub pictures: Vec<String>,
     /// Whether a page is made of each.
     pub page: bool,
     /// Where the response is from.
@@ -194,7 +199,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             // Beside the photographs, and below the folder that was searched; several of those are several places already.
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
-        let formats = || settings.formats.iter().map(String::as_str);
+        let formats = || settings.formats.iter().chain(&settings.pictures).map(String::as_str);
         let base = files.path(base, |base| StepFiles::new(base, formats(), settings.page).all());
         let StepFiles { outputs, page, report, failure } = StepFiles::new(&base, formats(), settings.page);
         let id = ids.text(plain(&name.to_string_lossy()));
@@ -222,6 +227,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             inputs: bracket.photographs.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
             brackets: vec![photographs],
             set: Some(bracket.set),
+            pictures: outputs[settings.formats.len()..].to_vec(),
             outputs,
             page,
             report,
@@ -284,6 +290,7 @@ fn responses(
             brackets: counts,
             set: None,
             outputs,
+            pictures: Vec::new(),
             page,
             report,
             failure,

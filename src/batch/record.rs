@@ -144,12 +144,15 @@ pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String>
     // Every option, so that none can be forgotten here; where results go and what they may use up is none of their content.
     let mut acting =
         Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
+    acting.pictures = Vec::new();
     acting.load.memory = None;
     acting.load.max_pixels = 0;
     acting.write.overwrite = false;
     take(&format!("{:?} {acting:?}", step.kind));
     for output in &step.outputs {
-        take(&Format::of(output).map_or_else(|_| name(output), |format| format!("{format:?}")));
+        let is_picture = step.pictures.contains(output);
+        let format = if is_picture { Format::of_picture(output) } else { Format::of(output) };
+        take(&format.map_or_else(|_| name(output), |format| format!("{format:?}")));
     }
     take(if step.page.is_some() { "page" } else { "" });
     match &options.response_file {

@@ -170,7 +170,9 @@ fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inp
 /// The options of a run of the pipeline that does `step`.
 fn acting(step: &Step, options: &Options) -> Options {
     let mut options = options.clone();
-    options.outputs.clone_from(&step.outputs);
+    let results = step.outputs.iter().filter(|path| !step.pictures.contains(path));
+    options.outputs = results.cloned().collect();
+    options.pictures.clone_from(&step.pictures);
     options.report.clone_from(&step.page);
     options.response_file.clone_from(&step.response);
     options.unit_exposure = step.unit_exposure_s;

@@ -104,6 +104,10 @@ struct Places {
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
+    /// Pictures beside the results, whatever the extension: tif (of codes), png, jpg, with commas; none that --formats has
+    #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
+    pictures: Vec<String>,
+
     /// Make a page to look at of each bracket, .html
     #[arg(long)]
     page: bool,
@@ -172,7 +176,7 @@ impl Acting {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
         let load = LoadOptions { reference, ..options.load };
-        Ok(Options { load, crop: self.cut.crop(), ..options })
+        Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
     /// Those of a step.
@@ -244,15 +248,26 @@ impl Args {
     }
 
     fn settings(&self, options: Vec<String>, acting: &Options) -> Result<Settings, Error> {
-        let formats: Vec<String> =
-            self.places.formats.iter().map(|f| f.trim_start_matches('.').to_lowercase()).collect();
+        let named = |formats: &[String]| -> Vec<String> {
+            formats.iter().map(|f| f.trim_start_matches('.').to_lowercase()).collect()
+        };
+        let (formats, pictures) = (named(&self.places.formats), named(&self.places.pictures));
+        let twice = |option, reason| Err(Error::Option { option, reason });
         for (i, format) in formats.iter().enumerate() {
-            write::Format::of(&Path::new("result").with_extension(format))?;
             if formats[..i].contains(format) {
-                let reason = format!("{format} stands there twice");
-                return Err(Error::Option { option: "--formats", reason });
+                return twice("--formats", format!("{format} stands there twice"));
             }
         }
+        for (i, format) in pictures.iter().enumerate() {
+            if pictures[..i].contains(format) || formats.contains(format) {
+                let reason = format!("{format} stands there or in --formats already; a name has one file");
+                return twice("--pictures", reason);
+            }
+        }
+        let paths =
+            |formats: &[String]| formats.iter().map(|f| Path::new("result").with_extension(f)).collect::<Vec<_>>();
+        let results = [write::Output::results(&paths(&formats))?, write::Output::pictures(&paths(&pictures))?];
+        acting.write.check(&results.concat())?;
         let normalisation = match self.acting.normalize {
             NormalizeArg::Bracket => Normalisation::Bracket,
             NormalizeArg::Set => Normalisation::Set,
@@ -267,6 +282,7 @@ impl Args {
             output: self.places.output.clone(),
             template: Template::parse(&self.places.name)?,
             formats,
+            pictures,
             page: self.places.page,
             responses: match &self.response {
                 Some(path) => Responses::Given(path.clone()),

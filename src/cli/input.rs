@@ -138,19 +138,10 @@ pub struct Aligned {
 /// Which part of the reference is shown.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// Which part of the reference the results show
-    #[arg(short = 'C', long, value_enum, default_value_t, value_name = "PART")]
-    crop: CropArg,
-}
-
-impl Cut {
-    /// See [`Crop`].
-    pub fn crop(&self) -> Crop {
-        match self.crop {
-            CropArg::Common => Crop::Common,
-            CropArg::None => Crop::None,
-        }
-    }
+    /// Which part of the reference the results show: what all merged photographs show, all of it, or these of its pixels. Where not all
+    /// photographs reach, those that do are merged
+    #[arg(short = 'C', long, default_value_t, value_name = "common|none|X,Y,WIDTH,HEIGHT")]
+    pub crop: Crop,
 }
 
 /// The same, and how what comes of it is cut and told.
@@ -201,16 +192,6 @@ enum RobustArg {
     Ransac,
     /// The motion with the least median of squares: no threshold, but over half must be right
     Lmeds,
-}
-
-/// See [`Crop`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum CropArg {
-    /// What all merged frames show
-    #[default]
-    Common,
-    /// The whole of the reference
-    None,
 }
 
 /// The file for the report; `-` is what other programs take for standard output.
@@ -299,7 +280,7 @@ impl Common {
     /// The library's options that these arguments stand for; all others as by default.
     pub fn options(&self) -> Options {
         Options {
-            crop: self.cut.crop(),
+            crop: self.cut.crop,
             transforms: self.transforms.clone(),
             report: self.report.clone(),
             ..self.aligned.options()

@@ -15,6 +15,7 @@ const AFTER_HELP: &str = "\
 Examples:
   hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
   hdralign merge *.jpg -o room.exr -o room.hdr -o room.jpg
+  hdralign merge *.jpg --picture room.tif --bit-depth 16 --picture-colour adobe-rgb
   hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
   hdralign merge --ghost-mask moved.png *.jpg         and where people walked on, who are left out
   hdralign merge --align none --crop none *.tif -o studio.exr";
@@ -27,9 +28,13 @@ pub struct Args {
 
     /// A result; the extension picks the format: .exr .hdr .tif (radiance), .png (picture),
     /// .jpg (picture that lights up on HDR displays). May be repeated
-    /// [default: FIRST-LAST.exr and .png beside the photographs]
+    /// [default, without --picture: FIRST-LAST.exr and .png beside the photographs]
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,
+
+    /// The picture, whatever the extension: .png, .jpg, or .tif of codes with a profile. May be repeated
+    #[arg(long, value_name = "FILE")]
+    picture: Vec<PathBuf>,
 
     #[command(flatten)]
     merging: Merging,
@@ -54,17 +59,24 @@ pub struct Args {
 impl Args {
     fn options(&self) -> Result<Options, Error> {
         self.check_strength()?;
-        let outputs = if self.output.is_empty() {
+        let outputs = if self.output.is_empty() && self.picture.is_empty() {
             pipeline::default_outputs(&self.common.aligned.images)
         } else {
             self.output.clone()
         };
-        let folder = || outputs.first().and_then(|path| path.parent()).map_or_else(std::env::temp_dir, PathBuf::from);
+        let folder = || {
+            outputs
+                .first()
+                .or(self.picture.first())
+                .and_then(|path| path.parent())
+                .map_or_else(std::env::temp_dir, PathBuf::from)
+        };
         let memory = self.common.aligned.work.memory(folder);
         let options = self.merging.options(self.common.options())?;
         Ok(Options {
             load: LoadOptions { memory, ..options.load },
             outputs,
+            pictures: self.picture.clone(),
             response_file: self.response.clone(),
             save_response: self.save_response.clone(),
             ghost_mask: self.ghost_mask.clone(),

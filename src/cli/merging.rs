@@ -1,5 +1,6 @@
 //! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
 
+use super::picture::Picture;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
 use super::tone::Tone;
@@ -10,6 +11,7 @@ use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::Options;
+use hdralign::write;
 
 /// How radiance and the picture come about.
 #[derive(Debug, Args)]
@@ -41,6 +43,9 @@ pub struct Merging {
     pub tone: Tone,
 
     #[command(flatten)]
+    picture: Picture,
+
+    #[command(flatten)]
     radiance: Radiance,
 
     /// Radiance in cd/m2 by the reference's exposure: its top code is 87 N^2 / (t ISO), within about half a stop
@@ -52,7 +57,7 @@ pub struct Merging {
     #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
     calibration_factor: Option<f64>,
 
-    /// Let the .jpg tell where the photograph was taken, as the reference does
+    /// Let pictures tell where the photograph was taken, as the reference does
     #[arg(long)]
     keep_gps: bool,
 }
@@ -95,7 +100,7 @@ impl Merging {
             colour: self.radiance.colour(),
             calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
             rendering: self.tone.rendering()?,
-            write: self.radiance.write(options.write.overwrite),
+            write: write::Options { picture: self.picture.options(), ..self.radiance.write(options.write.overwrite) },
             ..options
         })
     }

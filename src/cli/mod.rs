@@ -17,6 +17,7 @@ mod memory;
 mod merge;
 mod merging;
 mod panics;
+mod picture;
 mod progress;
 mod radiance;
 mod recovery;

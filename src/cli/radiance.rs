@@ -8,7 +8,7 @@ use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 #[derive(Debug, Args)]
 pub struct Radiance {
     /// The linear colour space of the radiance: white is taken to white; colours outside are drawn to grey until inside.
-    /// `keep` is that of the photographs' profile, or of the radiance map. The picture is sRGB in any case
+    /// `keep` is that of the photographs' profile, or of the radiance map. The picture has --picture-colour
     #[arg(long, visible_alias = "color", value_enum, default_value_t, value_name = "SPACE", verbatim_doc_comment)]
     colour: ColourArg,
 
@@ -165,6 +165,7 @@ impl Radiance {
                     GainMapArg::None => Resolution::None,
                 },
             },
+            picture: write::picture::Options::default(),
         }
     }
 }

@@ -177,7 +177,7 @@ fn range(report: &Report) -> String {
     let mut words = vec![format!("exposures {:.1} stops apart", span.max(0.0))];
     if let Some(merged) = &report.radiance {
         let scene = &merged.radiance;
-        words.push(format!("the result holds {:.1} stops", scene.dynamic_range_stops));
+        words.extend(merged.range_stops.map(|stops| format!("the result holds {stops:.1} stops")));
         if report.calibration.is_some() {
             words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
         }

@@ -2,6 +2,7 @@
 
 use super::input::Reading;
 use super::leftovers;
+use super::picture::Picture;
 use super::progress::{Bar, Plan};
 use super::radiance::Radiance;
 use super::summary;
@@ -9,6 +10,7 @@ use super::terminal::Terminal;
 use super::tone::Tone;
 use hdralign::error::Error;
 use hdralign::pipeline::{self, TonemapOptions};
+use hdralign::write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -31,12 +33,19 @@ pub struct Args {
 
     /// A result; the extension picks the format: .png (picture), .jpg (picture that lights up on
     /// HDR displays), .exr .hdr .tif (radiance). May be repeated
-    /// [default: IN as .png, beside it]
+    /// [default, without --picture: IN as .png, beside it]
     #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
     output: Vec<PathBuf>,
 
+    /// The picture, whatever the extension: .png, .jpg, or .tif of codes with a profile. May be repeated
+    #[arg(long, value_name = "FILE")]
+    picture: Vec<PathBuf>,
+
     #[command(flatten)]
     tone: Tone,
+
+    #[command(flatten)]
+    encoding: Picture,
 
     #[command(flatten)]
     radiance: Radiance,
@@ -63,18 +72,19 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let outputs = match args.output.as_slice() {
-        [] => vec![pipeline::default_picture(&args.input)],
+        [] if args.picture.is_empty() => vec![pipeline::default_picture(&args.input)],
         named => named.to_vec(),
     };
     let options = TonemapOptions {
         operator: args.tone.operator()?,
         colour: args.radiance.colour(),
         outputs,
-        write: args.radiance.write(args.force),
+        pictures: args.picture.clone(),
+        write: write::Options { picture: args.encoding.options(), ..args.radiance.write(args.force) },
         threads: args.threads,
         limits: args.reading.limits(),
     };
-    leftovers::clear(&options.outputs);
+    leftovers::clear(&[&options.outputs[..], &options.pictures].concat());
     let mut bar = Bar::new(Plan::tonemap(&args.input), args.quiet);
     let report = pipeline::tonemap_file(&args.input, &options, &|p| bar.show(p));
     bar.clear();

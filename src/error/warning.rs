@@ -216,6 +216,14 @@ pub enum Warning {
         /// How many pixels, and what became of them.
         detail: String,
     },
+    /// The picture was to be larger than the radiance is.
+    #[error("the picture has {longest_px} pixels on its longest side; it is not enlarged to {asked_px}")]
+    NotEnlarged {
+        /// The longest side that it has, in pixels.
+        longest_px: usize,
+        /// The longest side that was asked for, in pixels.
+        asked_px: usize,
+    },
     /// Values were outside what the output format can hold.
     #[error("{}: {detail}", path.display())]
     OutOfRange {

@@ -41,6 +41,7 @@ pub mod miniature;
 mod noise;
 pub mod normalisation;
 mod photographed;
+pub mod range;
 mod rows;
 pub mod share;
 pub mod statistics;
@@ -52,6 +53,7 @@ use crate::plane::Plane;
 use calibration::Unit;
 pub use merging::{Merging, Slab, merge};
 pub use photographed::Photographed;
+use range::Limits;
 use serde::Serialize;
 use statistics::Statistics;
 use weight::Weight;
@@ -91,12 +93,21 @@ pub struct Merged {
 }
 
 impl Merged {
-    /// The report of it, when the radiance has its unit and its colours: relative to `unit_exposure`, or to the reference's.
-    pub fn report(self, radiance: Statistics, unit_exposure: Option<f64>) -> MergeReport {
+    /// The report of it, when the radiance and its `limits` have their unit and colours: relative to `unit_exposure`, or to the reference's.
+    pub fn report(self, radiance: Statistics, limits: Option<Limits>, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
         let is_relative = radiance.unit == Unit::Relative;
         let unit_exposure_s = is_relative.then_some(unit_exposure.unwrap_or(reference_exposure));
-        MergeReport { frames, all_clipped, all_black, reference_exposure, unit_exposure_s, radiance }
+        MergeReport {
+            frames,
+            all_clipped,
+            all_black,
+            reference_exposure,
+            unit_exposure_s,
+            range_stops: limits.map(|limits| limits.stops(&radiance)),
+            limits,
+            radiance,
+        }
     }
 }
 
@@ -114,6 +125,11 @@ pub struct MergeReport {
     /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code: the reference's, or that which the radiance is
     /// [normalised](normalisation) to. Null in cd/m2.
     pub unit_exposure_s: Option<f64>,
+    /// The range between the darkest radiance that is there and above the noise, and the brightest that is there and does not clip, in stops. Null of
+    /// frames that are locally processed.
+    pub range_stops: Option<f64>,
+    /// Between which radiances, in the unit of the radiance, the frames tell light: above their noise and below clipping. Null as before.
+    pub limits: Option<Limits>,
     /// Of the luminance.
     pub radiance: Statistics,
 }

@@ -48,11 +48,20 @@ impl Noise {
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
     pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
-        let steps = match frame.whole()?.codes() {
-            Codes::Eight(codes) => measure(codes, frame.width(), 1.0),
-            Codes::Sixteen(codes) => measure(codes, frame.width(), 257.0),
-        };
-        Ok(Noise { steps, error: if moved { ERROR.1 } else { ERROR.0 } })
+        Ok(Noise { steps: shown(frame, LEAST)?, error: if moved { ERROR.1 } else { ERROR.0 } })
+    }
+
+    /// The same of a `frame` of 16 bits that no JPEG has rounded: what it shows, however little.
+    ///
+    /// # Errors
+    /// Those of [`of`](Self::of).
+    pub(super) fn of_fine(frame: &Frame) -> Result<Self> {
+        Ok(Noise { steps: shown(frame, LEAST / 257.0)?, error: ERROR.0 })
+    }
+
+    /// The standard deviation of a channel's code, which may lie between two.
+    pub(super) fn deviation(&self, channel: usize, code: f64) -> f64 {
+        self.code_variance(channel, code).sqrt()
     }
 
     /// The variance of the exposure that a channel's code means, in units of its square: (sigma_Z dX/dZ)^2 + (error X)^2.
@@ -61,20 +70,28 @@ impl Noise {
         let (from, to) = (code.saturating_sub(1), (code + 1).min(CODES - 1));
         let slope = f64::from(x[to] - x[from]) / (to - from) as f64;
         let error = self.error * f64::from(x[code]);
-        self.code_variance(channel, code) * slope * slope + error * error
+        self.code_variance(channel, code as f64) * slope * slope + error * error
     }
 
     /// The variance of a code, interpolated between the steps.
-    fn code_variance(&self, channel: usize, code: usize) -> f64 {
+    fn code_variance(&self, channel: usize, code: f64) -> f64 {
         let steps = &self.steps[channel];
-        let at = (code as f64 * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
+        let at = (code * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
         let below = (at as usize).min(STEPS - 2);
         steps[below] + (at - below as f64) * (steps[below + 1] - steps[below])
     }
 }
 
-/// The variance of codes by channel and brightness; `scale` codes are one on the scale 0..=255.
-fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64) -> [[f64; STEPS]; 3] {
+/// The variance of the codes of `frame`, of which the deviation is at least `least`.
+fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
+    Ok(match frame.whole()?.codes() {
+        Codes::Eight(codes) => measure(codes, frame.width(), 1.0, least),
+        Codes::Sixteen(codes) => measure(codes, frame.width(), 257.0, least),
+    })
+}
+
+/// The variance of codes by channel and brightness; `scale` codes are one on the scale 0..=255, on which the deviation is at least `least`.
+fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f64) -> [[f64; STEPS]; 3] {
     let (columns, rows) = (width / BLOCK, codes.len() / (3 * width) / BLOCK);
     // Every stride-th block both ways, so that READ are read.
     let stride = (1..).find(|s| columns.div_ceil(*s) * rows.div_ceil(*s) <= READ).unwrap_or(1);
@@ -91,7 +108,7 @@ fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64) -> [[f64;
             }
         }
     }
-    seen.map(filled)
+    seen.map(|seen| filled(seen, least * least))
 }
 
 /// The mean of a block and what it shows of noise; none where a code of it is clipped.
@@ -116,15 +133,15 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
 }
 
-/// The lower quartile of each step, at least [`LEAST`]; steps with too few blocks have what lies between their neighbours.
-fn filled(mut seen: [Vec<f64>; STEPS]) -> [f64; STEPS] {
+/// The lower quartile of each step, at least `least`; steps with too few blocks have what lies between their neighbours.
+fn filled(mut seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
     let known: Vec<(usize, f64)> = seen
         .iter_mut()
         .enumerate()
         .filter(|(_, values)| values.len() >= FEWEST)
         .map(|(step, values)| {
             values.sort_by(f64::total_cmp);
-            (step, values[(values.len() as f64 * QUANTILE) as usize].max(LEAST * LEAST))
+            (step, values[(values.len() as f64 * QUANTILE) as usize].max(least))
         })
         .collect();
     std::array::from_fn(|step| {
@@ -133,7 +150,7 @@ fn filled(mut seen: [Vec<f64>; STEPS]) -> [f64; STEPS] {
         match (below, above) {
             (Some((s, v)), Some((t, u))) if t > s => v + (u - v) * (step - s) as f64 / (t - s) as f64,
             (Some((_, v)), _) | (None, Some((_, v))) => *v,
-            (None, None) => LEAST * LEAST,
+            (None, None) => least,
         }
     })
 }

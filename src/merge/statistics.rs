@@ -33,6 +33,8 @@ pub struct Statistics {
     pub p99: f32,
     /// The 99.9th percentile.
     pub p99_9: f32,
+    /// The 99.99th percentile: lamps are few pixels, hot pixels fewer.
+    pub p99_99: f32,
     /// log2 of the ratio of the 99.9th percentile to the 0.1st.
     pub dynamic_range_stops: f64,
     /// A = max / min, which single pixels decide.
@@ -108,6 +110,7 @@ impl Tally {
             p50: at(0.5),
             p99: at(0.99),
             p99_9: at(0.999),
+            p99_99: at(0.9999),
             dynamic_range_stops: libm::log2(f64::from(at(0.999)) / f64::from(at(0.001))),
             contrast: f64::from(self.max) / f64::from(self.min),
         }

@@ -24,9 +24,10 @@ pub(super) fn facts(report: &Report) -> String {
     let became: Vec<String> = words.iter().filter(|(n, _)| *n > 0).map(|(n, word)| format!("{n} {word}")).collect();
     let mut facts = vec![("Frames", report.frames.len().to_string(), became.join(", "))];
     if let Some(merged) = &report.radiance {
-        let scene = &merged.radiance;
-        let range = format!("{:.1} stops", scene.dynamic_range_stops);
-        facts.push(("Dynamic range", range, "between the 0.1st and the 99.9th percentile".into()));
+        if let Some(stops) = merged.range_stops {
+            let range = format!("{stops:.1} stops");
+            facts.push(("Dynamic range", range, "of the scene, above the noise and below clipping".into()));
+        }
     }
     let shift = |f: &crate::report::FrameReport| f.alignment.shift_px.map_or(0.0, |[x, y]| (x * x + y * y).sqrt());
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);

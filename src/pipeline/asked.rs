@@ -2,8 +2,10 @@
 //!
 //! In: [`Options`]. Out: an [`OptionsReport`]. Cost: none.
 
-use super::{Crop, Options};
+use super::Options;
 use crate::report::options::OptionsReport;
+use crate::tonemap::codes::Depth;
+use crate::write::picture::Size;
 
 /// Of a run that merges all that the report has; of one that only aligns, what counts there.
 pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
@@ -12,10 +14,7 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         align: options.align.mode,
         robust: options.align.robust,
         max_rotation_deg: options.align.mtb.max_rotation_deg,
-        crop: match options.crop {
-            Crop::Common => "common",
-            Crop::None => "none",
-        },
+        crop: options.crop.to_string(),
         exposures: merges.then_some(options.exposures),
         response_model: (merges && file.is_none()).then(|| options.response.name()),
         response_file: file.map(|path| path.to_string_lossy().into_owned()),
@@ -24,11 +23,18 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
         operator: merges.then(|| options.rendering.clone()),
+        bit_depth: merges.then(|| match options.write.picture.depth {
+            Depth::Eight => 8,
+            Depth::Sixteen => 16,
+        }),
+        picture_colour: merges.then_some(options.write.picture.colours),
+        resize: Some(options.write.picture.size).filter(|size| merges && *size != Size::Full).map(|s| s.to_string()),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Crop;
     use super::*;
     use crate::merge::deghost::Deghost;
 
@@ -44,9 +50,17 @@ mod tests {
         let (merged, aligned) = (json(true), json(false));
         assert_eq!((&merged["crop"], &aligned["crop"]), (&"none".into(), &"none".into()));
         assert_eq!((&merged["response_file"], &merged["response_model"]), (&"c.json".into(), &().into()));
-        assert_eq!(merged["deghost_strength"], 0.25);
-        let radiance =
-            ["exposures", "response_model", "response_file", "weight", "deghost_strength", "flare", "operator"];
+        assert_eq!((&merged["deghost_strength"], &merged["bit_depth"]), (&0.25.into(), &8.into()));
+        let radiance = [
+            "exposures",
+            "response_model",
+            "response_file",
+            "weight",
+            "deghost_strength",
+            "flare",
+            "operator",
+            "bit_depth",
+        ];
         assert!(radiance.iter().all(|key| aligned[*key].is_null()), "{aligned}");
     }
 }

@@ -1,17 +1,18 @@
 //! Exposure fusion within the line: the aligned frames to a picture, without radiance.
 //!
-//! In: a bracket and its alignment. Out: the picture, 8-bit sRGB. Cost: each frame resampled twice, and where something moved once more
+//! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
 use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
 use crate::align::warp::Warp;
 use crate::align::{Alignment, Rect};
-use crate::bracket::colour::{Conversion, Primaries, Transfer, linear_to_srgb};
+use crate::bracket::colour::{Conversion, Transfer};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
 use crate::merge::deghost::Ghosts;
 use crate::plane::{BAND_ROWS, Plane};
 use crate::response::{CODES, ResponseCurve};
+use crate::tonemap::codes::Colours;
 use crate::tonemap::fusion::{self, Channels};
 use crate::tonemap::mertens;
 use rayon::prelude::*;
@@ -29,30 +30,24 @@ pub(super) struct Aligned<'a> {
 }
 
 impl Aligned<'_> {
-    /// The picture.
+    /// The picture: codes of `colours`, 0 to 1 but for some overshoot.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch).
-    pub fn fused(&self, options: &mertens::Options) -> Result<Plane<[u8; 3]>> {
+    pub fn fused(&self, options: &mertens::Options, colours: Colours) -> Result<Channels> {
         let placed: Vec<Placed> = self.alignment.placed(self.bracket).collect();
-        let to_srgb = ToSrgb::of(self.bracket.reference());
+        let to_shown = ToShown::of(self.bracket.reference(), colours);
         let channels = |k: usize| -> Result<Channels> {
             let mut channels = self.codes(&placed, k)?;
-            if let Some(to_srgb) = &to_srgb {
+            if let Some(to_shown) = &to_shown {
                 let [red, green, blue] = &mut channels;
                 let rows = red.as_mut_slice().par_iter_mut().zip(green.as_mut_slice()).zip(blue.as_mut_slice());
                 rows.filter(|((r, _), _)| **r >= 0.0)
-                    .for_each(|((r, g), b)| [*r, *g, *b] = to_srgb.codes([*r, *g, *b]));
+                    .for_each(|((r, g), b)| [*r, *g, *b] = to_shown.codes([*r, *g, *b]));
             }
             Ok(channels)
         };
-        let codes = fusion::fuse(placed.len(), channels, &options.exponents())?;
-        let (width, height) = (codes[0].width(), codes[0].height());
-        Ok(Plane::from_rows(width, height, |y, row| {
-            for (x, to) in row.iter_mut().enumerate() {
-                *to = codes.each_ref().map(|c| (255.0 * c.at(x, y).clamp(0.0, 1.0) + 0.5) as u8);
-            }
-        }))
+        fusion::fuse(placed.len(), channels, &options.exponents())
     }
 
     /// The codes 0..=1 of frame `k` of those placed, -1 outside it.
@@ -127,23 +122,25 @@ fn between(table: &[f32; CODES], code: f32) -> f32 {
     table[below] + (at - below as f32) * (table[below + 1] - table[below])
 }
 
-/// The way from the codes of a frame to those of sRGB, both 0 to 1: the measures of fusion are made for what a display shows.
-struct ToSrgb {
+/// The way from the codes of a frame to those of the picture, both 0 to 1: the measures of fusion are made for what a display shows.
+struct ToShown {
     transfer: Transfer,
     conversion: Conversion,
+    colours: Colours,
 }
 
-impl ToSrgb {
-    /// None where `frame` is in sRGB, or in no space.
-    fn of(frame: &Frame) -> Option<ToSrgb> {
+impl ToShown {
+    /// None where `frame` has the `colours` of the picture, or is in no space.
+    fn of(frame: &Frame, colours: Colours) -> Option<ToShown> {
         let (primaries, transfer) = (frame.primaries(), Transfer::of(frame.profile.as_ref()));
-        let is_srgb = primaries.is_close(&Primaries::SRGB, 1e-3) && transfer.is_srgb();
-        let conversion = Conversion::between(&primaries, &Primaries::SRGB).filter(|_| !is_srgb)?;
-        Some(ToSrgb { transfer, conversion })
+        let shown = colours.primaries();
+        let is_shown = primaries.is_close(&shown, 1e-3) && transfer.is_close(&Transfer::of(colours.profile().as_ref()));
+        let conversion = Conversion::between(&primaries, &shown).filter(|_| !is_shown)?;
+        Some(ToShown { transfer, conversion, colours })
     }
 
     fn codes(&self, codes: [f32; 3]) -> [f32; 3] {
         let light = [0, 1, 2].map(|c| self.transfer.light(c, codes[c].into()) as f32);
-        self.conversion.apply(light).map(|v| linear_to_srgb(v.into()) as f32)
+        self.conversion.apply(light).map(|v| self.colours.code(v.into()) as f32)
     }
 }

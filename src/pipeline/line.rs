@@ -6,6 +6,7 @@ use super::curves;
 use super::doubts::{contradicted_response, differing_response, processing};
 use super::fusion::Aligned;
 use super::referred;
+use super::results::{Picture, Results};
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
@@ -17,6 +18,7 @@ use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
 use crate::merge::local::{self, LocalGain, LocalReport, expansion};
+use crate::merge::range::Limits;
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, Photographed, gamut, normalisation};
 use crate::page::{Developed, Page};
@@ -29,12 +31,10 @@ use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::tonemap::overview::Overview;
-use crate::tonemap::tones::Tones;
-use crate::write::{self, Files, Metadata, Pending, Settled, Written, aligned};
-use rayon::prelude::*;
+use crate::write::{self, Metadata, Pending, Written, aligned};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// The radiance, and what was found on the way to it.
 pub(super) struct Radiance {
@@ -42,6 +42,8 @@ pub(super) struct Radiance {
     /// What the photographs showed of it.
     pub photographed: Option<Photographed>,
     pub merged: Merged,
+    /// Between which radiances the frames tell light; none where they are locally processed.
+    pub limits: Option<Limits>,
     pub ghosts: Option<Ghosts>,
     pub flare: Option<FlareReport>,
     /// By what the frames were multiplied, where they are locally processed.
@@ -68,29 +70,6 @@ impl Camera {
     }
 }
 
-/// What rows of the picture come from.
-pub(super) enum Picture {
-    /// From the radiance.
-    Toned(Tones),
-    /// They are there.
-    Fused(Plane<[u8; 3]>),
-}
-
-impl Picture {
-    /// The codes of whole rows of radiance, the first of which is row `first`.
-    fn map(&self, first: usize, rows: &[[f32; 3]], codes: &mut [[u8; 3]]) {
-        match self {
-            Picture::Toned(tones) => tones.map(first, rows, codes),
-            Picture::Fused(picture) => {
-                codes.copy_from_slice(&picture.as_slice()[first * picture.width()..][..codes.len()]);
-            }
-        }
-    }
-}
-
-/// Rows that are given to the writers at once: bands enough for all threads, and buffers that stay in the cache.
-const AT_ONCE: usize = 8 * BAND_ROWS;
-
 /// How much of the radiance is in memory at a time.
 fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
     let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
@@ -101,13 +80,6 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
     // Whole bands, and whole cells of the veil.
     let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
     Room::Rows((rows / unit * unit).max(unit), scratch.clone())
-}
-
-/// What files must know before their first row.
-fn settled(slabs: &Slabs, statistics: &Statistics, picture: &Picture, options: &Options) -> Result<Settled> {
-    let scene = (slabs.size(), slabs.primaries());
-    let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(y, row, codes);
-    Settled::seen(&options.outputs, &options.write, scene, statistics.p99_9, |see| slabs.each(see), codes)
 }
 
 /// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.
@@ -279,6 +251,7 @@ impl<'a> Line<'a> {
             if let Some(evidence) = camera.local() {
                 slabs = expanded(slabs, local::expansion(evidence))?;
             }
+            let limits = if local.is_none() { Limits::of(bracket, alignment, curve)? } else { None };
             let mut flare = None;
             if options.flare {
                 let mut cells = flare::Cells::new(slabs.size().0, slabs.size().1);
@@ -298,7 +271,7 @@ impl<'a> Line<'a> {
             // Those that are left out too: how long somebody exposed says how bright the place is.
             let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
             let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
-            Ok(Radiance { slabs, photographed, merged, ghosts, flare, local })
+            Ok(Radiance { slabs, photographed, merged, limits, ghosts, flare, local })
         });
         self.times.merge = time;
         merged
@@ -342,7 +315,8 @@ impl<'a> Line<'a> {
         }
         let statistics = tally.statistics(calibration.map_or(Unit::Relative, |_| Unit::CdM2));
         self.times.merge = self.times.merge.map(|time| time + began.elapsed().as_secs_f64());
-        Ok((Radiance { slabs, photographed, ..radiance }, statistics))
+        let limits = radiance.limits.map(|limits| limits.times(factor.unwrap_or(1.0)));
+        Ok((Radiance { slabs, photographed, limits, ..radiance }, statistics))
     }
 
     /// What rows of the picture come from.
@@ -359,7 +333,7 @@ impl<'a> Line<'a> {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
                     unused.extend(options.flare.then_some("--flare"));
-                    return Ok(Picture::Fused(aligned.fused(fused)?));
+                    return Ok(Picture::Fused(aligned.fused(fused, options.write.picture.colours)?));
                 }
             };
             let mut overview = Overview::new(slabs.size(), &slabs.primaries()).photographed(photographed);
@@ -385,44 +359,35 @@ impl<'a> Line<'a> {
         options: &Options,
     ) -> Result<(Vec<Written>, Plane<[u8; 3]>)> {
         let (width, height) = slabs.size();
-        let metadata = Metadata { primaries: slabs.primaries(), ..metadata };
-        let mut mapping = Duration::ZERO;
         let mut page = self.page.take();
+        let is_seen = keep || page.is_some();
+        let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
+        let mut shown = |codes: &[[u8; 3]]| {
+            if let Some(page) = &mut page {
+                page.see((width, height), codes);
+            }
+            if keep {
+                kept.extend_from_slice(codes);
+            }
+        };
         let (written, time) = self.timed(Stage::Write, || {
-            let settled = settled(slabs, statistics, picture, options)?;
-            let mut files = Files::begin(&options.outputs, slabs.size(), &metadata, &options.write, settled)?;
-            let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
-            let mut shown = Vec::new();
-            slabs.each(|first, map| {
-                for (i, rows) in map.pixels.as_slice().chunks(AT_ONCE * width).enumerate() {
-                    if keep || files.hold_display() || page.is_some() {
-                        let began = Instant::now();
-                        shown.resize(rows.len(), [0; 3]);
-                        let first = first + i * AT_ONCE;
-                        let bands = shown.par_chunks_mut(BAND_ROWS * width).zip(rows.par_chunks(BAND_ROWS * width));
-                        bands
-                            .enumerate()
-                            .for_each(|(j, (codes, rows))| picture.map(first + j * BAND_ROWS, rows, codes));
-                        mapping += began.elapsed();
-                    }
-                    let codes = if files.hold_display() { &shown[..] } else { &[] };
-                    files.push(if files.hold_radiance() { rows } else { &[] }, codes)?;
-                    if let Some(page) = &mut page {
-                        page.see((width, height), &shown);
-                    }
-                    if keep {
-                        kept.extend_from_slice(&shown);
-                    }
-                }
-                Ok(())
-            })?;
-            Ok((files.finish()?, Plane::from_vec(width, if keep { height } else { 0 }, kept)))
+            let results = Results {
+                outputs: options.results()?,
+                options: &options.write,
+                metadata,
+                size: (width, height),
+                primaries: slabs.primaries(),
+                bright: statistics.p99_9,
+            };
+            results.written(&|see| slabs.each(see), picture, is_seen.then_some(&mut shown))
         });
         self.page = page;
+        self.warnings.extend(options.write.picture.size.warning((width, height)));
+        let (files, mapping) = written?;
         let mapping = mapping.as_secs_f64();
         self.times.tonemap = self.times.tonemap.map(|time| time + mapping);
         self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0) - mapping);
-        written
+        Ok((files, Plane::from_vec(width, if keep { height } else { 0 }, kept)))
     }
 
     /// The file of the curve where one is asked for, whole but not yet named.

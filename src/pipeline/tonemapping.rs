@@ -3,6 +3,7 @@
 //! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
 //! the report has each one's time.
 
+use super::results::{Picture, Results};
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
 use crate::budget;
@@ -12,8 +13,9 @@ use crate::merge::{Photographed, gamut};
 use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;
-use crate::tonemap::{self, Operator};
-use crate::write::{self, Target};
+use crate::tonemap::Operator;
+use crate::tonemap::overview::Overview;
+use crate::write::{self, Output, Target};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -26,12 +28,21 @@ pub struct TonemapOptions {
     pub colour: Option<Space>,
     /// Pictures by extension; radiance maps too, which are the input's in another format.
     pub outputs: Vec<PathBuf>,
+    /// Pictures, whatever the extension: a `.tif` too.
+    pub pictures: Vec<PathBuf>,
     /// How files are encoded, and whether those that exist are replaced.
     pub write: write::Options,
     /// Threads that compute; none for as many as there are cores. The results are the same.
     pub threads: Option<usize>,
     /// What the file may ask for.
     pub limits: Limits,
+}
+
+impl TonemapOptions {
+    /// The radiance maps and pictures.
+    fn results(&self) -> Result<Vec<Output>> {
+        Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
+    }
 }
 
 /// Tone-maps the radiance map `input` and writes what is asked for. Of a map that `merge` wrote as floats the picture is the same, to
@@ -47,13 +58,11 @@ pub fn tonemap_file(
 ) -> Result<TonemapReport> {
     in_pool(options.threads, || {
         options.operator.validate()?;
-        options.write.jpeg.validate()?;
-        for path in &options.outputs {
-            write::Format::of(path)?;
-        }
+        options.write.check(&options.results()?)?;
         // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
         read::check(input)?;
-        write::check_targets(&Target::of("-o", &options.outputs), &[input.to_owned()], options.write.overwrite)?;
+        let targets = [Target::of("-o", &options.outputs), Target::of("--picture", &options.pictures)].concat();
+        write::check_targets(&targets, &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
         watch(Progress::Begins(Stage::Load));
         let contents = read::read_within(input, &options.limits)?;
@@ -90,20 +99,35 @@ fn tonemapped(
     report.operator = options.operator.clone();
     report.time_s.load = timed(Stage::Tonemap, began);
     let since = Instant::now();
+    let size = (map.pixels.width(), map.pixels.height());
     let photographed = Photographed::read(&metadata.comments);
-    let display = tonemap::tonemap(&map, photographed, &options.operator);
+    let mut overview = Overview::new(size, &map.primaries).photographed(photographed);
+    overview.see(0, &map.pixels);
+    let picture = Picture::Toned(options.operator.settled(overview));
     report.time_s.tonemap = timed(Stage::Write, since);
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
+    warnings.extend(options.write.picture.size.warning(size));
+    let results = Results {
+        outputs: options.results()?,
+        options: &options.write,
+        metadata,
+        size,
+        primaries: map.primaries,
+        bright: report.radiance.p99_9,
+    };
+    let (files, mapping) = results.written(&|see| see(0, &map), &picture, None)?;
     let mut pending = Vec::new();
-    for written in write::write(&options.outputs, &map, &display, &metadata, &options.write)? {
+    for written in files {
         warnings.extend(written.warnings);
         report.outputs.push(written.file.target().to_string_lossy().into_owned());
         pending.push(written.file);
     }
     write::commit(pending, options.write.overwrite)?;
-    report.time_s.write = Some(since.elapsed().as_secs_f64());
+    let mapping = mapping.as_secs_f64();
+    report.time_s.tonemap = report.time_s.tonemap.map(|time| time + mapping);
+    report.time_s.write = Some(since.elapsed().as_secs_f64() - mapping);
     report.time_s.total = began.elapsed().as_secs_f64();
     report.not_number_pixels = repaired.not_numbers;
     report.infinite_pixels = repaired.infinite;

@@ -7,6 +7,7 @@ use crate::bracket::colour::Space;
 use crate::merge::weight::Weight;
 use crate::response::ratios::Exposures;
 use crate::tonemap::Rendering;
+use crate::tonemap::codes::Colours;
 use serde::Serialize;
 
 /// The options of a run; all from `exposures` on are none where frames were only aligned.
@@ -18,8 +19,8 @@ pub struct OptionsReport {
     pub robust: RobustMethod,
     /// The largest rotation that bitmaps were searched for, to either side.
     pub max_rotation_deg: f64,
-    /// Which part of the reference was asked for: `common` or `none`.
-    pub crop: &'static str,
+    /// Which part of the reference was asked for: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in its pixels.
+    pub crop: String,
     /// What became of the exposures.
     pub exposures: Option<Exposures>,
     /// How the response was to be had: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; none where a file was given.
@@ -36,4 +37,10 @@ pub struct OptionsReport {
     pub colour: Option<Space>,
     /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
     pub operator: Option<Rendering>,
+    /// Bits of a code of the picture: 8 or 16.
+    pub bit_depth: Option<u8>,
+    /// The colours of the picture.
+    pub picture_colour: Option<Colours>,
+    /// The size of the picture: pixels of its longest side, or a percentage; none for that of the radiance.
+    pub resize: Option<String>,
 }

@@ -1,11 +1,12 @@
 //! Tone mapping: from radiance to a picture.
 //!
-//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of it. Each
+//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of [`codes`]. Each
 //! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
-//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`] and [`display`]. Cost: see each operator.
+//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`], [`display`] and [`codes`]. Cost: see each operator.
 
 mod bilateral;
 mod brightness;
+pub mod codes;
 pub mod display;
 pub mod drago;
 pub mod durand;
@@ -24,6 +25,7 @@ mod photograph;
 mod poisson;
 mod quadratic;
 pub mod reinhard;
+pub mod resize;
 pub mod settings;
 pub mod tones;
 

@@ -47,12 +47,12 @@ fn cube_root(value: f32) -> f32 {
     root
 }
 
-/// The colour `rgb`, of which no component is below 0.
+/// The colour `rgb`; of what no eye sees the nearest that one does.
 #[inline(always)]
 pub(super) fn from_linear(rgb: [f32; 3]) -> Lab {
     // Written out: closures over arrays are not always inlined, and what is not is not vectorised.
     let [l, m, s] = times(&TO_CONES, rgb);
-    times(&TO_LAB, [cube_root(l), cube_root(m), cube_root(s)])
+    times(&TO_LAB, [cube_root(at_least(l, 0.0)), cube_root(at_least(m, 0.0)), cube_root(at_least(s, 0.0))])
 }
 
 /// The linear sRGB of `lab`; components below 0 or above 1 are colours that sRGB has not.
@@ -87,19 +87,13 @@ pub(super) struct Shown<const N: usize> {
 }
 
 impl<const N: usize> Shown<N> {
-    /// Takes `rgb`, linear red, green and blue of the scene, to those of the display, in 0..=1: of the scene's hue but for the turn, and of less chroma
-    /// where the display has not so much.
+    /// Takes `rgb`, linear sRGB of the scene, to the primaries of the display, in 0..=1: of the scene's hue but for the turn, and of less chroma where the
+    /// display has not so much. `to_display` takes linear sRGB there.
     #[inline(always)]
-    pub fn colours(&self, [red, green, blue]: &mut [[f32; N]; 3]) {
-        // What sRGB has not is drawn to grey until no component is below 0.
+    pub fn colours(&self, [red, green, blue]: &mut [[f32; N]; 3], to_display: impl Fn([f32; 3]) -> [f32; 3]) {
         for i in 0..N {
-            let light = self.light[i];
-            let least = at_most(at_most(red[i], green[i]), blue[i]);
-            let keep = if least < 0.0 { light / (light - least) } else { 1.0 };
-            let scale = self.display[i] / light;
-            red[i] = at_least((light + (red[i] - light) * keep) * scale, 0.0);
-            green[i] = at_least((light + (green[i] - light) * keep) * scale, 0.0);
-            blue[i] = at_least((light + (blue[i] - light) * keep) * scale, 0.0);
+            let scale = self.display[i] / self.light[i];
+            (red[i], green[i], blue[i]) = (red[i] * scale, green[i] * scale, blue[i] * scale);
         }
         let (mut lightness, mut a, mut b) = ([0.0f32; N], [0.0f32; N], [0.0f32; N]);
         for i in 0..N {
@@ -117,13 +111,13 @@ impl<const N: usize> Shown<N> {
         for _ in 0..=HALVINGS {
             step *= 0.5;
             for i in 0..N {
-                let is = is_within(to_linear([lightness[i], a[i] * part[i], b[i] * part[i]]));
+                let is = is_within(to_display(to_linear([lightness[i], a[i] * part[i], b[i] * part[i]])));
                 kept[i] = if is { at_least(kept[i], part[i]) } else { kept[i] };
                 part[i] = at_most(if is { part[i] + step } else { part[i] - step }, 1.0);
             }
         }
         for i in 0..N {
-            let [r, g, b] = to_linear([lightness[i], a[i] * kept[i], b[i] * kept[i]]);
+            let [r, g, b] = to_display(to_linear([lightness[i], a[i] * kept[i], b[i] * kept[i]]));
             red[i] = at_least(at_most(r, 1.0), 0.0);
             green[i] = at_least(at_most(g, 1.0), 0.0);
             blue[i] = at_least(at_most(b, 1.0), 0.0);

@@ -5,7 +5,8 @@
 //! that the display lacks are drawn to grey. Cost: 8 ns a pixel and core.
 //! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
 
-use super::display::{Encoder, ToSrgb, into_gamut, luminance};
+use super::codes::{Code, Encoder};
+use super::display::{ToSrgb, into_gamut, luminance};
 use super::guide::Guide;
 use super::oklab;
 use crate::bracket::colour::srgb_to_linear;
@@ -100,10 +101,9 @@ impl Tones {
         Tones::new(to_srgb, Guide::shifted(0.0), curve, width)
     }
 
-    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to as many codes.
-    pub fn map(&self, first: usize, rows: &[[f32; 3]], codes: &mut [[u8; 3]]) {
+    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to as many codes of `encoder`.
+    pub fn map<C: Code>(&self, encoder: &Encoder, first: usize, rows: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let width = self.columns.0.len().max(1);
-        let encoder = Encoder::new();
         let mut lines = Vec::new();
         let mut chroma = Vec::new();
         for ((y, row), codes) in (first..).zip(rows.chunks(width)).zip(codes.chunks_mut(width)) {
@@ -115,15 +115,23 @@ impl Tones {
         }
     }
 
-    /// The codes of `radiance`.
+    /// The sRGB codes of `radiance`.
     pub fn picture(&self, radiance: &Plane<[f32; 3]>) -> Plane<[u8; 3]> {
-        Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(y, radiance.row(y), row))
+        let encoder = Encoder::default();
+        Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(&encoder, y, radiance.row(y), row))
     }
 
-    /// Linear sRGB relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first. `lines` and `chroma` are
-    /// of the row.
+    /// Light of the encoder's primaries, relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first. `lines`
+    /// and `chroma` are of the row.
     #[inline(always)]
-    fn pixels(&self, x: usize, lines: &[[f32; 2]], chroma: &[[f32; 2]], rgb: &mut [[f32; BLOCK]; 3]) {
+    fn pixels(
+        &self,
+        encoder: &Encoder,
+        x: usize,
+        lines: &[[f32; 2]],
+        chroma: &[[f32; 2]],
+        rgb: &mut [[f32; BLOCK]; 3],
+    ) {
         let [red, green, blue] = rgb;
         let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
@@ -165,7 +173,7 @@ impl Tones {
                 // Mantiuk's equation 3: ((C / L - 1) s + 1) L_d.
                 let grey = display[i] * (1.0 - share[i]);
                 let toned = [red[i], green[i], blue[i]].map(|c| (c * ratio) * share[i] + grey);
-                [red[i], green[i], blue[i]] = into_gamut(toned, display[i]);
+                [red[i], green[i], blue[i]] = into_gamut(encoder.from_srgb(toned), display[i]);
             }
         } else {
             let mut turn = [0.0f32; BLOCK];
@@ -179,7 +187,7 @@ impl Tones {
             lit.iter_mut().for_each(|light| *light = at_least(*light, f32::MIN_POSITIVE));
             let shown = oklab::Shown { light: lit, display, share, turn };
             let mut colours = [*red, *green, *blue];
-            shown.colours(&mut colours);
+            shown.colours(&mut colours, |rgb| encoder.from_srgb(rgb));
             [*red, *green, *blue] = colours;
         }
         for i in 0..BLOCK {
@@ -196,16 +204,16 @@ impl Tones {
 const BLOCK: usize = 64;
 
 /// A row that is mapped to codes.
-struct Mapped<'a> {
+struct Mapped<'a, C> {
     tones: &'a Tones,
     lines: &'a [[f32; 2]],
     chroma: &'a [[f32; 2]],
-    encoder: Encoder,
+    encoder: &'a Encoder,
     row: &'a [[f32; 3]],
-    codes: &'a mut [[u8; 3]],
+    codes: &'a mut [[C; 3]],
 }
 
-impl Loops for Mapped<'_> {
+impl<C: Code> Loops for Mapped<'_, C> {
     type Output = ();
 
     #[inline(always)]
@@ -217,8 +225,8 @@ impl Loops for Mapped<'_> {
             for (((r, g), b), p) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
                 (*r, *g, *b) = (p[0], p[1], p[2]);
             }
-            self.tones.pixels(x, self.lines, self.chroma, &mut rgb);
-            let encoded = rgb.each_ref().map(|channel| self.encoder.codes(channel));
+            self.tones.pixels(self.encoder, x, self.lines, self.chroma, &mut rgb);
+            let encoded = rgb.each_ref().map(|channel| C::of_light(self.encoder, channel));
             for (i, out) in codes.iter_mut().enumerate() {
                 *out = [encoded[0][i], encoded[1][i], encoded[2][i]];
             }
@@ -287,10 +295,10 @@ mod tests {
         let tones = tones(Guide::shifted(0.0));
         let mut codes = [[7u8; 3]; 6];
         let rows = [[0.0; 3], [f32::NAN; 3], [-1.0; 3], [f32::MAX; 3], [f32::INFINITY; 3], [1e-42; 3]];
-        tones.map(0, &rows, &mut codes);
+        tones.map(&Encoder::default(), 0, &rows, &mut codes);
         assert_eq!(codes, [[0; 3], [0; 3], [0; 3], [255; 3], [255; 3], [0; 3]]);
         let mut codes = [[7u8; 3]; 2];
-        Tones::black(2).map(0, &[[1.0; 3]; 2], &mut codes);
+        Tones::black(2).map(&Encoder::default(), 0, &[[1.0; 3]; 2], &mut codes);
         assert_eq!(codes, [[0; 3]; 2]);
     }
 }

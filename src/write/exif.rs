@@ -1,6 +1,6 @@
 //! The EXIF of a picture: what the reference tells of the photograph, and what the file is.
 //!
-//! In: the [`Metadata`], with the fields that were carried from the reference where it had some. Out: a TIFF block. Cost: nothing to speak of.
+//! In: the [`Metadata`], with the fields that were carried from the reference where it had some. Out: a TIFF block, or its fields. Cost: nothing to speak of.
 //! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for what a JPEG must say.
 
 use super::{Metadata, ifd, one_line};
@@ -12,19 +12,33 @@ use std::io::Cursor;
 /// What a JPEG segment holds beside its name.
 const MOST_BYTES: usize = 65_500;
 
-/// The EXIF block of a picture of `size` pixels.
-pub(super) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
-    let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
-    let of_the_photograph = match &carried {
-        Some(exif) => exif.fields().cloned().collect(),
-        None => of(metadata),
-    };
-    let whole = written(of_the_photograph, size, metadata);
-    // More than a segment holds is no camera's; what every file says is left.
-    whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(of(metadata), size, metadata))
+/// Whether there is anything to tell of the photograph.
+pub(super) fn tells(metadata: &Metadata) -> bool {
+    !of_the_photograph(metadata).is_empty()
 }
 
-fn written(of_the_photograph: Vec<Field>, size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
+/// The EXIF block of a picture of `size` pixels.
+pub(super) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
+    let whole = written(&fields(of_the_photograph(metadata), size, metadata));
+    // More than a segment holds is no camera's; what every file says is left.
+    whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(&fields(of(metadata), size, metadata)))
+}
+
+/// The fields of a TIFF picture of `size` pixels: all but those that EXIF has for JPEG alone.
+pub(super) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
+    let of_jpeg = [Tag::YCbCrPositioning, Tag::ComponentsConfiguration, Tag::PixelXDimension, Tag::PixelYDimension];
+    let all = fields(of_the_photograph(metadata), size, metadata).into_iter();
+    all.filter(|field| !of_jpeg.contains(&field.tag)).collect()
+}
+
+/// The fields that were carried over, or what headers say.
+fn of_the_photograph(metadata: &Metadata) -> Vec<Field> {
+    let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
+    carried.map_or_else(|| of(metadata), |exif| exif.fields().cloned().collect())
+}
+
+/// The fields `of_the_photograph`, with what the file is.
+fn fields(of_the_photograph: Vec<Field>, size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     let mut fields: BTreeMap<Key, Field> = of_the_photograph.into_iter().map(|field| (key(field.tag), field)).collect();
     let at = |n: usize| Value::Long(vec![u32::try_from(n).unwrap_or(u32::MAX)]);
     for (tag, value) in [
@@ -48,8 +62,12 @@ fn written(of_the_photograph: Vec<Field>, size: (usize, usize), metadata: &Metad
     ] {
         fields.entry(key(tag)).or_insert(Field { tag, ifd_num: In::PRIMARY, value });
     }
+    fields.into_values().collect()
+}
+
+fn written(fields: &[Field]) -> Option<Vec<u8>> {
     let mut writer = Writer::new();
-    fields.values().for_each(|field| writer.push_field(field));
+    fields.iter().for_each(|field| writer.push_field(field));
     let mut block = Cursor::new(Vec::new());
     writer.write(&mut block, false).ok()?;
     Some(block.into_inner())

@@ -5,12 +5,15 @@
 //! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
 
 use super::gain_map::{Rendition, Survey};
-use super::{Format, Metadata, Options, Pending, RowWriter, Written, display, exr, hdr, logluv, tiff, ultra_hdr};
+use super::{
+    Format, Metadata, Options, Output, Pending, RowWriter, Written, display, exr, hdr, logluv, tiff, ultra_hdr,
+};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::fold_bands;
 use crate::tonemap::DisplayImage;
+use crate::tonemap::codes::{Colours, Depth};
 use rayon::prelude::*;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -27,25 +30,25 @@ pub struct Settled {
 }
 
 impl Settled {
-    /// For `radiance`, shown as `display`, written to `paths`.
-    fn of(paths: &[PathBuf], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Result<Settled> {
+    /// For `radiance`, shown as `display`, written to `outputs`.
+    fn of(outputs: &[Output], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Result<Settled> {
         let RadianceMap { pixels, primaries } = radiance;
         let bright = match options.tiff.depth() {
-            Some(_) if is_among(paths, Format::Tiff) => logluv::bright(radiance),
+            Some(_) if is_among(outputs, Format::Tiff) => logluv::bright(radiance),
             _ => 0.0,
         };
         let scene = ((pixels.width(), pixels.height()), *primaries);
         let codes = |y: usize, _: &[[f32; 3]], codes: &mut [[u8; 3]]| codes.copy_from_slice(display.pixels.row(y));
-        Self::seen(paths, options, scene, bright, |see| see(0, radiance), codes)
+        Self::seen(outputs, options, scene, bright, |see| see(0, radiance), codes)
     }
 
-    /// For radiance of the size and primaries `scene`, 0.1 % of which is above the luminance `bright`, written to `paths`. Where the answer shows,
+    /// For radiance of the size and primaries `scene`, 0.1 % of which is above the luminance `bright`, written to `outputs`. Where the answer shows,
     /// `each` is asked to show all of it, slab by slab with the number of the first row, and `codes` for the picture of rows.
     ///
     /// # Errors
     /// Those of `each`.
     pub fn seen(
-        paths: &[PathBuf],
+        outputs: &[Output],
         options: &Options,
         (size, primaries): ((usize, usize), Primaries),
         bright: f32,
@@ -53,7 +56,7 @@ impl Settled {
         codes: impl Fn(usize, &[[f32; 3]], &mut [[u8; 3]]) + Sync,
     ) -> Result<Settled> {
         let mut fit = exr::Fit::default();
-        if options.exr.sample == exr::Sample::Auto && is_among(paths, Format::Exr) {
+        if options.exr.sample == exr::Sample::Auto && is_among(outputs, Format::Exr) {
             each(&mut |_, map| {
                 let of_rows = |rows| exr::Fit::of(map.pixels.rows(rows));
                 fit = fit.and(fold_bands(map.pixels.height(), of_rows, exr::Fit::default(), exr::Fit::and));
@@ -61,8 +64,8 @@ impl Settled {
             })?;
         }
         let mut rendition = Rendition::default();
-        if is_among(paths, Format::Jpeg) {
-            let mut survey = Survey::new(size, &primaries);
+        if is_among(outputs, Format::Jpeg) {
+            let mut survey = Survey::new(size, &primaries, options.picture.colours);
             each(&mut |first, map| {
                 survey.see(first, &map.pixels, &codes);
                 Ok(())
@@ -74,9 +77,18 @@ impl Settled {
     }
 }
 
-/// Whether one of `paths` asks for `format`.
-pub fn is_among(paths: &[PathBuf], format: Format) -> bool {
-    paths.iter().any(|path| Format::of(path).is_ok_and(|f| f == format))
+/// Whether one of `outputs` is of `format`.
+pub fn is_among(outputs: &[Output], format: Format) -> bool {
+    outputs.iter().any(|output| output.format == format)
+}
+
+/// Rows of a picture.
+#[derive(Debug, Clone, Copy)]
+pub enum Codes<'a> {
+    /// Of 8 bits.
+    Eight(&'a [[u8; 3]]),
+    /// Of 16 bits.
+    Sixteen(&'a [[u16; 3]]),
 }
 
 /// How far a file is.
@@ -161,66 +173,78 @@ fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
 /// show in the files. Dropped unfinished, it leaves nothing behind.
 pub struct Files {
     radiance: Vec<Slot<[f32; 3]>>,
-    display: Vec<Slot<[u8; 3]>>,
+    eight: Vec<Slot<[u8; 3]>>,
+    sixteen: Vec<Slot<[u16; 3]>>,
     /// Those that need both.
     both: Vec<Both>,
 }
 
 impl Files {
-    /// Begins a file for each of `paths`, all of `size` pixels. The radiance is of the [`primaries`](Metadata::primaries), pictures are sRGB.
+    /// Begins a file for each of `outputs`, radiance of `size` pixels. It is of the [`primaries`](Metadata::primaries), pictures of the
+    /// [`colours`](super::picture::Options::colours) asked for.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
+    /// [`Error::Option`] where the format of a picture does not hold what is asked for; [`Error::Write`]. Nothing is left behind then.
     pub fn begin(
-        paths: &[PathBuf],
+        outputs: &[Output],
         size: (usize, usize),
         metadata: &Metadata,
         options: &Options,
         settled: Settled,
     ) -> Result<Files> {
-        let mut files = Files { radiance: Vec::new(), display: Vec::new(), both: Vec::new() };
-        let pixels = size.0 * size.1;
-        for (place, path) in paths.iter().enumerate() {
-            let format = Format::of(path)?;
-            if format == Format::Jpeg {
-                let metadata = Metadata { profile: None, ..metadata.clone() };
-                let pending = Pending::create(path)?;
-                let writer = ultra_hdr::Writer::new(pending, size, &metadata, &options.jpeg, &settled.rendition)?;
-                files.both.push(Both { place, path: path.clone(), state: Some(Box::new(writer)) });
-            } else if format.holds_radiance() {
-                let state = State::Begun(radiance_writer(path, size, metadata, options, settled)?, pixels);
-                files.radiance.push(Slot { place, path: path.clone(), state });
+        options.check(outputs)?;
+        let mut files = Files { radiance: Vec::new(), eight: Vec::new(), sixteen: Vec::new(), both: Vec::new() };
+        let colours = options.picture.colours;
+        let shown = Metadata { profile: colours.profile(), ..metadata.clone() };
+        let (full, size) = (size, options.picture.size.of(size));
+        for (place, output) in outputs.iter().enumerate() {
+            let (path, pixels) = (output.path.clone(), size.0 * size.1);
+            if output.format == Format::Jpeg {
+                let pending = Pending::create(&path)?;
+                let writer =
+                    ultra_hdr::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
+                files.both.push(Both { place, path, state: Some(Box::new(writer)) });
+            } else if output.format.holds_radiance() {
+                let state = State::Begun(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);
+                files.radiance.push(Slot { place, path, state });
+            } else if options.picture.depth == Depth::Eight {
+                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
+                files.eight.push(Slot { place, path, state });
             } else {
-                let metadata = Metadata { profile: None, ..metadata.clone() };
-                let writer = Box::new(display::Writer::new(Pending::create(path)?, size, &metadata)?);
-                files.display.push(Slot { place, path: path.clone(), state: State::Begun(writer, pixels) });
+                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
+                files.sixteen.push(Slot { place, path, state });
             }
         }
         Ok(files)
     }
 
-    /// Whether there is a radiance map among them, or another file that needs the radiance.
-    pub fn hold_radiance(&self) -> bool {
-        !self.radiance.is_empty() || !self.both.is_empty()
+    /// Whether there is a picture among them that needs the radiance that it shows.
+    pub fn hold_gains(&self) -> bool {
+        !self.both.is_empty()
     }
 
     /// Whether there is a picture among them.
-    pub fn hold_display(&self) -> bool {
-        !self.display.is_empty() || !self.both.is_empty()
+    pub fn hold_pictures(&self) -> bool {
+        !self.eight.is_empty() || !self.sixteen.is_empty() || !self.both.is_empty()
     }
 
-    /// The next rows of both, side by side; either may be empty.
+    /// The next rows of radiance for the maps; and of the pictures the next `codes`, and the radiance `shown` by them, which is as large as they
+    /// are. Side by side; any may be empty.
     ///
     /// # Errors
     /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
     ///
     /// # Panics
-    /// As [`RowWriter::push`].
-    pub fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
-        let Files { radiance: maps, display: pictures, both } = self;
-        let push_both = || both.iter_mut().try_for_each(|file| file.push(radiance, display));
-        let (a, (b, c)) =
-            rayon::join(|| push_all(maps, radiance), || rayon::join(|| push_all(pictures, display), push_both));
+    /// As [`RowWriter::push`]; and where codes are not of the depth that was asked for.
+    pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[f32; 3]], codes: Codes) -> Result<()> {
+        let Files { radiance: maps, eight, sixteen, both } = self;
+        let (coarse, fine): (&[[u8; 3]], &[[u16; 3]]) = match codes {
+            Codes::Eight(codes) => (codes, &[]),
+            Codes::Sixteen(codes) => (&[], codes),
+        };
+        let push_both = || both.iter_mut().try_for_each(|file| file.push(shown, coarse));
+        let push_pictures = || push_all(eight, coarse).and(push_all(sixteen, fine));
+        let (a, (b, c)) = rayon::join(|| push_all(maps, radiance), || rayon::join(push_pictures, push_both));
         a.and(b).and(c)
     }
 
@@ -230,31 +254,31 @@ impl Files {
     /// [`Error::Write`] when rows are missing.
     pub fn finish(self) -> Result<Vec<Written>> {
         let maps = self.radiance.into_iter().map(Slot::ended);
-        let pictures = self.display.into_iter().map(Slot::ended);
+        let (eight, sixteen) = (self.eight.into_iter().map(Slot::ended), self.sixteen.into_iter().map(Slot::ended));
         let both = self.both.into_iter().map(Both::ended);
-        let mut files = maps.chain(pictures).chain(both).collect::<Result<Vec<_>>>()?;
+        let mut files = maps.chain(eight).chain(sixteen).chain(both).collect::<Result<Vec<_>>>()?;
         files.sort_by_key(|(place, _)| *place);
         Ok(files.into_iter().map(|(_, written)| written).collect())
     }
 }
 
-/// A writer of linear RGB to `path`.
+/// A writer of linear RGB to `output`.
 fn radiance_writer(
-    path: &Path,
+    output: &Output,
     size: (usize, usize),
     metadata: &Metadata,
     options: &Options,
     settled: Settled,
 ) -> Result<Box<dyn RowWriter<[f32; 3]>>> {
-    let file = Pending::create(path)?;
-    Ok(match (Format::of(path)?, options.tiff.depth()) {
+    let file = Pending::create(&output.path)?;
+    Ok(match (output.format, options.tiff.depth()) {
         (Format::Tiff, None) => Box::new(tiff::Writer::new(file, size, metadata)?),
         (Format::Tiff, Some(depth)) => {
             Box::new(logluv::Writer::new(file, size, metadata, depth, settled.logluv_scale)?)
         }
         (Format::Hdr, _) => Box::new(hdr::Writer::new(file, size, metadata, options.hdr)?),
-        (Format::Png | Format::Jpeg, _) => {
-            return Err(Error::UnknownExtension { path: path.to_owned(), known: ".exr, .hdr, .pic, .tif, .tiff" });
+        (Format::Png | Format::Jpeg | Format::TiffPicture, _) => {
+            return Err(Error::UnknownExtension { path: output.path.clone(), known: ".exr, .hdr, .pic, .tif, .tiff" });
         }
         (Format::Exr, _) => {
             let options = exr::Options { sample: settled.sample, ..options.exr.clone() };
@@ -263,11 +287,25 @@ fn radiance_writer(
     })
 }
 
+/// A writer of codes to `output`.
+fn picture_writer<T: display::Sample>(
+    output: &Output,
+    size: (usize, usize),
+    metadata: &Metadata,
+    colours: Colours,
+) -> Result<Box<dyn RowWriter<[T; 3]>>> {
+    let file = Pending::create(&output.path)?;
+    Ok(match output.format {
+        Format::TiffPicture => Box::new(tiff::Writer::picture(file, size, metadata)?),
+        _ => Box::new(display::Writer::new(file, size, metadata, colours)?),
+    })
+}
+
 /// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
 /// [`commit`](super::commit).
 ///
 /// # Errors
-/// [`Error::UnknownExtension`], [`Error::Write`]. Nothing is left behind then.
+/// [`Error::UnknownExtension`]; [`Error::Option`] for what a picture of 8 bits cannot give; [`Error::Write`]. Nothing is left behind then.
 pub fn write(
     paths: &[PathBuf],
     radiance: &RadianceMap,
@@ -275,10 +313,17 @@ pub fn write(
     metadata: &Metadata,
     options: &Options,
 ) -> Result<Vec<Written>> {
+    if options.picture != super::picture::Options::default() {
+        let reason = "the picture is there already, of 8 bits; `tonemap` and `merge` make others".to_owned();
+        return Err(Error::Option { option: "--bit-depth", reason });
+    }
+    let outputs = Output::results(paths)?;
     let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
     let size = (radiance.pixels.width(), radiance.pixels.height());
-    let mut files = Files::begin(paths, size, &metadata, options, Settled::of(paths, radiance, display, options)?)?;
-    files.push(radiance.pixels.as_slice(), display.pixels.as_slice())?;
+    let settled = Settled::of(&outputs, radiance, display, options)?;
+    let mut files = Files::begin(&outputs, size, &metadata, options, settled)?;
+    let rows = radiance.pixels.as_slice();
+    files.push(rows, rows, Codes::Eight(display.pixels.as_slice()))?;
     files.finish()
 }
 
@@ -347,27 +392,28 @@ mod tests {
         let whole = contents("whole", &|paths| write(paths, &radiance, &picture, &metadata, &options).unwrap());
         for (folder, portion, together) in [("some", 128, true), ("few", 50, false)] {
             let fed = contents(folder, &|paths| {
-                let settled = Settled::of(paths, &radiance, &picture, &options).unwrap();
-                let mut files = Files::begin(paths, (width, height), &metadata, &options, settled).unwrap();
-                assert!(files.hold_radiance() && files.hold_display());
+                let outputs = Output::results(paths).unwrap();
+                let settled = Settled::of(&outputs, &radiance, &picture, &options).unwrap();
+                let mut files = Files::begin(&outputs, (width, height), &metadata, &options, settled).unwrap();
+                assert!(files.hold_pictures() && files.hold_gains());
                 let maps = radiance.pixels.as_slice().chunks(portion * width);
                 for (map, picture) in maps.zip(picture.pixels.as_slice().chunks(portion * width)) {
                     if together {
-                        files.push(map, picture).unwrap();
+                        files.push(map, map, Codes::Eight(picture)).unwrap();
                     } else {
-                        files.push(map, &[]).unwrap();
-                        files.push(&[], picture).unwrap();
+                        files.push(map, map, Codes::Eight(&[])).unwrap();
+                        files.push(&[], &[], Codes::Eight(picture)).unwrap();
                     }
                 }
                 files.finish().unwrap()
             });
             assert!(fed == whole, "{portion} rows at a time");
         }
-        let path = [dir.path().join("short.exr"), dir.path().join("short.png")];
-        let settled = Settled::of(&path, &radiance, &picture, &options).unwrap();
-        let mut files = Files::begin(&path, (width, height), &metadata, &options, settled).unwrap();
-        files.push(radiance.pixels.as_slice(), &[]).unwrap();
-        files.push(&[], &picture.pixels.as_slice()[..width]).unwrap();
+        let outputs = Output::results(&[dir.path().join("short.exr"), dir.path().join("short.png")]).unwrap();
+        let settled = Settled::of(&outputs, &radiance, &picture, &options).unwrap();
+        let mut files = Files::begin(&outputs, (width, height), &metadata, &options, settled).unwrap();
+        files.push(radiance.pixels.as_slice(), &[], Codes::Eight(&[])).unwrap();
+        files.push(&[], &[], Codes::Eight(&picture.pixels.as_slice()[..width])).unwrap();
         assert!(files.finish().unwrap_err().to_string().contains("only 1 of 323 rows"));
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3, "nothing but the folders");
     }

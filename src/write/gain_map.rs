@@ -4,16 +4,17 @@
 //! of the map. Cost: a look at 200,000 pixels; then 5 ns a pixel and core.
 //! Source: ISO 21496-1:2025, clauses 5 and 6; Google, "Ultra HDR Image Format v1.1" (gain map generation); Adobe, "Gain Map" (2023).
 //!
-//! The HDR rendition is the radiance itself, linear and in sRGB's primaries, with a white so that it agrees with the picture in the
+//! The HDR rendition is the radiance itself, linear and in the primaries of the picture (sRGB's or Display P3's), with a white so that it agrees with the picture in the
 //! mid-tones: what is there keeps its brightness on any display, highlights rise above white as they did in the scene, up to
 //! 6 stops, and shadows fall as deep as they were, by up to 10. A display that reaches less high applies the map in part.
 //!
 //! One range serves the three channels: readers of the older metadata know no other (libultrahdr refuses to write one), and grey
 //! stays grey when the map is compressed.
 
-use crate::bracket::colour::{Primaries, srgb_to_linear};
+use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use crate::plane::{BAND_ROWS, Plane};
-use crate::tonemap::display::{ToSrgb, luminance};
+use crate::tonemap::codes::Colours;
+use crate::tonemap::display::luminance;
 use rayon::prelude::*;
 
 /// What is added to both before the ratio is taken, so that black has one. The smaller, the nearer shadows come to the radiance,
@@ -82,24 +83,41 @@ impl Rendition {
 /// Pixels that a survey looks at, about.
 const SEEN: usize = 200_000;
 
+/// The way of radiance to the primaries of the picture.
+#[derive(Debug, Clone, Copy)]
+struct ToBase(Option<Conversion>);
+
+impl ToBase {
+    /// Nothing is done where they are the picture's to three places, or are no primaries at all.
+    fn of(primaries: &Primaries, colours: Colours) -> Self {
+        let is_same = primaries.is_close(&colours.primaries(), 1e-3);
+        ToBase(Conversion::between(primaries, &colours.primaries()).filter(|_| !is_same))
+    }
+
+    #[inline(always)]
+    fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
+        self.0.as_ref().map_or(rgb, |conversion| conversion.apply(rgb))
+    }
+}
+
 /// A look at some pixels of the radiance beside the picture.
 #[derive(Debug, Clone)]
 pub struct Survey {
-    to_srgb: ToSrgb,
+    to_base: ToBase,
     width: usize,
     step: usize,
-    /// Linear sRGB of the radiance, and the codes.
+    /// The radiance in the primaries of the picture, and the codes.
     seen: Vec<([f32; 3], [u8; 3])>,
 }
 
 impl Survey {
-    /// Of a picture of `size` pixels, the radiance of `primaries`.
-    pub fn new(size: (usize, usize), primaries: &Primaries) -> Self {
+    /// Of a picture of `size` pixels of `colours`, the radiance of `primaries`.
+    pub fn new(size: (usize, usize), primaries: &Primaries, colours: Colours) -> Self {
         let mut step = 1;
         while (size.0 / step) * (size.1 / step) > SEEN {
             step += 1;
         }
-        Survey { to_srgb: ToSrgb::from(primaries), width: size.0, step, seen: Vec::new() }
+        Survey { to_base: ToBase::of(primaries, colours), width: size.0, step, seen: Vec::new() }
     }
 
     /// Sees the rows `pixels`, which begin with row `first`; `show` gives the codes of a row by its number.
@@ -109,7 +127,7 @@ impl Survey {
         pixels: &Plane<[f32; 3]>,
         show: impl Fn(usize, &[[f32; 3]], &mut [[u8; 3]]) + Sync,
     ) {
-        let (step, to_srgb) = (self.step, self.to_srgb);
+        let (step, to_base) = (self.step, self.to_base);
         let rows: Vec<usize> = (0..pixels.height()).filter(|y| (first + y).is_multiple_of(step)).collect();
         let seen = rows.par_iter().map_init(
             || vec![[0; 3]; self.width],
@@ -117,7 +135,7 @@ impl Survey {
                 let row = pixels.row(y);
                 show(first + y, row, codes);
                 let pairs = row.iter().zip(codes.iter()).step_by(step);
-                pairs.map(|(&p, &code)| (to_srgb.apply(p).map(lit), code)).collect::<Vec<_>>()
+                pairs.map(|(&p, &code)| (to_base.apply(p).map(lit), code)).collect::<Vec<_>>()
             },
         );
         let seen: Vec<_> = seen.collect();
@@ -228,7 +246,7 @@ const CELL_BITS: u32 = 14;
 
 /// Radiance and codes to the codes of the map.
 pub(super) struct Gains {
-    to_srgb: ToSrgb,
+    to_base: ToBase,
     scale: f32,
     /// By the float's upper bits: log2 of light with the offset, in codes of the map.
     of_light: Vec<f32>,
@@ -237,14 +255,14 @@ pub(super) struct Gains {
 }
 
 impl Gains {
-    pub(super) fn new(rendition: &Rendition, primaries: &Primaries) -> Self {
+    pub(super) fn new(rendition: &Rendition, primaries: &Primaries, colours: Colours) -> Self {
         let codes_per_stop = 255.0 / (rendition.most_stops - rendition.least_stops);
         let first = Self::first();
         let last = (64.0 + OFFSET as f32).to_bits() >> CELL_BITS;
         let middle = |cell: u32| f64::from(f32::from_bits(cell << CELL_BITS | 1 << (CELL_BITS - 1)));
         let base = Base::new();
         Gains {
-            to_srgb: ToSrgb::from(primaries),
+            to_base: ToBase::of(primaries, colours),
             scale: 1.0 / rendition.white,
             of_light: (first..=last).map(|cell| (codes_per_stop * libm::log2(middle(cell))) as f32).collect(),
             of_code: std::array::from_fn(|code| {
@@ -261,7 +279,7 @@ impl Gains {
     /// The gains of a pixel, in codes of the map and not rounded.
     #[inline(always)]
     fn of(&self, radiance: [f32; 3], codes: [u8; 3]) -> [f32; 3] {
-        let light = self.to_srgb.apply(radiance);
+        let light = self.to_base.apply(radiance);
         std::array::from_fn(|c| {
             let cell = ((shown(light[c], self.scale) + OFFSET as f32).to_bits() >> CELL_BITS) - Self::first();
             self.of_light[cell as usize] - self.of_code[usize::from(codes[c])]
@@ -324,7 +342,7 @@ mod tests {
     }
 
     fn rendition(radiance: &Plane<[f32; 3]>, shown: &Plane<[u8; 3]>, white: Option<f32>) -> Rendition {
-        let mut survey = Survey::new((radiance.width(), radiance.height()), &Primaries::SRGB);
+        let mut survey = Survey::new((radiance.width(), radiance.height()), &Primaries::SRGB, Colours::Srgb);
         survey.see(0, radiance, |y, _, codes| codes.copy_from_slice(shown.row(y)));
         survey.rendition(white)
     }
@@ -353,7 +371,7 @@ mod tests {
                 let found = rendition(&Plane::filled(9, 9, [value; 3]), &Plane::filled(9, 9, [code; 3]), None);
                 assert!(found.white.is_normal() && found.white > 0.0, "{value} {found:?}");
                 assert!(found.most_stops > found.least_stops && found.headroom_stops > 0.0, "{value} {found:?}");
-                let gains = Gains::new(&found, &Primaries::SRGB);
+                let gains = Gains::new(&found, &Primaries::SRGB, Colours::Srgb);
                 assert_eq!(gains.codes(&[[value; 3]; 6], &[[code; 3]; 6], 3, 2).len(), 2);
             }
         }
@@ -364,7 +382,8 @@ mod tests {
     fn codes_are_those_of_the_formula() {
         let (radiance, shown) = scene();
         let found = rendition(&radiance, &shown, None);
-        let ours = Gains::new(&found, &Primaries::SRGB).codes(radiance.as_slice(), shown.as_slice(), 240, 1);
+        let ours =
+            Gains::new(&found, &Primaries::SRGB, Colours::Srgb).codes(radiance.as_slice(), shown.as_slice(), 240, 1);
         for ((light, codes), ours) in radiance.as_slice().iter().zip(shown.as_slice()).zip(&ours) {
             for c in 0..3 {
                 let hdr = (f64::from(light[c]) / f64::from(found.white)).min(64.0);
@@ -380,7 +399,7 @@ mod tests {
     #[test]
     fn half_is_the_mean_of_two_by_two() {
         let found = Rendition { white: 1.0, least_stops: 0.0, most_stops: 2.0, headroom_stops: 2.0 };
-        let gains = Gains::new(&found, &Primaries::SRGB);
+        let gains = Gains::new(&found, &Primaries::SRGB, Colours::Srgb);
         // Gains of 0, 1, 2 and 3 stops, the last of which the map holds as 2; the third column and row stand alone.
         let light = |stops: f32| [libm::exp2f(stops) * (1.0 + OFFSET as f32) - OFFSET as f32; 3];
         let radiance = [0.0, 1.0, 2.0, 2.0, 3.0, 0.0, 1.0, 1.0, 2.0].map(light);

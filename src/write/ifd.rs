@@ -1,10 +1,11 @@
 //! The directory of a TIFF: tags with their values, and the header that points to it.
 //!
-//! In: tags and values in any order, and the capture data. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
+//! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
 //! Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF 2.32, section 4.6; libtiff (StoNits).
 
 use super::{Metadata, one_line};
 use crate::bracket::colour::Primaries;
+use ::exif::{Context, Field, Value};
 use std::collections::BTreeMap;
 
 /// The tags that are written.
@@ -31,6 +32,7 @@ pub(super) mod tag {
     pub const EXPOSURE_TIME: u16 = 33434;
     pub const F_NUMBER: u16 = 33437;
     pub const EXIF: u16 = 34665;
+    pub const GPS: u16 = 34853;
     pub const ICC: u16 = 34675;
     pub const ISO: u16 = 34855;
     pub const EXIF_VERSION: u16 = 36864;
@@ -53,8 +55,8 @@ const LONG8: u16 = 16;
 pub(super) struct Directory {
     pub(super) big: bool,
     entries: BTreeMap<u16, (u16, u64, Vec<u8>)>,
-    /// The directory that tag [`tag::EXIF`] points to.
-    exif: Option<Box<Directory>>,
+    /// The directories that tags point to: [`tag::EXIF`], [`tag::GPS`].
+    others: BTreeMap<u16, Directory>,
 }
 
 /// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
@@ -75,7 +77,7 @@ pub(super) fn fraction(v: f64) -> (u32, u32) {
 
 impl Directory {
     pub(super) fn new(big: bool) -> Self {
-        Directory { big, entries: BTreeMap::new(), exif: None }
+        Directory { big, entries: BTreeMap::new(), others: BTreeMap::new() }
     }
 
     /// What the reference frame tells of itself: camera and date, and by way of EXIF exposure and lens. Size and orientation are the
@@ -105,7 +107,26 @@ impl Directory {
         exif.text(tag::LENS_MODEL, capture.lens.as_deref());
         if !exif.entries.is_empty() {
             exif.opaque(tag::EXIF_VERSION, b"0232");
-            self.exif = Some(Box::new(exif));
+            self.others.insert(tag::EXIF, exif);
+        }
+    }
+
+    /// What EXIF says of a picture, each field in its directory.
+    pub(super) fn photograph(&mut self, fields: &[Field]) {
+        for field in fields {
+            let Some((kind, count, bytes)) = value(&field.value) else { continue };
+            let pointer = match field.tag.context() {
+                Context::Tiff => None,
+                Context::Exif => Some(tag::EXIF),
+                Context::Gps => Some(tag::GPS),
+                _ => continue,
+            };
+            let big = self.big;
+            let directory = match pointer {
+                None => &mut *self,
+                Some(pointer) => self.others.entry(pointer).or_insert_with(|| Directory::new(big)),
+            };
+            directory.put(field.tag.number(), kind, count, bytes);
         }
     }
 
@@ -171,18 +192,24 @@ impl Directory {
         [magic, &self.word(place)].concat()
     }
 
-    /// The directory as it stands at `place`; behind it the values that are too long for their entries, and the EXIF.
+    /// The directory as it stands at `place`; behind it the values that are too long for their entries, and the other directories.
     pub(super) fn bytes(&mut self, place: u64) -> Vec<u8> {
-        let Some(mut exif) = self.exif.take() else {
-            return self.own_bytes(place);
-        };
-        // Where the EXIF is does not change the length.
-        self.long(tag::EXIF, &[0]);
-        let behind = place + self.own_bytes(place).len().next_multiple_of(8) as u64;
-        self.long(tag::EXIF, &[behind]);
+        let others = std::mem::take(&mut self.others);
+        // Where they are does not change the length.
+        others.keys().for_each(|&pointer| self.long(pointer, &[0]));
+        let length = self.own_bytes(place).len().next_multiple_of(8);
+        let mut behind = Vec::new();
+        for (pointer, mut other) in others {
+            let at = place + (length + behind.len()) as u64;
+            self.long(pointer, &[at]);
+            behind.extend(other.bytes(at));
+            behind.resize(behind.len().next_multiple_of(8), 0);
+        }
         let mut out = self.own_bytes(place);
-        out.resize((behind - place) as usize, 0);
-        out.extend(exif.bytes(behind));
+        if !behind.is_empty() {
+            out.resize(length, 0);
+            out.extend(behind);
+        }
         out
     }
 
@@ -210,6 +237,27 @@ impl Directory {
         out.extend(behind);
         out
     }
+}
+
+/// The type, the count and the bytes of a field's value; none of a type that EXIF does not have.
+fn value(value: &Value) -> Option<(u16, u64, Vec<u8>)> {
+    let fractions = |n: u32, d: u32| [n.to_le_bytes(), d.to_le_bytes()].concat();
+    let (kind, size, bytes): (u16, usize, Vec<u8>) = match value {
+        Value::Byte(v) => (1, 1, v.clone()),
+        Value::Ascii(lines) => (ASCII, 1, lines.iter().flat_map(|line| [line, &[0][..]].concat()).collect()),
+        Value::Short(v) => (SHORT, 2, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::Long(v) => (LONG, 4, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::Rational(v) => (RATIONAL, 8, v.iter().flat_map(|v| fractions(v.num, v.denom)).collect()),
+        Value::SByte(v) => (6, 1, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::Undefined(v, _) => (UNDEFINED, 1, v.clone()),
+        Value::SShort(v) => (8, 2, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::SLong(v) => (9, 4, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::SRational(v) => (10, 8, v.iter().flat_map(|v| fractions(v.num as u32, v.denom as u32)).collect()),
+        Value::Float(v) => (11, 4, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::Double(v) => (DOUBLE, 8, v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        Value::Unknown(..) => return None,
+    };
+    Some((kind, (bytes.len() / size) as u64, bytes))
 }
 
 #[cfg(test)]

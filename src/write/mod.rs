@@ -24,6 +24,7 @@ mod kept;
 pub mod logluv;
 pub mod luv;
 pub mod mask;
+pub mod picture;
 mod piz;
 pub(crate) mod rgbe;
 mod target;
@@ -36,12 +37,12 @@ use crate::bracket::{Capture, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::merge::calibration::Factor;
 use crate::plane::Plane;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bands::Bands;
 pub use check::{Target, check_targets};
 pub use claim::sweep;
-pub use files::{Files, Settled, is_among, write};
+pub use files::{Codes, Files, Settled, is_among, write};
 pub use target::{Pending, Whole, commit, place};
 pub use unnamed::{NewFolder, abandon};
 
@@ -58,6 +59,8 @@ pub enum Format {
     Png,
     /// JPEG with a gain map, `.jpg` or `.jpeg`: the display picture, and the radiance for HDR displays.
     Jpeg,
+    /// TIFF with codes, `.tif` or `.tiff` where a picture is asked for: the display picture.
+    TiffPicture,
 }
 
 impl Format {
@@ -80,12 +83,56 @@ impl Format {
         }
     }
 
+    /// The format that `path` asks for by its extension where it is to be the display picture.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`]; [`Error::Option`] for a format that holds radiance alone.
+    pub fn of_picture(path: &Path) -> Result<Format> {
+        const KNOWN: &str = ".png, .jpg, .jpeg, .tif, .tiff";
+        match Format::of(path) {
+            Ok(Format::Tiff) => Ok(Format::TiffPicture),
+            Ok(format) if format.holds_radiance() => {
+                let reason = format!("{} holds radiance; name it by -o, or a picture ({KNOWN})", path.display());
+                Err(Error::Option { option: "--picture", reason })
+            }
+            Ok(format) => Ok(format),
+            Err(_) => Err(Error::UnknownExtension { path: path.to_owned(), known: KNOWN }),
+        }
+    }
+
     /// Whether it holds linear radiance; if not, the display picture.
     pub fn holds_radiance(self) -> bool {
         match self {
             Format::Exr | Format::Hdr | Format::Tiff => true,
-            Format::Png | Format::Jpeg => false,
+            Format::Png | Format::Jpeg | Format::TiffPicture => false,
         }
+    }
+}
+
+/// A result: the file, and what it holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// The file.
+    pub path: PathBuf,
+    /// Its format.
+    pub format: Format,
+}
+
+impl Output {
+    /// What `-o` names: `paths` by their extensions.
+    ///
+    /// # Errors
+    /// [`Error::UnknownExtension`].
+    pub fn results(paths: &[PathBuf]) -> Result<Vec<Output>> {
+        paths.iter().map(|path| Ok(Output { path: path.clone(), format: Format::of(path)? })).collect()
+    }
+
+    /// What `--picture` names: the display picture, whatever the extension.
+    ///
+    /// # Errors
+    /// Those of [`Format::of_picture`].
+    pub fn pictures(paths: &[PathBuf]) -> Result<Vec<Output>> {
+        paths.iter().map(|path| Ok(Output { path: path.clone(), format: Format::of_picture(path)? })).collect()
     }
 }
 
@@ -220,6 +267,19 @@ pub struct Options {
     pub tiff: tiff::Encoding,
     /// How `.jpg` is encoded.
     pub jpeg: ultra_hdr::Options,
+    /// How pictures are made.
+    pub picture: picture::Options,
+}
+
+impl Options {
+    /// Whether `outputs` can be written like this.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for the option that is out of its range, that a format cannot follow, or that is for pictures where there is none.
+    pub fn check(&self, outputs: &[Output]) -> Result<()> {
+        self.jpeg.validate()?;
+        self.picture.check(outputs, self.jpeg.gain_map)
+    }
 }
 
 /// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
@@ -268,6 +328,17 @@ fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn picture_has_the_format_of_its_extension_unless_that_holds_radiance_alone() {
+        let of = |name: &str| Format::of_picture(Path::new(name));
+        assert_eq!(of("b.TIFF").unwrap(), Format::TiffPicture);
+        assert_eq!([of("b.png").unwrap(), of("b.JPG").unwrap()], [Format::Png, Format::Jpeg]);
+        for (name, said) in [("b.exr", "name it by -o"), ("b.hdr", ".tif"), ("b.bmp", ".png")] {
+            let error = of(name).unwrap_err();
+            assert!(error.is_usage() && error.to_string().contains(said), "{error}");
+        }
+    }
 
     #[test]
     fn the_extension_decides_in_any_case() {

@@ -1,4 +1,4 @@
-//! TIFF: RGB of 8 or 16 bits (aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
+//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
 //!
 //! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Radiance has its
 //! primaries in the tags of TIFF 6.0, section 20, or where these are negative in an ICC profile, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
@@ -11,7 +11,7 @@
 use super::deflate::zlib;
 use super::ifd::{Directory, tag};
 use super::luv::Depth;
-use super::{Bands, Metadata, Pending, RowWriter, Written};
+use super::{Bands, Metadata, Pending, RowWriter, Written, exif};
 use crate::bracket::colour::{Curve, Profile};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -171,6 +171,23 @@ impl<T: Sample> Writer<T> {
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
     pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
+        Self::begin(file, size, metadata, |directory| directory.capture(metadata))
+    }
+
+    /// The same of a picture, with all that EXIF says of the photograph, and the resolution.
+    ///
+    /// # Errors
+    /// [`Error::Write`](crate::error::Error::Write).
+    pub fn picture(file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
+        Self::begin(file, size, metadata, |directory| directory.photograph(&exif::of_tiff(size, metadata)))
+    }
+
+    fn begin(
+        file: Pending,
+        size: (usize, usize),
+        metadata: &Metadata,
+        describe: impl FnOnce(&mut Directory),
+    ) -> Result<Self> {
         let mut strips = Strips::begin(file, size, 3 * u64::from(T::BITS))?;
         let directory = &mut strips.directory;
         directory.short(tag::BITS, &[T::BITS; 3]);
@@ -178,7 +195,7 @@ impl<T: Sample> Writer<T> {
         directory.short(tag::PHOTOMETRIC, &[2]);
         directory.short(tag::PREDICTOR, &[T::PREDICTOR]);
         directory.short(tag::SAMPLE_FORMAT, &[T::FORMAT; 3]);
-        directory.capture(metadata);
+        describe(directory);
         if T::FORMAT == 3 {
             if metadata.primaries.are_positive() {
                 directory.primaries(&metadata.primaries);

@@ -14,6 +14,7 @@ use super::jpeg::{self, APP1, APP2, MOST_SIDE, Strip, Strips, put_segment};
 use super::{Metadata, Pending, Written, exif, one_line};
 use crate::bracket::colour::Profile;
 use crate::error::{Error, Result};
+use crate::tonemap::codes::Colours;
 use rayon::prelude::*;
 use std::io;
 use std::path::Path;
@@ -70,7 +71,7 @@ struct Map {
 }
 
 impl Writer {
-    /// Begins a file of `size` pixels. Without a [`profile`](Metadata::profile) the picture is sRGB and says so.
+    /// Begins a file of `size` pixels, a picture of `colours`, of which the [`profile`](Metadata::profile) is; without one it is sRGB and says so.
     ///
     /// # Errors
     /// [`Error::Write`]: JPEG holds no side longer than 65500.
@@ -78,7 +79,7 @@ impl Writer {
         file: Pending,
         size: (usize, usize),
         metadata: &Metadata,
-        options: &Options,
+        (options, colours): (&Options, Colours),
         rendition: &Rendition,
     ) -> Result<Self> {
         options.validate()?;
@@ -87,7 +88,7 @@ impl Writer {
         let map = options.gain_map.step().map(|step| {
             let map_size = (size.0.div_ceil(step), size.1.div_ceil(step));
             Map {
-                gains: Gains::new(rendition, &metadata.primaries),
+                gains: Gains::new(rendition, &metadata.primaries, colours),
                 rendition: *rendition,
                 step,
                 strips: Strips::new(map_size, STRIP_ROWS / step),

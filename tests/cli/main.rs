@@ -21,6 +21,7 @@ mod names;
 mod numbers;
 mod page;
 mod phones;
+mod pictures;
 mod places;
 mod refusals;
 mod report;

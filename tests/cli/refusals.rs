@@ -247,8 +247,8 @@ fn folders_are_left_to_batch() {
 #[test]
 fn tips_and_usage_are_of_what_was_typed() {
     let folder = Folder::with_bracket();
-    let line = "merge w2.jpg w3.jpg --resize 50";
-    refused(&folder, line, 2, &["'--resize'", "Usage: hdralign merge [OPTIONS] <IMAGES>..."]);
+    let line = "merge w2.jpg w3.jpg --sharpen 50";
+    refused(&folder, line, 2, &["'--sharpen'", "Usage: hdralign merge [OPTIONS] <IMAGES>..."]);
     assert!(!folder.line(line).stderr.contains("tip"));
     refused(&folder, "melt", 2, &["'melt'\n\nUsage: hdralign <COMMAND>\n"]);
     for (line, tip) in [

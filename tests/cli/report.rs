@@ -111,6 +111,18 @@ fn a_merge_reports_every_key_of_the_contract() {
     let radiance = &report["radiance"]["radiance"];
     assert!(number(radiance, "min") < number(radiance, "max"), "{radiance}");
     assert!((5.0..30.0).contains(&number(radiance, "dynamic_range_stops")), "{radiance}");
+    // No frame of 8 bits holds more than 9.2 stops: codes 6 to 250 of the sRGB curve are 9.04.
+    let merged = &report["radiance"];
+    let exposures: Vec<f64> = report["frames"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|frame| number(frame, "relative_exposure").log2())
+        .collect();
+    let span = exposures.iter().fold(f64::MIN, |a, &b| a.max(b)) - exposures.iter().fold(f64::MAX, |a, &b| a.min(b));
+    let within = (number(&merged["limits"], "clipping") / number(&merged["limits"], "noise_floor")).log2();
+    let held = number(merged, "range_stops");
+    assert!(span + 5.0 < within && within < span + 9.2 && held <= within && held > 5.0, "{span}: {merged}");
     assert!(keys(radiance).iter().any(|k| k.contains("percentile") || k.starts_with('p')), "{radiance}");
     assert_eq!(text(&report["response"], "model"), "debevec");
 }

@@ -12,7 +12,7 @@ fn refused(run: Run, code: i32, said: &str) {
 }
 
 #[test]
-fn floats_give_the_picture_that_merge_gave_to_the_byte() {
+fn floats_give_the_picture_that_merge_gave_to_the_code() {
     let folder = Folder::with_bracket();
     for (file, options) in [
         ("a.exr", "--exr-type float --exr-compression zip"),
@@ -23,7 +23,9 @@ fn floats_give_the_picture_that_merge_gave_to_the_byte() {
         folder.line(&format!("{MERGE} {options} -o {file} -o merged.png --force")).done();
         let run = folder.line(&format!("tonemap {file} -o again.png --force")).done();
         assert_eq!(run.stdout, "again.png\n");
-        assert!(folder.bytes("merged.png") == folder.bytes("again.png"), "{file} {options}");
+        // Of the capture data the radiance map has the most important only: bytes of the file are others.
+        let codes = |name: &str| image::open(folder.at(name)).expect("a picture").to_rgb8();
+        assert!(codes("merged.png") == codes("again.png"), "{file} {options}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::support::{Folder, jpeg_with, ratio, small};
 use exif::{In, Tag, Value};
-use hdralign::bracket::colour::{Primaries, srgb_to_linear};
+use hdralign::bracket::colour::{Conversion, Found, Primaries, Profile, srgb_to_linear};
 use hdralign::merge::RadianceMap;
 use hdralign::plane::Plane;
 use hdralign::read::read;
@@ -226,6 +226,21 @@ fn the_map_gives_the_radiance_back() {
     let share = share_within(&hdr, &map);
     assert!(share > 0.97, "{share}");
 
+    // Of Display P3 the map is too, and its profile says so.
+    folder.line("tonemap lamps.exr -o p3.jpg --picture-colour display-p3 -q").done();
+    let bytes = folder.bytes("p3.jpg");
+    let wide = UltraHdr::parse(&bytes);
+    let to_p3 = Conversion::between(&Primaries::SRGB, &Primaries::DISPLAY_P3).expect("two spaces");
+    let pixels = map.pixels.as_slice().iter().map(|p| to_p3.apply(*p)).collect();
+    let of_p3 = Plane::from_vec(map.pixels.width(), map.pixels.height(), pixels);
+    let share = share_within(&wide, &RadianceMap { pixels: of_p3, primaries: Primaries::DISPLAY_P3 });
+    assert!(share > 0.97, "{share}");
+    // Codes of sRGB with this map would not do.
+    assert!(share_within(&wide, &map) < 0.9);
+    let profile = Image::parse(&bytes).named(0xE2, b"ICC_PROFILE\0\x01\x01").to_vec();
+    let Found::Rgb(profile) = Profile::parse(profile) else { panic!("no profile") };
+    assert_eq!(profile.primaries, Some(Primaries::DISPLAY_P3));
+
     folder.line("tonemap lamps.exr -o half.jpg --gain-map half -q").done();
     let half = UltraHdr::parse(&folder.bytes("half.jpg"));
     assert_eq!((half.map.dimensions(), &half.base), ((167, 107), &hdr.base));
@@ -281,6 +296,7 @@ fn exif_is_carried_over_and_put_right() {
             (Tag::Artist, text("Somebody")),
             (Tag::ExposureTime, ratio(1, time)),
             (Tag::LensModel, text("50 mm")),
+            (Tag::DateTimeOriginal, text("2012:07:19 05:16:25")),
             (Tag::MakerNote, Value::Undefined(vec![7; 40], 0)),
             (Tag::PixelXDimension, Value::Long(vec![9999])),
             (Tag::GPSLatitudeRef, text("N")),
@@ -288,31 +304,44 @@ fn exif_is_carried_over_and_put_right() {
         ];
         folder.put(name, &jpeg_with(&small(i), &fields));
     }
-    let read = |options: &str| {
-        folder.line(&format!("merge a.jpg b.jpg --align none -o r.jpg --force -q {options}")).done();
-        let bytes = folder.bytes("r.jpg");
-        let block = Image::parse(&bytes).named(0xE1, b"Exif\0\0").to_vec();
-        (exif::Reader::new().read_raw(block).expect("EXIF"), UltraHdr::parse(&bytes).base.dimensions())
+    let read = |name: &str, options: &str| {
+        folder.line(&format!("merge a.jpg b.jpg --align none --picture {name} --force -q {options}")).done();
+        let mut file = std::io::Cursor::new(folder.bytes(name));
+        let size = image::image_dimensions(folder.at(name)).expect("a picture");
+        (exif::Reader::new().read_from_container(&mut file).expect("EXIF"), size)
     };
-    let (carried, (width, height)) = read("");
-    let shown = |tag| carried.get_field(tag, In::PRIMARY).map(|f| f.display_value().to_string());
-    for (tag, value) in [
-        (Tag::Make, "\"Maker\"".to_string()),
-        (Tag::Artist, "\"Somebody\"".into()),
-        (Tag::LensModel, "\"50 mm\"".into()),
-        (Tag::Orientation, "row 0 at top and column 0 at left".into()),
-        (Tag::PixelXDimension, width.to_string()),
-        (Tag::PixelYDimension, height.to_string()),
-        (Tag::Software, format!("\"hdralign {}\"", env!("CARGO_PKG_VERSION"))),
-        (Tag::ColorSpace, "sRGB".into()),
-    ] {
-        assert_eq!(shown(tag), Some(value), "{tag}");
+    for name in ["r.jpg", "r.png", "r.tif"] {
+        let (carried, (width, height)) = read(name, "");
+        let shown = |tag| carried.get_field(tag, In::PRIMARY).map(|f| f.display_value().to_string());
+        for (tag, value) in [
+            (Tag::Make, "\"Maker\"".to_string()),
+            (Tag::Artist, "\"Somebody\"".into()),
+            (Tag::LensModel, "\"50 mm\"".into()),
+            (Tag::DateTimeOriginal, "2012-07-19 05:16:25".into()),
+            (Tag::Orientation, "row 0 at top and column 0 at left".into()),
+            (Tag::Software, format!("\"hdralign {}\"", env!("CARGO_PKG_VERSION"))),
+            (Tag::ColorSpace, "sRGB".into()),
+        ] {
+            assert_eq!(shown(tag), Some(value), "{name} {tag}");
+        }
+        // A TIFF has its size elsewhere (EXIF 2.32, table 17).
+        let sizes = [(Tag::PixelXDimension, width), (Tag::PixelYDimension, height)];
+        let expected = |side: u32| (name != "r.tif").then(|| side.to_string());
+        assert!(sizes.into_iter().all(|(tag, side)| shown(tag) == expected(side)), "{name}");
+        assert!(shown(Tag::ExposureTime).is_some_and(|t| t == "1/100" || t == "1/25"), "{name}");
+        let left_out = [Tag::MakerNote, Tag::GPSLatitude, Tag::GPSLatitudeRef];
+        assert!(left_out.into_iter().all(|tag| shown(tag).is_none()), "{name}");
+        let pointers = [[0x88, 0x25, 0, 4], [0x25, 0x88, 4, 0]];
+        assert!(
+            !folder.bytes(name).windows(4).any(|w| pointers.iter().any(|p| w == p)),
+            "{name}: no pointer to a place"
+        );
+        let (kept, _) = read(name, "--keep-gps --picture-colour display-p3");
+        let latitude = kept.get_field(Tag::GPSLatitude, In::PRIMARY).map(|f| f.display_value().to_string());
+        assert_eq!(latitude.as_deref(), Some("48 deg 48 min 48 sec"), "{name}");
+        let colours = kept.get_field(Tag::ColorSpace, In::PRIMARY).map(|f| f.display_value().to_string());
+        assert_eq!(colours.as_deref(), Some("uncalibrated"), "{name}");
     }
-    assert!(shown(Tag::ExposureTime).is_some_and(|t| t == "1/100" || t == "1/25"));
-    assert_eq!((shown(Tag::MakerNote), shown(Tag::GPSLatitude), shown(Tag::GPSLatitudeRef)), (None, None, None));
-    assert!(!folder.bytes("r.jpg").windows(4).any(|w| w == [0x88, 0x25, 0, 4]), "no pointer to a place either");
-    let (kept, _) = read("--keep-gps");
-    assert!(kept.get_field(Tag::GPSLatitude, In::PRIMARY).is_some());
 }
 
 #[test]

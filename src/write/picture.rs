@@ -1,0 +1,137 @@
+//! What is asked of pictures, whatever their format: bits, colours and size.
+//!
+//! In: options and the files named. Out: whether they can be had. Cost: none.
+
+use super::gain_map::Resolution;
+use super::{Format, Output};
+use crate::error::{Error, Result, Warning};
+use crate::tonemap::codes::{Colours, Depth};
+use std::fmt;
+use std::str::FromStr;
+
+/// How pictures are made.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Options {
+    /// Bits of a code. Default: 8.
+    pub depth: Depth,
+    /// Primaries and transfer, and the profile that tells them. Default: sRGB.
+    pub colours: Colours,
+    /// How large they are. Default: as large as the radiance.
+    pub size: Size,
+}
+
+/// How large pictures are; none is ever larger than the radiance that it shows.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub enum Size {
+    /// As large as the radiance.
+    #[default]
+    Full,
+    /// So many pixels on the longest side.
+    Longest(usize),
+    /// So many of a hundred, of either side.
+    Percent(f64),
+}
+
+impl Size {
+    /// Width and height of the picture of what has `full` pixels.
+    pub fn of(self, full: (usize, usize)) -> (usize, usize) {
+        let longest = full.0.max(full.1).max(1);
+        let factor = match self {
+            Size::Full => 1.0,
+            Size::Longest(pixels) => pixels as f64 / longest as f64,
+            Size::Percent(percent) => percent / 100.0,
+        };
+        let side = |pixels: usize| ((pixels as f64 * factor).round() as usize).clamp(1, pixels.max(1));
+        (side(full.0), side(full.1))
+    }
+
+    /// What the user should know where the picture of what has `full` pixels is not as large as was asked for.
+    pub fn warning(self, full: (usize, usize)) -> Option<Warning> {
+        let longest_px = full.0.max(full.1);
+        match self {
+            Size::Longest(asked_px) if asked_px > longest_px => Some(Warning::NotEnlarged { longest_px, asked_px }),
+            _ => None,
+        }
+    }
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Size, String> {
+        let wrong = || format!("{text:?} is no size; give the pixels of the longest side, as in `2048`, or `50%`");
+        match text.strip_suffix('%') {
+            Some(number) => match number.trim().parse() {
+                Ok(percent) if percent > 0.0 && percent <= 100.0 => Ok(Size::Percent(percent)),
+                Ok(percent) if percent > 100.0 => Err("pictures are never enlarged; give 100% or less".into()),
+                _ => Err(wrong()),
+            },
+            None => match text.parse() {
+                Ok(pixels) if pixels > 0 => Ok(Size::Longest(pixels)),
+                _ => Err(wrong()),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Size::Full => write!(f, "100%"),
+            Size::Longest(pixels) => write!(f, "{pixels}"),
+            Size::Percent(percent) => write!(f, "{percent}%"),
+        }
+    }
+}
+
+impl Options {
+    /// Whether `outputs` can be pictures like this; a `.jpg` has the gain map `gain_map`.
+    ///
+    /// # Errors
+    /// [`Error::Option`] where one cannot, or where there is none.
+    pub(super) fn check(&self, outputs: &[Output], gain_map: Resolution) -> Result<()> {
+        let refused = |option, reason: String| Err(Error::Option { option, reason });
+        let asked = [
+            ("--bit-depth", self.depth != Depth::default()),
+            ("--picture-colour", self.colours != Colours::default()),
+            ("--resize", self.size != Size::default()),
+        ];
+        if outputs.iter().all(|output| output.format.holds_radiance())
+            && let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked)
+        {
+            return refused(option, "no picture is written; name one by --picture, or leave it out".into());
+        }
+        let Some(jpeg) = outputs.iter().find(|output| output.format == Format::Jpeg) else { return Ok(()) };
+        let name = jpeg.path.display();
+        if self.depth == Depth::Sixteen {
+            return refused("--bit-depth", format!("{name}: JPEG holds 8 bits; name a .png or .tif, or leave it out"));
+        }
+        if self.colours == Colours::AdobeRgb && gain_map != Resolution::None {
+            let reason = "readers of gain maps know srgb and display-p3; give --gain-map none, or one of these";
+            return refused("--picture-colour", format!("{name}: {reason}"));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn size_is_of_the_longest_side_or_a_share_and_never_larger() {
+        let of = |text: &str, full| text.parse::<Size>().unwrap().of(full);
+        assert_eq!([of("2048", (4000, 3000)), of("2048", (3000, 4000))], [(2048, 1536), (1536, 2048)]);
+        assert_eq!([of("50%", (301, 200)), of("12.5 %", (800, 1))], [(151, 100), (100, 1)]);
+        assert_eq!([of("2048", (300, 200)), of("100%", (300, 200))], [(300, 200); 2]);
+        for (text, said) in [("0", "`2048`"), ("0%", "`50%`"), ("-3", "no size"), ("1e3", "no size"), ("101%", "never")]
+        {
+            let error = text.parse::<Size>().unwrap_err();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+        for text in ["2048", "50%", "33.5%"] {
+            assert_eq!(text.parse::<Size>().unwrap().to_string(), text);
+        }
+        assert!(Size::Longest(301).warning((300, 200)).is_some() && Size::Longest(300).warning((300, 200)).is_none());
+    }
+}
