@@ -115,6 +115,10 @@ impl<const N: usize> Shown<N> {
                 kept[i] = if is { at_least(kept[i], part[i]) } else { kept[i] };
                 part[i] = at_most(if is { part[i] + step } else { part[i] - step }, 1.0);
             }
+            // Most colours are there as they are.
+            if kept.iter().all(|kept| *kept == 1.0) {
+                break;
+            }
         }
         for i in 0..N {
             let [r, g, b] = to_display(to_linear([lightness[i], a[i] * kept[i], b[i] * kept[i]]));
