@@ -127,10 +127,13 @@ mod tests {
     #[test]
     fn pictures_are_read_back() {
         let ramp = ramp((41, 30));
-        let back = decoded(&jpeg(&ramp, 90, Some(b"a profile")).unwrap()).to_rgb8();
-        assert_eq!(back.dimensions(), (41, 30));
+        let encoded = jpeg(&ramp, 90, Some(b"a profile")).unwrap();
+        assert_eq!((encoded.width, encoded.height), (41, 30));
+        // Not by `image`, whose decoder gets colours at half the resolution wrong where the picture is small and odd.
+        let file = STANDARD.decode(encoded.address.split_once(";base64,").unwrap().1).unwrap();
+        let back = jpeg_decoder::Decoder::new(&file[..]).decode().unwrap();
         // JPEG at this quality, with colours at half the resolution, is within some codes on a ramp.
-        let worst = back.as_raw().iter().zip(ramp.as_slice().as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
+        let worst = back.iter().zip(ramp.as_slice().as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.unwrap() < 20, "{worst:?}");
         let grey = Plane::from_rows(9, 4, |_, row| row.iter_mut().enumerate().for_each(|(x, v)| *v = 20 * x as u8));
         assert_eq!(decoded(&grey_jpeg(&grey, 80).unwrap()).color(), image::ColorType::L8);

@@ -31,9 +31,13 @@ fn attributes<'a>(tags: &[&'a str], name: &str) -> Vec<&'a str> {
 /// The picture behind the first `src="data:...` after `mark`.
 fn picture(html: &str, mark: &str) -> RgbImage {
     let from = html.split_once(mark).unwrap_or_else(|| panic!("{mark}")).1;
-    let data = from.split_once("src=\"data:image/").expect("a picture").1.split_once("base64,").expect("data").1;
+    let data = from.split_once("src=\"data:image/jpeg;base64,").expect("a picture").1;
     let bytes = STANDARD.decode(data.split('"').next().expect("an end")).expect("base64");
-    image::load_from_memory(&bytes).expect("a picture").to_rgb8()
+    // Not by `image`, whose decoder gets colours at half the resolution wrong in some sizes.
+    let mut decoder = jpeg_decoder::Decoder::new(&bytes[..]);
+    let pixels = decoder.decode().expect("a picture");
+    let size = decoder.info().expect("a size");
+    RgbImage::from_raw(size.width.into(), size.height.into(), pixels).expect("three channels")
 }
 
 /// The picture of frame `name`, from its card.
