@@ -139,10 +139,13 @@ mod tests {
     #[test]
     fn fine_codes_hold_what_their_noise_leaves() {
         let noisy = |time: f64| {
-            let mut state = 1u32;
+            let mut state = 1u64;
+            // SplitMix64.
             let mut random = || {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                f64::from(state >> 8) / f64::from(1 << 24) - 0.5
+                state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+                let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+                let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+                ((z ^ (z >> 31)) >> 40) as f64 / f64::from(1 << 24) - 0.5
             };
             let codes = (0..3 * 256 * 256).map(|i| {
                 let light = 40.0 + (i / 3 % 256) as f64 * 8.0;

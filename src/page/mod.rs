@@ -16,6 +16,7 @@ mod reduced;
 mod summary;
 
 use crate::align::{AlignOptions, Alignment, Status};
+use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::inspect;
@@ -47,7 +48,7 @@ const SCALE: [[f64; 3]; 5] =
 #[derive(Debug, Clone)]
 pub struct Page {
     path: PathBuf,
-    /// What display codes are of; none for sRGB.
+    /// What the codes of the picture are of; none for sRGB.
     icc: Option<Vec<u8>>,
     frames: Vec<FramePage>,
     result: Option<Reduced>,
@@ -115,7 +116,6 @@ impl Page {
         warnings: &[Warning],
         developed: Option<&Developed>,
     ) -> Result<()> {
-        self.icc = icc(bracket.reference());
         let frames = bracket.frames();
         let photographs = frames.iter().map(|frame| {
             let small = reduced::frame(frame, FRAME)?;
@@ -164,6 +164,11 @@ impl Page {
     /// Takes how long gathering took, in seconds.
     pub fn take_time(&mut self, time_s: f64) {
         self.time_s = time_s;
+    }
+
+    /// Takes the profile of the picture; none for sRGB.
+    pub fn take_profile(&mut self, profile: Option<Profile>) {
+        self.icc = profile.map(|profile| profile.icc);
     }
 
     /// Takes the next rows of the picture, which is of `size` pixels.
