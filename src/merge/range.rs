@@ -1,10 +1,10 @@
 //! The range that a result holds: from where its noise ends to where the shortest frame clips.
 //!
-//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame ([`noise`](super::noise)), 5 ms.
+//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame (`noise`), 5 ms.
 //!
 //! The floor is the radiance at which signal and noise of the merged radiance are equal, where each frame is weighed by the inverse of its variance, as
 //! 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. Of a frame of 8 bits only codes count that tell light from none: JPEG and noise lift black by
-//! up to [`LIFT`] codes, so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
+//! up to 6 codes (`LIFT`), so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
 //! the toe of the curve.
 
 use super::layer::{CLIPS, LIFT};
