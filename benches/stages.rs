@@ -217,7 +217,7 @@ fn radiance(c: &mut Criterion) {
     group.bench_function("statistics", |b| {
         b.iter(|| Statistics::measured(black_box(&map.pixels), [0.2126, 0.7152, 0.0722], Unit::Relative));
     });
-    group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), &Operator::default())));
+    group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), None, &Operator::default())));
     let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
     let metadata = Metadata::of(bracket.reference());

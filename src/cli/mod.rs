@@ -48,7 +48,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Align, calibrate, merge, tone-map and write
-    Merge(merge::Args),
+    Merge(Box<merge::Args>),
     /// Find the brackets in folders, and merge them all
     Batch(Box<batch::Args>),
     /// Align only: transforms as JSON, aligned frames as TIFF

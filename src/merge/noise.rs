@@ -186,11 +186,11 @@ mod tests {
         let noise = Noise::of(&frame(sigma), false).unwrap();
         for code in [40, 100, 160, 220] {
             // The lower quartile of 49 dependent squares lies some 15 % under their mean; rounding adds 1/12.
-            let (found, truth) = (noise.code_variance(1, code).sqrt(), sigma(code as f64));
+            let (found, truth) = (noise.deviation(1, f64::from(code)), sigma(f64::from(code)));
             assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
         }
         // Codes that the frame lacks have what the nearest have.
-        assert_eq!(noise.code_variance(0, 0), noise.steps[0][1]);
+        assert_eq!(noise.code_variance(0, 0.0), noise.steps[0][1]);
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! The range that a result holds: from where its noise ends to where the shortest frame clips.
 //!
-//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame ([`noise`](super::noise)), 5 ms.
+//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame (`noise`), 5 ms.
 //!
 //! The floor is the radiance at which signal and noise of the merged radiance are equal, where each frame is weighed by the inverse of its variance, as
 //! 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. Of a frame of 8 bits only codes count that tell light from none: JPEG and noise lift black by
-//! up to [`LIFT`] codes, so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
+//! up to 6 codes (`LIFT`), so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
 //! the toe of the curve.
 
 use super::layer::{CLIPS, LIFT};
@@ -139,10 +139,13 @@ mod tests {
     #[test]
     fn fine_codes_hold_what_their_noise_leaves() {
         let noisy = |time: f64| {
-            let mut state = 1u32;
+            let mut state = 1u64;
+            // SplitMix64.
             let mut random = || {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                f64::from(state >> 8) / f64::from(1 << 24) - 0.5
+                state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+                let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+                let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+                ((z ^ (z >> 31)) >> 40) as f64 / f64::from(1 << 24) - 0.5
             };
             let codes = (0..3 * 256 * 256).map(|i| {
                 let light = 40.0 + (i / 3 % 256) as f64 * 8.0;

@@ -25,6 +25,7 @@ mod words;
 
 use crate::align::warp::Warp;
 use crate::align::{AlignOptions, Alignment, Rect, Status};
+use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
 use crate::inspect;
@@ -65,7 +66,7 @@ const SCALE: [[f64; 3]; 5] =
 #[derive(Debug, Clone)]
 pub struct Page {
     path: PathBuf,
-    /// What display codes are of; none for sRGB.
+    /// What the codes of the picture are of; none for sRGB.
     icc: Option<Vec<u8>>,
     frames: Vec<FramePage>,
     result: Option<Reduced>,
@@ -140,7 +141,6 @@ impl Page {
         warnings: &[Warning],
         developed: Option<&Developed>,
     ) -> Result<()> {
-        self.icc = icc(bracket.reference());
         let photographs = photographs(bracket, alignment, region)?;
         let photographs = self.encoded(jpegs_within(FRAMES_BYTES, &photographs))?;
         let needs_features = |i: usize| evidence::needs_features(alignment, i);
@@ -188,6 +188,11 @@ impl Page {
     /// Takes how long gathering took, in seconds.
     pub fn take_time(&mut self, time_s: f64) {
         self.time_s = time_s;
+    }
+
+    /// Takes the profile of the picture; none for sRGB.
+    pub fn take_profile(&mut self, profile: Option<Profile>) {
+        self.icc = profile.map(|profile| profile.icc);
     }
 
     /// Takes the next rows of the picture, which is of `size` pixels.

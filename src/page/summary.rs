@@ -23,11 +23,9 @@ pub(super) fn facts(report: &Report) -> String {
     ];
     let became: Vec<String> = words.iter().filter(|(n, _)| *n > 0).map(|(n, word)| format!("{n} {word}")).collect();
     let mut facts = vec![("Frames", report.frames.len().to_string(), became.join(", "))];
-    if let Some(merged) = &report.radiance {
-        if let Some(stops) = merged.range_stops {
-            let range = format!("{stops:.1} stops");
-            facts.push(("Dynamic range", range, "of the scene, above the noise and below clipping".into()));
-        }
+    if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
+        let range = format!("{stops:.1} stops");
+        facts.push(("Dynamic range", range, "of the scene, above the noise and below clipping".into()));
     }
     let shift = |f: &crate::report::FrameReport| f.alignment.shift_px.map_or(0.0, |[x, y]| (x * x + y * y).sqrt());
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);

@@ -4,7 +4,6 @@
 
 use super::Options;
 use crate::report::options::OptionsReport;
-use crate::tonemap::codes::Depth;
 use crate::write::picture::Size;
 
 /// Of a run that merges all that the report has; of one that only aligns, what counts there.
@@ -23,10 +22,7 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
         operator: merges.then(|| options.rendering.clone()),
-        bit_depth: merges.then(|| match options.write.picture.depth {
-            Depth::Eight => 8,
-            Depth::Sixteen => 16,
-        }),
+        bit_depth: merges.then_some(options.write.picture.depth.bits()),
         picture_colour: merges.then_some(options.write.picture.colours),
         resize: Some(options.write.picture.size).filter(|size| merges && *size != Size::Full).map(|s| s.to_string()),
     }

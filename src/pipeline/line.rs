@@ -361,6 +361,9 @@ impl<'a> Line<'a> {
         let (width, height) = slabs.size();
         let mut page = self.page.take();
         let is_seen = keep || page.is_some();
+        if let Some(page) = &mut page {
+            page.take_profile(options.write.picture.colours.profile());
+        }
         let mut kept = Vec::with_capacity(if keep { width * height } else { 0 });
         let mut shown = |codes: &[[u8; 3]]| {
             if let Some(page) = &mut page {

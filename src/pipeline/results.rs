@@ -55,6 +55,9 @@ const RESIZED_ROWS: usize = 2 * BAND_ROWS;
 /// Shows all of the radiance, slab by slab with the number of the first row, as often as it is asked.
 pub(super) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
+/// Who wants to see the rows of the picture, in 8 bits and as large as the radiance.
+pub(super) type Shown<'a> = &'a mut dyn FnMut(&[[u8; 3]]);
+
 /// What is written, and how.
 pub(super) struct Results<'a> {
     pub outputs: Vec<Output>,
@@ -69,12 +72,7 @@ pub(super) struct Results<'a> {
 impl Results<'_> {
     /// The files of the radiance that `each` shows, and of `picture`; whoever wants to see the rows of the picture, in 8 bits, is `shown` them. And the
     /// time that tone mapping took.
-    pub fn written(
-        self,
-        each: Each,
-        picture: &Picture,
-        mut shown: Option<&mut dyn FnMut(&[[u8; 3]])>,
-    ) -> Result<(Vec<Written>, Duration)> {
+    pub fn written(self, each: Each, picture: &Picture, mut shown: Option<Shown>) -> Result<(Vec<Written>, Duration)> {
         let Results { outputs, options, metadata, size, primaries, bright } = self;
         let (encoder, depth) = (Encoder::of(options.picture.colours), options.picture.depth);
         let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(&encoder, y, row, codes);

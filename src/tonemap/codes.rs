@@ -25,6 +25,16 @@ pub enum Colours {
 /// The exponent of Adobe RGB.
 const ADOBE: f64 = 563.0 / 256.0;
 
+impl Depth {
+    /// How many they are.
+    pub fn bits(self) -> u8 {
+        match self {
+            Depth::Eight => 8,
+            Depth::Sixteen => 16,
+        }
+    }
+}
+
 impl Colours {
     /// Its primaries and white.
     pub fn primaries(self) -> Primaries {
@@ -51,7 +61,7 @@ impl Colours {
         }
     }
 
-    /// The ICC profile that tells them; none for sRGB, which every reader assumes.
+    /// The ICC profile that tells them; none for sRGB, for which most formats have a word of their own.
     pub fn profile(self) -> Option<Profile> {
         match self {
             Colours::Srgb => None,

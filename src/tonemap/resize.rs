@@ -165,7 +165,10 @@ mod tests {
             let whole = resized(&picture, to, 173);
             assert!([1, 5, 64].iter().all(|&portion| resized(&picture, to, portion) == whole), "{to:?}");
         }
-        assert_eq!(resized(&picture, (61, 173), 64), picture.as_slice(), "the same size is the same picture");
+        // Whole places have one weight, but for the rounding of sines.
+        let same = resized(&picture, (61, 173), 64);
+        let off = same.as_flattened().iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| (a - b).abs());
+        assert!(off.fold(0.0, f32::max) < 1e-3, "the same size is the same picture");
     }
 
     /// A plane keeps its value and a ramp its slope; an edge of 1 : 1000 has no line beside it.

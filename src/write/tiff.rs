@@ -174,12 +174,16 @@ impl<T: Sample> Writer<T> {
         Self::begin(file, size, metadata, |directory| directory.capture(metadata))
     }
 
-    /// The same of a picture, with all that EXIF says of the photograph, and the resolution.
+    /// The same of a picture, with all that EXIF says of the photograph, and the resolution. Without a profile it is sRGB and has that one: TIFF has
+    /// no other word for it.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
     pub fn picture(file: Pending, size: (usize, usize), metadata: &Metadata) -> Result<Self> {
-        Self::begin(file, size, metadata, |directory| directory.photograph(&exif::of_tiff(size, metadata)))
+        let profile = metadata.profile.clone().or_else(Profile::srgb);
+        let fields = exif::of_tiff(size, metadata);
+        let metadata = Metadata { profile, ..metadata.clone() };
+        Self::begin(file, size, &metadata, |directory| directory.photograph(&fields))
     }
 
     fn begin(

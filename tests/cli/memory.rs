@@ -74,6 +74,8 @@ fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() 
         "merge FRAMES -o a.exr -o a.tif -o a.png",
         "merge FRAMES --tmo drago --deghost --flare -o a.hdr -o a.jpg --report a.html",
         "merge FRAMES --tmo mertens -o a.png",
+        "merge FRAMES --picture a.tif --bit-depth 16 --resize 80%",
+        "merge FRAMES --picture a.jpg --resize 1000 --report a.html",
         "align FRAMES --align sift --save-aligned on_",
         "inspect FRAMES -d look",
     ] {

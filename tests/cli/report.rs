@@ -137,11 +137,13 @@ fn what_was_asked_for_is_in_the_report() {
         "response_model": "debevec", "response_file": null, "weight": "hat", "deghost_strength": 0.5, "flare": false,
         "colour": null, "operator": {
             "name": "natural", "brightness": 0.48, "contrast": 0.3, "detail": 1.0, "saturation": 1.0
-        }
+        },
+        "bit_depth": 8, "picture_colour": "srgb", "resize": null
     });
     assert_eq!(asked, expected);
     let more = "--align mtb --robust lmeds --max-rotation 2 --crop none --exposures as-given --response-model srgb \
-                --weight mann-picard --deghost=0.25 --flare --colour rec2020";
+                --weight mann-picard --deghost=0.25 --flare --colour rec2020 --bit-depth 16 --picture-colour adobe-rgb \
+                --resize 50%";
     let asked = written(&folder, &format!("{merge} {more}"))["options"].clone();
     for (key, value) in [
         ("align", Value::from("mtb")),
@@ -154,6 +156,9 @@ fn what_was_asked_for_is_in_the_report() {
         ("deghost_strength", 0.25.into()),
         ("flare", true.into()),
         ("colour", "rec2020".into()),
+        ("bit_depth", 16.into()),
+        ("picture_colour", "adobe-rgb".into()),
+        ("resize", "50%".into()),
     ] {
         assert_eq!(asked[key], value, "{key}");
     }

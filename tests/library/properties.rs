@@ -17,7 +17,9 @@ use hdralign::report::Report;
 use hdralign::response::file::SavedResponse;
 use hdralign::response::ratios::Exposures;
 use hdralign::response::{CODES, ResponseCurve, ResponseModel};
+use hdralign::tonemap::codes::Colours;
 use hdralign::tonemap::{self, DisplayImage, Operator, Rendering};
+use hdralign::write::picture::{self, Size};
 use hdralign::write::{self, Metadata, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 use image::{DynamicImage, ImageBuffer, Rgb};
 use proptest::collection::vec;
@@ -164,7 +166,18 @@ fn writing() -> impl Strategy<Value = write::Options> {
             hdr,
             tiff,
             jpeg: ultra_hdr::Options { quality, gain_map },
+            picture: picture::Options::default(),
         })
+}
+
+/// Pictures that a `.jpg` can be too.
+fn pictures() -> impl Strategy<Value = picture::Options> {
+    let sizes = vec![Size::Full, Size::Longest(20), Size::Percent(37.0), Size::Percent(99.0)];
+    (select(vec![Colours::Srgb, Colours::DisplayP3]), select(sizes)).prop_map(|(colours, size)| picture::Options {
+        colours,
+        size,
+        ..picture::Options::default()
+    })
 }
 
 fn options() -> impl Strategy<Value = Options> {
@@ -186,24 +199,27 @@ fn options() -> impl Strategy<Value = Options> {
     let modes = vec![AlignMode::Auto, AlignMode::Auto, AlignMode::Mtb, AlignMode::Sift, none, none, none];
     (
         (select(modes), robust, select(models), select(weights), select(spaces)),
-        (rendering, factor, prop::option::of(0.0..=1.0f64), any::<[bool; 3]>(), writing()),
+        (rendering, factor, prop::option::of(0.0..=1.0f64), any::<[bool; 3]>(), (writing(), pictures())),
     )
-        .prop_map(|((mode, robust, response, weight, colour), (rendering, factor, strength, switches, write))| {
-            Options {
-                align: AlignOptions { mode, robust, ..AlignOptions::default() },
-                exposures: if switches[0] { Exposures::FineTuned } else { Exposures::AsGiven },
-                response,
-                weight,
-                deghost: strength.map_or(Deghost::Off, Deghost::Strength),
-                flare: switches[1],
-                crop: if switches[2] { Crop::Common } else { Crop::None },
-                colour,
-                calibration: Calibration { camera: false, factor },
-                rendering,
-                write,
-                ..Options::default()
-            }
-        })
+        .prop_map(
+            |((mode, robust, response, weight, colour), (rendering, factor, strength, switches, writing))| {
+                let (write, picture) = writing;
+                Options {
+                    align: AlignOptions { mode, robust, ..AlignOptions::default() },
+                    exposures: if switches[0] { Exposures::FineTuned } else { Exposures::AsGiven },
+                    response,
+                    weight,
+                    deghost: strength.map_or(Deghost::Off, Deghost::Strength),
+                    flare: switches[1],
+                    crop: if switches[2] { Crop::Common } else { Crop::None },
+                    colour,
+                    calibration: Calibration { camera: false, factor },
+                    rendering,
+                    write: write::Options { picture, ..write },
+                    ..Options::default()
+                }
+            },
+        )
 }
 
 /// What a report says of frames and light is in its range.

@@ -7,6 +7,8 @@ use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::simd::{self, Arm};
+use hdralign::tonemap::codes::{Colours, Depth};
+use hdralign::write::picture::{self, Size};
 use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
 use serde_json::Value;
 use std::fs;
@@ -128,13 +130,23 @@ fn vector_instructions_do_not_change_a_byte() {
             hdr: hdr::Encoding::Xyze,
             tiff: tiff::Encoding::LogLuv32,
             jpeg: ultra_hdr::Options { gain_map: Resolution::Half, ..Default::default() },
+            picture: picture::Options { colours: Colours::DisplayP3, size: Size::Percent(60.0), ..Default::default() },
         },
         ..by_default.clone()
+    };
+    let fine = |size| Options {
+        outputs: vec![folder.at("a.png")],
+        write: write::Options {
+            overwrite: true,
+            picture: picture::Options { depth: Depth::Sixteen, colours: Colours::AdobeRgb, size },
+            ..Default::default()
+        },
+        ..Options::default()
     };
     let arms: Vec<Arm> = Arm::ALL.into_iter().filter(|&arm| arm != Arm::Native && simd::choose(arm)).collect();
     assert_eq!(arms, of_processor(), "an arm that this processor has would go untested");
     println!("{} of {} arms: {arms:?}", arms.len(), Arm::ALL.len() - 1);
-    for options in [by_default, asked_for] {
+    for options in [by_default, asked_for, fine(Size::Full), fine(Size::Longest(100))] {
         let (native, told) = on(Arm::Native, &folder, &options);
         for &arm in &arms {
             let (others, other) = on(arm, &folder, &options);

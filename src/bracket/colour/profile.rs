@@ -85,10 +85,7 @@ impl Profile {
         let words = moxcms::LocalizableString::new("en".into(), "US".into(), description.to_owned());
         profile.description = Some(moxcms::ProfileText::Localizable(vec![words]));
         // The year of the standard that describes such profiles.
-        let mut made = Profile::made(profile, primaries.white, 2022)?;
-        // The encoder rounds the white of the connection space otherwise than the standard has it (7.2.16), which validators mind.
-        made.icc.get_mut(68..80)?.copy_from_slice(b"\0\0\xf6\xd6\0\x01\0\0\0\0\xd3\x2d");
-        Some(made)
+        Profile::made(profile, primaries.white, 2022)
     }
 
     /// A profile for `white`, dated by the year of its standard: a clock has no part in it.
@@ -100,6 +97,8 @@ impl Profile {
         // The encoder writes the time of day, whatever the profile says (ICC.1, 7.2.8: six 16-bit numbers).
         let date = [year, 11, 1, 0, 0, 0].map(u16::to_be_bytes);
         icc.get_mut(24..36)?.copy_from_slice(date.as_flattened());
+        // It rounds the white of the connection space otherwise than the standard has it (7.2.16), which validators mind.
+        icc.get_mut(68..80)?.copy_from_slice(b"\0\0\xf6\xd6\0\x01\0\0\0\0\xd3\x2d");
         match Profile::parse(icc) {
             Found::Rgb(profile) => Some(profile),
             _ => None,
