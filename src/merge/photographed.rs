@@ -14,7 +14,7 @@ pub struct Photographed {
     pub longest: f64,
     /// That of the shortest, which shows the lights.
     pub shortest: f64,
-    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, below their middle code: 1 to 2. Cameras make more of one, and so
+    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, below their middle code: 1 to 1.85. Cameras make more of one, and so
     /// more of colours.
     pub contrast: f64,
     /// How many stops more light than at the middle code give the last one.
@@ -23,8 +23,8 @@ pub struct Photographed {
 
 /// Codes below the middle one that tell the contrast: those below say little.
 const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
-/// Beyond these codes are no picture for a display, but linear.
-const CONTRASTS: (f64, f64) = (1.0, 2.0);
+/// Beyond these codes are no picture for a display: linear ones have 1.93.
+const CONTRASTS: (f64, f64) = (1.0, 1.85);
 /// The stops to white that a picture has: a display's own curve has 2.2.
 const WHITES: (f64, f64) = (1.2, 6.0);
 /// The last code that is not clipped, and where white is.

@@ -11,7 +11,7 @@ use super::tiff::Strips;
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped};
 use crate::bracket::colour::NeutralXyz;
 use crate::error::Result;
-use crate::merge::RadianceMap;
+use crate::merge::{Photographed, RadianceMap};
 use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
@@ -62,6 +62,11 @@ impl Writer {
         directory.short(tag::PHOTOMETRIC, &[32845]);
         directory.white_point(metadata.primaries.white);
         let mut described = metadata.clone();
+        for comment in &mut described.comments {
+            if let Some(photographed) = Photographed::read([&*comment]) {
+                *comment = photographed.times(scale.into()).to_string();
+            }
+        }
         if metadata.cd_m2_per_unit.is_none() && scale != 1.0 {
             described.comments.push(format!("relative radiance times {scale}"));
         }
