@@ -11,10 +11,10 @@ use super::tiff::Strips;
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped};
 use crate::bracket::colour::NeutralXyz;
 use crate::error::Result;
-use crate::merge::{Photographed, RadianceMap};
 use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
+use crate::merge::{Photographed, RadianceMap};
 
 /// The luminance that 0.1 % of the pixels of `map` are above.
 pub(super) fn bright(map: &RadianceMap) -> f32 {

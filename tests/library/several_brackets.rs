@@ -117,7 +117,8 @@ fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
     let json: serde_json::Value = serde_json::from_slice(&folder.bytes("a.json")).unwrap();
     assert_eq!(json["radiance"]["unit_exposure_s"], 0.25);
     let comment = "radiance 1 is the middle code at t ISO / N^2 = 0.25 s";
-    assert_eq!(hdralign::read::read(&files[0]).unwrap().1.comments, [comment]);
+    let comments = hdralign::read::read(&files[0]).unwrap().1.comments.join("; ");
+    assert!(comments.starts_with(comment), "{comments}");
     let has = |name: &str| folder.bytes(name).windows(comment.len()).any(|bytes| bytes == comment.as_bytes());
     let aligned = folder.listing().into_iter().find(|(name, _)| name.starts_with("al_")).unwrap().0;
     assert!(has("a.exr") && !has(&aligned), "a frame has no unit");
