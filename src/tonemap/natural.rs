@@ -8,7 +8,7 @@
 //!    place is: night stays night.
 //! 2. The exposures are fused, and black and white are where the fused picture has its darkest and brightest.
 //! 3. A power and a curve of contrast give it the brightness of a photograph, or somewhat less than the longest exposure's.
-//! 4. Straight lines carry luminance from the grid to the pixels ([`Guide`]). Hue is the scene's; of its chroma as much is left as the fused picture
+//! 4. Straight lines carry luminance from the grid to the pixels (`guide`). Hue is the scene's; of its chroma as much is left as the fused picture
 //!    has, which is pale where it is nearly white, and no more than [`Options::saturation`] times the scene's.
 
 use super::display::luminance;

@@ -82,7 +82,7 @@ impl Tones {
         Tones { to_srgb, guide, curve, chroma: None, columns }
     }
 
-    /// With so much of the scene's chroma, and so much turned in hue, by the guide's cells: colours are of [`oklab`], and are drawn to grey there where the display has none
+    /// With so much of the scene's chroma, and so much turned in hue, by the guide's cells: colours are those of OkLab, and are drawn to grey there where the display has none
     /// of theirs.
     pub fn with_chroma(self, chroma: Plane<[f32; 2]>) -> Self {
         Tones { chroma: Some(chroma), ..self }
