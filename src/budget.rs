@@ -41,7 +41,7 @@ const CELL: u64 = 156;
 const AVERAGED: u64 = 48;
 /// Bytes of a pixel of radiance: three floats.
 const RADIANCE: u64 = 12;
-/// Bytes of a cell of the overview while an operator works on it: the pyramids of `natural`, which has the most. Measured.
+/// Bytes of a cell of the overview while an operator works on it: of `mantiuk06`, which takes the most. Measured.
 const TONES: u64 = 48;
 /// A third of the bytes of fusion for each pixel, whatever the number of frames: floats of the sum of weights (4), of a frame's weight in a pyramid,
 /// which has a third more (16 / 3), of three channels of a frame (12), and of three pyramids of the picture so far (16); ...
