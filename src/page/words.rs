@@ -62,13 +62,10 @@ fn frames(report: &Report) -> String {
     let stops = |frame: &FrameReport| libm::log2(frame.relative_exposure);
     let span = taken.iter().map(|f| stops(f)).fold(f64::MIN, f64::max)
         - taken.iter().map(|f| stops(f)).fold(f64::MAX, f64::min);
-    words += &match &report.radiance {
-        Some(merged) => format!(
-            " Their exposures are {span:.1} stops apart. The result holds {:.1} stops from dark to bright.",
-            merged.radiance.dynamic_range_stops
-        ),
-        None => format!(" Their exposures are {span:.1} stops apart."),
-    };
+    words += &format!(" Their exposures are {span:.1} stops apart.");
+    if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
+        words += &format!(" The result holds {stops:.1} stops above the noise and below clipping.");
+    }
     let out = [
         (
             Status::Rejected,
