@@ -96,7 +96,7 @@ fn rendering(u: &mut Unstructured) -> arbitrary::Result<Rendering> {
         4 => toned(Operator::Fattal(Default::default())),
         5 => toned(Operator::Mantiuk06(Default::default())),
         6 => toned(Operator::Mantiuk08(Default::default())),
-        7 => Rendering::Fused(tonemap::mertens::Options::default()),
+        7 => Rendering::Fused(tonemap::fusion::Options::default()),
         _ => Rendering::default(),
     };
     if bool::arbitrary(u)? {

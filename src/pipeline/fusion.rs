@@ -14,7 +14,6 @@ use crate::plane::{BAND_ROWS, Plane};
 use crate::response::{CODES, ResponseCurve};
 use crate::tonemap::codes::Colours;
 use crate::tonemap::fusion::{self, Channels};
-use crate::tonemap::mertens;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -34,7 +33,7 @@ impl Aligned<'_> {
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch).
-    pub fn fused(&self, options: &mertens::Options, colours: Colours) -> Result<Channels> {
+    pub fn fused(&self, options: &fusion::Options, colours: Colours) -> Result<Channels> {
         let placed: Vec<Placed> = self.alignment.placed(self.bracket).collect();
         let to_shown = ToShown::of(self.bracket.reference(), colours);
         let channels = |k: usize| -> Result<Channels> {
@@ -47,7 +46,7 @@ impl Aligned<'_> {
             }
             Ok(channels)
         };
-        fusion::fuse(placed.len(), channels, &options.exponents())
+        fusion::fuse(placed.len(), channels, options)
     }
 
     /// The codes 0..=1 of frame `k` of those placed, -1 outside it.

@@ -25,16 +25,6 @@ pub enum Colours {
 /// The exponent of Adobe RGB.
 const ADOBE: f64 = 563.0 / 256.0;
 
-impl Depth {
-    /// How many they are.
-    pub fn bits(self) -> u8 {
-        match self {
-            Depth::Eight => 8,
-            Depth::Sixteen => 16,
-        }
-    }
-}
-
 impl Colours {
     /// Its primaries and white.
     pub fn primaries(self) -> Primaries {
@@ -79,6 +69,16 @@ pub enum Depth {
     Eight,
     /// 0..=65535.
     Sixteen,
+}
+
+impl Depth {
+    /// How many they are.
+    pub fn bits(self) -> u8 {
+        match self {
+            Depth::Eight => 8,
+            Depth::Sixteen => 16,
+        }
+    }
 }
 
 /// Bits of a float below which a cell of the tables ends: 256 cells to the octave, each narrower than a code of 8 bits, and so narrow that 16-bit codes

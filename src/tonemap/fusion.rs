@@ -1,17 +1,20 @@
-//! Exposure fusion: of several exposures what is best in each, without seams.
+//! Exposure fusion, after Mertens: of several exposures what is best in each, without seams. `mertens` fuses the aligned frames, without radiance or response;
+//! [`natural`](super::natural) exposures that it makes of the radiance.
 //!
 //! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53 bytes a pixel, whatever the number of pictures.
 //! Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007), sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
 
+use super::settings::Setting;
 use crate::error::Result;
 use crate::plane::Plane;
 use crate::pyramid::burt_adelson::{collapse, gaussian_pyramid, laplacian_pyramid, levels};
 use rayon::prelude::*;
 
-/// The exponents of the three measures, by which each counts; 0 leaves one out.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Exponents {
-    /// Of contrast.
+/// What may be set: the exponents of the three measures, by which each counts.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(tag = "name", rename = "mertens")]
+pub struct Options {
+    /// Of contrast: 0 leaves it out.
     pub contrast: f64,
     /// Of saturation.
     pub saturation: f64,
@@ -19,9 +22,20 @@ pub struct Exponents {
     pub exposedness: f64,
 }
 
-impl Default for Exponents {
+impl Default for Options {
     fn default() -> Self {
-        Exponents { contrast: 1.0, saturation: 1.0, exposedness: 1.0 }
+        Options { contrast: 1.0, saturation: 1.0, exposedness: 1.0 }
+    }
+}
+
+impl Options {
+    /// What may be set, by name.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        vec![
+            Setting::number("contrast", (0.0, 4.0), &mut self.contrast, "how much contrast counts; 0 not at all"),
+            Setting::number("saturation", (0.0, 4.0), &mut self.saturation, "how much colourfulness counts"),
+            Setting::number("exposedness", (0.0, 4.0), &mut self.exposedness, "how much it counts to be well exposed"),
+        ]
     }
 }
 
@@ -35,10 +49,10 @@ pub type Channels = [Plane<f32>; 3];
 ///
 /// # Errors
 /// Those of `frame`.
-pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, exponents: &Exponents) -> Result<Channels> {
+pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, options: &Options) -> Result<Channels> {
     let mut total: Option<Plane<f32>> = None;
     for k in 0..count {
-        let weights = weights(&frame(k)?, exponents);
+        let weights = weights(&frame(k)?, options);
         total = Some(match total {
             None => weights,
             Some(sum) => added(sum, &weights),
@@ -49,7 +63,7 @@ pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, exponents: 
     let mut fused: [Option<Vec<Plane<f32>>>; 3] = [None, None, None];
     for k in 0..count {
         let mut channels = frame(k)?;
-        let mut share = weights(&channels, exponents);
+        let mut share = weights(&channels, options);
         // Equation 4; where no frame has any weight all count alike.
         let parts = share.as_mut_slice().par_iter_mut().zip(total.as_slice());
         parts.for_each(|(w, &sum)| *w = if sum > 0.0 { *w / sum } else { 1.0 / count as f32 });
@@ -79,7 +93,7 @@ fn added(mut sum: Plane<f32>, part: &Plane<f32>) -> Plane<f32> {
 }
 
 /// Equation 3: contrast, saturation and exposedness, each to its power, multiplied; 0 outside the frame.
-fn weights(channels: &Channels, exponents: &Exponents) -> Plane<f32> {
+fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
     let (width, height) = (channels[0].width(), channels[0].height());
     let grey = Plane::from_rows(width, height, |y, row| {
         let [red, green, blue] = [channels[0].row(y), channels[1].row(y), channels[2].row(y)];
@@ -92,7 +106,7 @@ fn weights(channels: &Channels, exponents: &Exponents) -> Plane<f32> {
         1.0 => value,
         _ => libm::powf(value, exponent as f32),
     };
-    let bells: Vec<f32> = (0..=1024).map(|i| power(bell(i as f32 / 1024.0), exponents.exposedness)).collect();
+    let bells: Vec<f32> = (0..=1024).map(|i| power(bell(i as f32 / 1024.0), options.exposedness)).collect();
     Plane::from_rows(width, height, |y, row| {
         let (above, here, below) = (grey.row(y.saturating_sub(1)), grey.row(y), grey.row((y + 1).min(height - 1)));
         let [red, green, blue] = [channels[0].row(y), channels[1].row(y), channels[2].row(y)];
@@ -103,7 +117,7 @@ fn weights(channels: &Channels, exponents: &Exponents) -> Plane<f32> {
             let variance = (r * r + g * g + b * b) / 3.0;
             let bell = |v: f32| bells[(v.clamp(0.0, 1.0) * 1024.0) as usize];
             let exposed = bell(red[x]) * bell(green[x]) * bell(blue[x]);
-            let weight = power(contrast, exponents.contrast) * power(variance.sqrt(), exponents.saturation) * exposed;
+            let weight = power(contrast, options.contrast) * power(variance.sqrt(), options.saturation) * exposed;
             // Flat grey has neither contrast nor saturation, in no frame: then exposure decides, as nothing else can.
             *w = if red[x] < 0.0 { 0.0 } else { weight + 1e-9 + 1e-6 * exposed };
         }
@@ -125,7 +139,7 @@ mod tests {
     }
 
     fn fused(frames: &[Channels]) -> Channels {
-        fuse(frames.len(), |k| Ok(frames[k].clone()), &Exponents::default()).unwrap()
+        fuse(frames.len(), |k| Ok(frames[k].clone()), &Options::default()).unwrap()
     }
 
     #[test]
@@ -165,7 +179,7 @@ mod tests {
     #[test]
     fn flat_frames_give_their_weighted_mean_and_what_is_outside_counts_nothing() {
         let frames = [flat([0.2, 0.3, 0.4], (40, 30)), flat([0.6, 0.5, 0.7], (40, 30)), flat([-1.0; 3], (40, 30))];
-        let weights: Vec<f32> = frames.iter().map(|f| weights(f, &Exponents::default()).at(20, 15)).collect();
+        let weights: Vec<f32> = frames.iter().map(|f| weights(f, &Options::default()).at(20, 15)).collect();
         assert_eq!(weights[2], 0.0);
         let whole = fused(&frames);
         for c in 0..3 {

@@ -17,7 +17,6 @@ mod guide;
 mod log_range;
 pub mod mantiuk06;
 pub mod mantiuk08;
-pub mod mertens;
 pub mod natural;
 mod oklab;
 pub mod overview;
@@ -135,7 +134,7 @@ pub enum Rendering {
     /// From radiance, by an operator.
     Toned(Operator),
     /// From the aligned frames.
-    Fused(mertens::Options),
+    Fused(fusion::Options),
 }
 
 impl Default for Rendering {
@@ -209,7 +208,7 @@ mod tests {
     #[test]
     fn setting_out_of_range_is_an_error_that_names_it() {
         assert!(every().iter().all(|operator| operator.validate().is_ok()));
-        assert!(Rendering::Fused(mertens::Options::default()).validate().is_ok());
+        assert!(Rendering::Fused(fusion::Options::default()).validate().is_ok());
         for reach in [f64::NAN, -1.0, 1e9] {
             let durand = Operator::Durand(durand::Options { reach, ..durand::Options::default() });
             let error = durand.validate().unwrap_err();

@@ -14,7 +14,7 @@
 //! The numbers below were chosen by eye, and by blind judgements, on sixteen photographed brackets.
 
 use super::display::luminance;
-use super::fusion::{self, Channels, Exponents};
+use super::fusion::{self, Channels};
 use super::guide::Guide;
 use super::oklab;
 use super::overview::{Scene, quantile};
@@ -95,14 +95,14 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let exposures = Exposures::of(scene, &photograph);
     let fused = fused(&grid, &exposures, &photograph);
     let brightness = exposures.brightness(&grid, &photograph, options.brightness);
-    let shown = Shown::new(&fused, brightness, options.contrast);
+    let levels = Levels::new(&fused, brightness, options.contrast);
     // Photographs have as much colour as their camera gives them; of radiance that is all there is, its own is right.
     let colourful = scene.photographed.map_or(1.0, |p| p.contrast as f32);
     let (width, height) = (grid.logs.width(), grid.logs.height());
     let most = options.saturation as f32;
     let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
         for (x, cell) in row.iter_mut().enumerate() {
-            let fused = shown.at([0, 1, 2].map(|c| fused[c].at(x, y)));
+            let fused = levels.at([0, 1, 2].map(|c| fused[c].at(x, y)));
             let display = luminance(fused);
             let [share, turn] = chroma(fused, colour(grid.colours.at(x, y)), display.max(DARKEST), colourful);
             *cell = [log2(display + DARKEST), most * share, turn];
@@ -213,19 +213,19 @@ fn fused(grid: &Scene, exposures: &Exposures, photograph: &Photograph) -> Channe
         }))
     };
     // Making exposures cannot fail.
-    fusion::fuse(exposures.stops.len(), exposed, &Exponents::default())
+    fusion::fuse(exposures.stops.len(), exposed, &fusion::Options::default())
         .unwrap_or_else(|_| std::array::from_fn(|_| Plane::filled(width, height, 0.0)))
 }
 
-/// From fused codes to the display.
-struct Shown {
+/// From fused codes to the display: black, white, brightness and contrast.
+struct Levels {
     black: f32,
     white: f32,
     power: f64,
     contrast: f64,
 }
 
-impl Shown {
+impl Levels {
     /// So that the mean code of the luminance of `fused` is `brightness`, or as near as [`POWERS`] allow.
     fn new(fused: &Channels, brightness: f64, contrast: f64) -> Self {
         let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());
@@ -233,21 +233,21 @@ impl Shown {
         greys.sort_unstable_by(f32::total_cmp);
         let black = BLACK.0 * quantile(&greys, ENDS.0).clamp(0.0, BLACK.1);
         let white = quantile(&greys, 1.0 - ENDS.1).clamp(WHITE.0, WHITE.1);
-        let mut shown = Shown { black, white, power: 1.0, contrast };
+        let mut levels = Levels { black, white, power: 1.0, contrast };
         let step = (r.len() / 4096).max(1);
         let linear: Vec<f64> =
-            (0..r.len()).step_by(step).map(|i| luminance(shown.levelled([r[i], g[i], b[i]])).into()).collect();
+            (0..r.len()).step_by(step).map(|i| luminance(levels.levelled([r[i], g[i], b[i]])).into()).collect();
         let (mut low, mut high) = POWERS;
         for _ in 0..20 {
-            shown.power = 0.5 * (low + high);
-            let mean = linear.iter().map(|l| shown.code(*l)).sum::<f64>() / linear.len() as f64;
+            levels.power = 0.5 * (low + high);
+            let mean = linear.iter().map(|l| levels.code(*l)).sum::<f64>() / linear.len() as f64;
             if mean > brightness {
-                low = shown.power;
+                low = levels.power;
             } else {
-                high = shown.power;
+                high = levels.power;
             }
         }
-        shown
+        levels
     }
 
     /// Linear light of fused codes between black and white.

@@ -82,7 +82,7 @@ pub(super) struct Shown<const N: usize> {
     pub display: [f32; N],
     /// The share that is shown of the chroma that the scene has at that luminance.
     pub share: [f32; N],
-    /// By how much hue is turned, in radians, towards yellow from red: little.
+    /// By how much hue is turned, in radians, from red towards yellow; it is small.
     pub turn: [f32; N],
 }
 

@@ -213,8 +213,8 @@ pub fn find(
     Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
 }
 
-/// Keeps a shorter frame beside what `moved` in it, where the reference is white: all it would leave there is a blob. Where a mover's
-/// soft edge darkens it, light is [continued](holes) all the same.
+/// Keeps a shorter frame beside what `moved` in it, where the reference is white: without it there would be a white blob. Where a mover's soft
+/// edge darkens it, light is [continued](holes) all the same.
 fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, reference: &Plane<Cell>) {
     kept.fill_rows(|y, row| {
         for ((kept, moved), cell) in row.iter_mut().zip(moved.row(y)).zip(reference.row(y)) {

@@ -36,7 +36,7 @@ const LAYERS: [&str; 23] = [
 const RIVALS: [(&str, &[&str]); 3] = [
     ("align", &["mtb", "sift"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
-    ("tonemap", &["natural", "reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08", "mertens"]),
+    ("tonemap", &["natural", "reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),
 ];
 
 /// Most lines of a file.
