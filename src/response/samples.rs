@@ -31,6 +31,8 @@ const DARKER: f64 = 2.0;
 const RISE: (f64, f64) = (0.05, 0.5);
 /// Black is believed where this many patches show it, and lies above this share of them.
 const BLACK: (usize, f64) = (20, 0.95);
+/// Codes from here on are not black, whatever they say.
+const DARK: f64 = 64.0;
 /// Steps of brightness among which samples are spread.
 const BINS: usize = 32;
 
@@ -200,19 +202,39 @@ fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<
     first.map_or(0, |pair| pair[0].0)..frames.len()
 }
 
-/// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise.
+/// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise. A patch that something
+/// moved across says nothing either, but among others as dark that do.
 fn black(seen: &[&Places], channel: usize) -> f64 {
-    let mut codes: Vec<f64> = Vec::new();
+    let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
+    let (mut silent, mut told) = (Vec::new(), Vec::new());
     for (frames, place) in seen.iter().flat_map(|seen| seen.places.iter().map(|place| (&seen.frames, place))) {
-        let silent = &place.patches[..telling(place, frames, channel).start];
-        codes.extend(silent.iter().flatten().map(|patch| patch[channel].mean + 2.0 * patch[channel].deviation));
+        let (none, some) = place.patches.split_at(telling(place, frames, channel).start);
+        silent.extend(none.iter().flatten().filter(dark).map(|patch| patch[channel]));
+        told.extend(some.iter().flatten().filter(dark).map(|patch| patch[channel].mean));
     }
-    codes.retain(|&code| code < 64.0);
+    let end = parting(silent.iter().map(|patch| patch.mean), told);
+    let noisy = silent.iter().filter(|patch| patch.mean <= end).map(|patch| patch.mean + 2.0 * patch.deviation);
+    let mut codes: Vec<f64> = noisy.filter(|&code| code < DARK).collect();
     codes.sort_by(f64::total_cmp);
     match codes.len() {
         few if few < BLACK.0 => 0.0,
         many => codes[((many as f64 * BLACK.1) as usize).min(many - 1)],
     }
+}
+
+/// The code that best parts what is `below` from what is `above`: the fewest lie on the wrong side. The least code of all where none is below.
+fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
+    let mut codes: Vec<(f64, i32)> =
+        below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();
+    codes.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+    let (mut most, mut right, mut end) = (0, 0, f64::MIN);
+    for (code, gain) in codes {
+        right += gain;
+        if right > most {
+            (most, end) = (right, code);
+        }
+    }
+    end
 }
 
 /// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
@@ -312,83 +334,4 @@ fn sample(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Sample 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::tests::still;
-    use super::*;
-    use crate::bracket::Frame;
-
-    /// Tiles of 20 pixels, over ten stops.
-    fn tiles(x: usize, y: usize) -> [f64; 3] {
-        [libm::exp2(((x / 20) * 7 + (y / 20) * 13) as f64 % 101.0 / 10.0 - 8.0); 3]
-    }
-
-    #[test]
-    fn samples_are_unclipped_brighten_and_cover_the_codes() {
-        let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let drawn = draw(&[&Places::of(&bracket, &alignment).unwrap()], 500);
-        for samples in &drawn.channels {
-            assert!(samples.len() > 100 && samples.len() <= 500, "{}", samples.len());
-            for s in samples {
-                assert!(s.views.len() >= 2 && s.views.iter().all(|v| (SEEN.0..=SEEN.1).contains(&v.code)));
-                assert!(s.views.windows(2).all(|v| v[0].code < v[1].code && v[0].ln_time < v[1].ln_time));
-            }
-            let seen = |from: f64| samples.iter().flat_map(|s| &s.views).any(|v| (from..from + 16.0).contains(&v.code));
-            assert!((0..15).all(|k| seen(8.0 + 16.0 * k as f64)));
-        }
-    }
-
-    #[test]
-    fn thinned_places_are_even_and_tell_the_same() {
-        let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-        let all = Places::of(&bracket, &alignment).unwrap();
-        let mut same = all.clone();
-        same.thin(3 * all.places.len());
-        assert_eq!(draw(&[&same], 500), draw(&[&all], 500), "there is room for all");
-        let mut few = all.clone();
-        few.thin(3 * 100 + 2);
-        assert_eq!(few.places.len(), 100);
-        // One of every so many, from the first rows to the last.
-        let step = all.places.len() / 100;
-        let kept = |place: &Candidate| {
-            few.places.iter().filter(|p| p.patches[1].unwrap()[0].mean == place.patches[1].unwrap()[0].mean).count()
-        };
-        assert!(step > 3 && kept(all.places.last().unwrap()) > 0);
-        let drawn = draw(&[&few], 500);
-        assert!(drawn.channels.iter().all(|samples| samples.len() > 30 && samples.len() <= 100));
-        few.thin(0);
-        assert!(few.places.is_empty());
-    }
-
-    #[test]
-    fn edges_and_what_darkens_are_left_out() {
-        let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
-        assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).channels.iter().all(Vec::is_empty));
-        let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);
-        assert!(brightens(&[patch(50.0), None, patch(49.0)], 0));
-        assert!(!brightens(&[patch(50.0), None, patch(40.0)], 0));
-    }
-
-    #[test]
-    fn film_base_is_black() {
-        // A camera whose black is 18 codes up: short exposures of dark places say nothing.
-        let (bracket, alignment) =
-            still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
-        assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).black.iter().all(|&b| b < 4.0));
-        let frames = bracket.frames().iter().map(|frame| {
-            let whole = frame.whole().unwrap();
-            let Codes::Eight(codes) = whole.codes() else { unreachable!() };
-            let lifted = codes.iter().map(|&z| (18.0 + f64::from(z) * 237.0 / 255.0) as u8).collect();
-            Frame::new(
-                frame.path().to_owned(),
-                400,
-                300,
-                crate::bracket::Samples::Eight(lifted),
-                frame.exposure.clone(),
-            )
-        });
-        let lifted = Bracket::new(frames.collect(), &crate::bracket::ReferenceChoice::Number(2)).unwrap();
-        assert!(
-            draw(&[&Places::of(&lifted, &alignment).unwrap()], 500).black.iter().all(|&b| (18.0..24.0).contains(&b))
-        );
-    }
-}
+mod tests;

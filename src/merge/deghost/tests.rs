@@ -151,6 +151,26 @@ fn what_is_bright_beside_a_mover_keeps_its_form() {
 }
 
 #[test]
+fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it() {
+    // In the reference somebody dark stands before a wall that both others show; in the shortest it has code 4, and might be as dark.
+    let wall = |_: usize, _: usize| [0.03; 3];
+    let before = |x: usize, y: usize| if disc(x, y, (100, 80)) { [0.004; 3] } else { wall(x, y) };
+    let times = [0.0625, 1.0, 4.0];
+    let scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3] = [&wall, &before, &wall];
+    let frames = (0..3).map(|i| still(SIZE, &times, scenes[i]).0.frames()[i].clone()).collect();
+    let bracket = Bracket::new(frames, &crate::bracket::ReferenceChoice::Number(2)).unwrap();
+    let alignment = Alignment::unmoved(&bracket);
+    let ghosts = seek(&bracket, &alignment);
+    let at = |ghosts: Option<&Ghosts>| merged(&bracket, &alignment, ghosts).at(100, 80)[1];
+    let shown = |ghosts| at(ghosts) / merged(&bracket, &alignment, None).at(200, 150)[1];
+    // Codes 13 and 56 of sRGB: 0.004 of 0.03, off by a half of the darker one's code.
+    assert!((shown(Some(&ghosts)) / (0.004 / 0.03) - 1.0).abs() < 0.06, "{}", shown(Some(&ghosts)));
+    // It stays where nothing moved.
+    assert_eq!(ghosts.kept(0, 150..151).get(200).copied().unwrap_or(1.0), 1.0);
+    assert!(ghosts.kept(0, 80..81)[100] == 0.0);
+}
+
+#[test]
 fn channels_that_are_mixed_are_no_motion() {
     // A disc in which blue is two thirds brighter in the long frame: of red that is a twenty-fifth.
     let found = |red: f64| {
