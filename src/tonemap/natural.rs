@@ -8,8 +8,8 @@
 //!    place is: night stays night.
 //! 2. The exposures are fused, and black and white are where the fused picture has its darkest and brightest.
 //! 3. A power and a curve of contrast give it the brightness of a photograph, or somewhat less than the longest exposure's.
-//! 4. Straight lines carry luminance from the grid to the pixels (`guide`). Hue is the scene's; of its chroma as much is left as the fused picture
-//!    has, which is pale where it is nearly white, and no more than the photographs had or, where nothing is known of them, the scene has.
+//! 4. Straight lines carry luminance from the grid to the pixels (`guide`). Hue is that of the photograph which shows a place so bright, and chroma between
+//!    its own and the fused picture's; where nothing is known of photographs, hue is the scene's, and no colour is stronger than there.
 //!
 //! The numbers below were chosen by eye, and by blind judgements, on sixteen photographed brackets.
 
@@ -96,15 +96,14 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let fused = fused(&grid, &exposures, &photograph);
     let brightness = exposures.brightness(&grid, &photograph, options.brightness);
     let levels = Levels::new(&fused, brightness, options.contrast);
-    // Photographs have as much colour as their camera gives them; of radiance that is all there is, its own is right.
-    let colourful = scene.photographed.map_or(1.0, |p| p.contrast as f32);
+    let colours = Colours { photograph: &photograph, is_known: scene.photographed.is_some() };
     let (width, height) = (grid.logs.width(), grid.logs.height());
     let most = options.saturation as f32;
     let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
         for (x, cell) in row.iter_mut().enumerate() {
             let fused = levels.at([0, 1, 2].map(|c| fused[c].at(x, y)));
             let display = luminance(fused);
-            let [share, turn] = chroma(fused, colour(grid.colours.at(x, y)), display.max(DARKEST), colourful);
+            let [share, turn] = colours.shown(fused, colour(grid.colours.at(x, y)), display.max(DARKEST));
             *cell = [log2(display + DARKEST), most * share, turn];
         }
     });
@@ -134,28 +133,42 @@ fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
     colour.map(|c| c * by)
 }
 
-/// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown, and the turn of its hue in radians: as much chroma as
-/// `fused` has, and at most as much as a photograph has that makes `contrast` stops of one; and what is paler than the scene, because a
-/// channel clips, may turn towards the hue of `fused`, wholly where half is left: lamp light is golden then, not pink.
-fn chroma(fused: [f32; 3], colour: [f32; 3], display: f32, contrast: f32) -> [f32; 2] {
-    let lab = |rgb| {
-        let [_, a, b] = oklab::from_linear(rgb);
-        (a, b, (a * a + b * b).sqrt())
-    };
-    let (a, b, of_scene) = lab(scaled(colour, display));
-    if of_scene <= GREY {
-        return [1.0, 0.0];
-    }
-    let powered = if contrast > 1.0 { colour.map(|c| libm::powf(c, contrast)) } else { colour };
-    let (_, _, of_photograph) = lab(scaled(powered, display / luminance(powered)));
-    let (fused_a, fused_b, of_fused) = lab(fused);
-    let share = of_fused.min(of_photograph) / of_scene;
-    let turn = libm::atan2f(a * fused_b - b * fused_a, a * fused_a + b * fused_b);
-    [share, turn.clamp(-MOST_TURN, MOST_TURN) * (2.0 - 2.0 * share).clamp(0.0, 1.0)]
+/// How colours are shown: as photographs show them.
+struct Colours<'a> {
+    photograph: &'a Photograph,
+    /// Whether the scene was photographed so. Of radiance that is all there is, its own colours are right.
+    is_known: bool,
 }
 
-/// The most that a hue turns, in radians: 9 degrees.
-const MOST_TURN: f32 = 0.157;
+impl Colours<'_> {
+    /// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown, and the turn of its hue in radians: those of the photograph
+    /// that shows it so bright, where lamp light is golden, not pink; halfway between the chroma there and that of `fused`, which is livelier in dark places.
+    /// A scene that nobody photographed turns little, and only where what is nearly white gets pale, and no colour becomes stronger.
+    fn shown(&self, fused: [f32; 3], colour: [f32; 3], display: f32) -> [f32; 2] {
+        let lab = |rgb| {
+            let [_, a, b] = oklab::from_linear(rgb);
+            (a, b, (a * a + b * b).sqrt())
+        };
+        let (a, b, of_scene) = lab(scaled(colour, display));
+        if of_scene <= GREY {
+            return [1.0, 0.0];
+        }
+        let (_, _, of_fused) = lab(fused);
+        let (to_a, to_b, of_photograph) = lab(self.photograph.showing(colour, display));
+        let share = (of_fused * of_photograph).sqrt() / of_scene;
+        let turn = libm::atan2f(a * to_b - b * to_a, a * to_a + b * to_b);
+        match self.is_known {
+            true => [share, turn.clamp(-MOST_TURN.1, MOST_TURN.1)],
+            false => {
+                let paler = (2.0 - 2.0 * share).clamp(0.0, 1.0);
+                [share.min(1.0), turn.clamp(-MOST_TURN.0, MOST_TURN.0) * paler]
+            }
+        }
+    }
+}
+
+/// The most that a hue turns, in radians: 9 degrees, and 25 where photographs show by how much.
+const MOST_TURN: (f32, f32) = (0.157, 0.436);
 
 /// The chroma that cannot be told from none.
 const GREY: f32 = 1e-3;

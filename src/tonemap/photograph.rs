@@ -1,15 +1,19 @@
 //! What a camera makes of light for a display: a power of it below the middle code, and a shoulder above.
 //!
-//! In: how contrasty a camera's pictures are, and how much light makes them white. Out: the code of any light, and the light of a code. Cost: a table of
-//! 640 entries, and an interpolation for each light. Source: the shape is ours; the numbers are of the response
+//! In: how contrasty a camera's pictures are, and how much light makes them white. Out: the code of any light, the light of a code, and the colour in which
+//! a photograph shows a light. Cost: tables of 640 entries, and an interpolation for each light; 40 of them for each colour. Source: the shape is ours; the numbers are of the response
 //! ([`Photographed`](crate::merge::Photographed)).
 
+use super::display::luminance;
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
+use crate::simd::log2;
 
 /// The curve of a camera.
 pub(super) struct Photograph {
     /// Codes by log2 of the light, of 1 where the middle code is.
     codes: Vec<f32>,
+    /// What a display makes of them, relative to white.
+    shown: Vec<f32>,
     contrast: f64,
     white_stops: f64,
 }
@@ -21,13 +25,14 @@ impl Photograph {
 
     /// Of a camera with this contrast below the middle code and so many stops from there to white.
     pub fn new(contrast: f64, white_stops: f64) -> Self {
-        let mut photograph = Photograph { codes: Vec::new(), contrast, white_stops };
+        let mut photograph = Photograph { codes: Vec::new(), shown: Vec::new(), contrast, white_stops };
         let (first, last) = Self::STOPS;
         let count = ((last - first) * Self::PER_STOP) as usize;
         let stop = |i: usize| f64::from(first) + i as f64 / f64::from(Self::PER_STOP);
         // One more, so that every entry has a next one.
-        let codes = (0..=count + 1).map(|i| linear_to_srgb(photograph.display(stop(i))) as f32);
-        photograph.codes = codes.collect();
+        let shown: Vec<f64> = (0..=count + 1).map(|i| photograph.display(stop(i))).collect();
+        photograph.codes = shown.iter().map(|shown| linear_to_srgb(*shown) as f32).collect();
+        photograph.shown = shown.iter().map(|shown| *shown as f32).collect();
         photograph
     }
 
@@ -48,10 +53,31 @@ impl Photograph {
 
     /// The code, 0..=1, of such light.
     pub fn code(&self, stop: f32) -> f32 {
+        Self::at(&self.codes, stop)
+    }
+
+    fn at(table: &[f32], stop: f32) -> f32 {
         let (first, last) = Self::STOPS;
         let place = (stop.clamp(first, last) - first) * Self::PER_STOP;
-        let (p, q) = (self.codes[place as usize], self.codes[place as usize + 1]);
+        let (p, q) = (table[place as usize], table[place as usize + 1]);
         p + (place - place.floor()) * (q - p)
+    }
+
+    /// Linear light of the display where a photograph shows light of this `colour`, any multiple of it, so bright that its luminance is `display`, below 1.
+    pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
+        let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
+        let exposed = |stop: f32| stops.map(|c| Self::at(&self.shown, c + stop));
+        let (mut low, mut high) = Self::STOPS;
+        // To a hundredth of a stop.
+        for _ in 0..11 {
+            let stop = 0.5 * (low + high);
+            if luminance(exposed(stop)) > display {
+                high = stop;
+            } else {
+                low = stop;
+            }
+        }
+        exposed(low)
     }
 
     /// The stop of light that has the `code`, below 1.
@@ -89,6 +115,27 @@ mod tests {
             for of in [0.1, 0.4, 0.6, 0.9] {
                 assert!((code(photograph.stop(of)) - of).abs() < 2e-3, "{of}: {}", code(photograph.stop(of)));
             }
+        }
+    }
+
+    #[test]
+    fn colours_are_shown_at_the_luminance_asked_for_paler_and_yellower_towards_white() {
+        let photograph = Photograph::new(1.4, 2.6);
+        let (wood, grey) = ([2.6, 0.55, 0.16], [1.0; 3]);
+        let hue = |[r, g, b]: [f32; 3]| (g - b) / (r - b);
+        let mut before = 0.0;
+        for display in [0.02, 0.1, 0.3, 0.6, 0.9] {
+            for colour in [wood, grey] {
+                let found = luminance(photograph.showing(colour, display));
+                // A hundredth of a stop, of which a photograph makes up to 1.4 times as much.
+                assert!((found / display - 1.0).abs() < 0.011, "{found} for {display}");
+            }
+            let [r, g, b] = photograph.showing(grey, display);
+            assert!((r - g).abs() < 1e-6 && (r - b).abs() < 1e-6);
+            // Red is at its end first, and green catches up before blue.
+            let wooden = hue(photograph.showing(wood, display));
+            assert!(wooden > before, "{wooden} at {display}");
+            before = wooden;
         }
     }
 }
