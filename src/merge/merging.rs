@@ -115,9 +115,28 @@ impl<'a> Merging<'a> {
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
     }
 
-    /// What the radiance of each pixel of layer `i` is multiplied by at `rows` of the region; nothing where by 1.
-    pub(super) fn gain(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
-        self.local.map_or_else(Vec::new, |local| local.at(i, rows))
+    /// How the [base](LocalGain::base) of layer `i` follows at `rows` of the region; nothing where frames are not locally processed.
+    pub(super) fn base(&self, i: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
+        self.local.map_or_else(Vec::new, |local| local.base(i, rows))
+    }
+
+    /// Into `gain` what the radiance of each layer is multiplied by at `columns` of the `tiles`, of which `bases` are those of all columns; nothing where by 1.
+    pub(super) fn multiply(
+        &self,
+        tiles: &[Tile],
+        bases: &[Vec<[f32; 2]>],
+        columns: &Range<usize>,
+        gain: &mut [Vec<f32>],
+    ) {
+        let Some(local) = self.local else { return };
+        let width = self.region.width();
+        for (((layer, tile), base), gain) in self.layers.iter().zip(tiles).zip(bases).zip(gain) {
+            for (y, (base, gain)) in base.chunks_exact(width).zip(gain.chunks_exact_mut(width)).enumerate() {
+                if let Some(row) = tile.row(y) {
+                    local.multiply(layer, &row, &base[columns.clone()], &mut gain[columns.clone()]);
+                }
+            }
+        }
     }
 
     /// Width and height of the result, in pixels.
@@ -157,13 +176,15 @@ impl<'a> Merging<'a> {
             for (strip, out) in rows.step_by(ROWS).zip(band.chunks_mut(ROWS * width)) {
                 let rows = first + strip..first + strip + out.len() / width;
                 let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, rows.clone())).collect();
-                let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.gain(i, rows.clone())).collect();
+                let bases: Vec<Vec<[f32; 2]>> = (0..self.layers.len()).map(|i| self.base(i, rows.clone())).collect();
+                let mut gain: Vec<Vec<f32>> = bases.iter().map(|base| vec![1.0; base.len()]).collect();
                 for left in (0..width).step_by(COLUMNS) {
                     let columns = left..(left + COLUMNS).min(width);
                     for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut *tiles) {
                         let columns = x0 + columns.start..x0 + columns.end;
                         tile.read(layer, window, columns, y0 + rows.start..y0 + rows.end);
                     }
+                    self.multiply(tiles, &bases, &columns, &mut gain);
                     for (y, line) in out.chunks_exact_mut(width).enumerate() {
                         let part = y * width + columns.start..y * width + columns.end;
                         let taken: Vec<Taken> =

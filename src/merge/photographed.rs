@@ -12,7 +12,7 @@ use std::fmt;
 pub struct Photographed {
     /// That of the longest exposure, which shows the shadows.
     pub longest: f64,
-    /// That of the shortest, which shows the lights.
+    /// That of the shortest, which shows the lights; of frames that are locally processed, that of a picture which shows them as it did.
     pub shortest: f64,
     /// How many stops brighter the photographs are displayed where the scene is a stop brighter, below their middle code: 1 to 1.85. Cameras make more of one, and so
     /// more of colours.

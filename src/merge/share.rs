@@ -62,7 +62,8 @@ impl Merging<'_> {
         let mut sums = vec![vec![0.0f32; across]; self.layers.len()];
         let mut counts = vec![0.0f32; across];
         let kept: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.kept(i, y..y + 1)).collect();
-        let gain: Vec<Vec<f32>> = (0..self.layers.len()).map(|i| self.gain(i, y..y + 1)).collect();
+        let bases: Vec<Vec<[f32; 2]>> = (0..self.layers.len()).map(|i| self.base(i, y..y + 1)).collect();
+        let mut gain: Vec<Vec<f32>> = bases.iter().map(|base| vec![1.0; base.len()]).collect();
         let mut filling = Filling::new();
         let windows =
             self.layers.iter().map(|layer| layer.window(&(x0..x0 + width), &rows)).collect::<Result<Vec<_>>>()?;
@@ -72,6 +73,7 @@ impl Merging<'_> {
             for ((layer, window), tile) in self.layers.iter().zip(&windows).zip(&mut tile) {
                 tile.read(layer, window, whole.clone(), rows.clone());
             }
+            self.multiply(&tile, &bases, &columns, &mut gain);
             let taken: Vec<Taken> =
                 kept.iter().zip(&gain).map(|(kept, gain)| Taken::part(kept, gain, columns.clone())).collect();
             let mut weights = vec![[0.0f32; COLUMNS]; self.layers.len()];

@@ -63,7 +63,7 @@ pub(super) fn local(gain: &LocalGain, placed: &[usize], size: (usize, usize)) ->
         let mut all = Vec::with_capacity(across * down);
         for y in 0..down {
             let row = (2 * y + 1) * size.1 / (2 * down);
-            let factors = gain.at(layer, row..row + 1);
+            let factors = gain.against_reference(layer, row..row + 1);
             let factor = |x: usize| factors.get((2 * x + 1) * size.0 / (2 * across)).copied();
             all.extend((0..across).filter_map(factor).map(libm::log2f));
         }

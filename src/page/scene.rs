@@ -43,7 +43,7 @@ pub(super) fn processed(page: &Page, report: &Report) -> Option<String> {
          <span class=\"key brighter\"></span> \
          the phone had brightened it there, <span class=\"key darker\"></span> it had darkened it. The strongest colours are \
          {:.1} stops. An exposure step \
-         came out as {} of itself, so large differences of brightness were expanded by {:.2}.</p>\n<div class=\"grid\">\n{cards}</div>\n",
+         came out as {} of itself. Large differences of brightness were expanded by {:.2} on average.</p>\n<div class=\"grid\">\n{cards}</div>\n",
         local.most_stops,
         percent(found.exposure_step_fraction),
         found.expansion

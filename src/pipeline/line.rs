@@ -17,7 +17,7 @@ use crate::error::{Error, Result, Warning};
 use crate::merge::calibration::{self, CalibrationReport, Factor, Unit};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::flare::{self, FlareReport, Veil};
-use crate::merge::local::{self, LocalGain, LocalReport, expansion};
+use crate::merge::local::{self, LocalGain, LocalReport};
 use crate::merge::range::Limits;
 use crate::merge::statistics::{Statistics, Tally};
 use crate::merge::{MergeOptions, Merged, Merging, Photographed, gamut, normalisation};
@@ -80,20 +80,6 @@ fn room(bracket: &Bracket, merging: &Merging, options: &Options) -> Room {
     // Whole bands, and whole cells of the veil.
     let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
     Room::Rows((rows / unit * unit).max(unit), scratch.clone())
-}
-
-/// The radiance of locally processed frames, of which a stop of what is large becomes `factor` stops.
-fn expanded(slabs: Slabs, factor: f64) -> Result<Slabs> {
-    let mut sums = expansion::Sums::new(slabs.size());
-    slabs.each(|first, map| {
-        sums.add(first, &map.pixels);
-        Ok(())
-    })?;
-    let expansion = sums.expansion(factor);
-    slabs.changed(|first, mut map| {
-        expansion.expand(first, &mut map.pixels);
-        map
-    })
 }
 
 /// What headers say of a result.
@@ -248,9 +234,6 @@ impl<'a> Line<'a> {
             let merging = merging.with_local_gain(local.as_ref())?;
             let (mut slabs, bounds) = Slabs::merged(&merging, &room(bracket, &merging, options))?;
             let merged = merging.merged(bounds);
-            if let Some(evidence) = camera.local() {
-                slabs = expanded(slabs, local::expansion(evidence))?;
-            }
             let limits = if local.is_none() { Limits::of(bracket, alignment, curve)? } else { None };
             let mut flare = None;
             if options.flare {
@@ -271,6 +254,10 @@ impl<'a> Line<'a> {
             // Those that are left out too: how long somebody exposed says how bright the place is.
             let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
             let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
+            let photographed = match &local {
+                Some(local) => photographed.map(|photographed| local.photographed(photographed)),
+                None => photographed,
+            };
             Ok(Radiance { slabs, photographed, merged, limits, ghosts, flare, local })
         });
         self.times.merge = time;

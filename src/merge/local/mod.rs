@@ -1,45 +1,38 @@
-//! Local gain: frames that a phone tone-mapped locally, made comparable.
+//! Local gain: frames that a phone tone-mapped locally, given back the light that it took.
 //!
-//! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by which the radiance of each
-//! frame is multiplied, place by place, so that it is the reference's; and an [`Expansion`](expansion::Expansion) of the merged radiance. Cost: that
-//! of averaging the frames over cells, some 20 ns a pixel and frame, and of a logarithm and an exponential for each pixel; nothing where frames
-//! are not locally processed. Source: the idea that ratios of frames give the local gain is that of hdrgen's and Photomatix' alignment of
-//! exposures, taken place by place; the expansion is the inverse of a two-scale tone mapping (Durand & Dorsey 2002) by a guided filter.
+//! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by which the radiance of each pixel of
+//! each frame is multiplied, so that it is the scene's. Cost: that of averaging the frames over cells, some 20 ns a pixel and frame, and of a logarithm and
+//! an exponential for each pixel of each frame; nothing where frames are not locally processed.
+//! Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002), whose curve the exposures tell ([`base`]).
 //!
-//! 1. Every frame is averaged to radiance over cells, 256 along the longer side.
-//! 2. From the reference towards the shorter and towards the longer exposures, the ratio of the standard to the frame is averaged over larger and
-//!    larger neighbourhoods: where there is nothing to compare, the larger ones decide. The standard is the reference; where that clips or is
-//!    black, it is the nearest frame that does not, times its gain. What clips tells no bound: a phone leaves it white, whatever it does around it.
-//! 3. What is merged is the reference's rendering, continued where the reference shows nothing. Its details have the camera's contrast, but what is
-//!    larger than a neighbourhood was compressed by the phone, as the exposure steps were: that is taken back.
+//! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base found.
+//! 2. Bases of two frames at the same cell, which differ in the scene by as much as the exposures, tell the curve by which the phone compressed them.
+//! 3. To the logarithm of each pixel is added what its base lacks by that curve: details keep the camera's contrast, and what is larger than a neighbourhood,
+//!    or an edge of some stops, becomes what it was. This is done before merging: what a frame shows too bright because of where it lies agrees with the others.
 
-pub mod expansion;
-mod smooth;
+mod base;
 
 use super::deghost::cells::{self, Cell};
-use super::deghost::{Layer, layers};
+use super::deghost::layers;
+use super::layer::{COLUMNS, Layer, Meaning, Row};
 use crate::align::{Alignment, Rect};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result};
+use crate::merge::{FLOOR, Photographed};
 use crate::plane::Plane;
-use crate::pyramid::cells::row_between_cells;
+use crate::pyramid::cells::{Mix, row_between_cells};
 use crate::response::ResponseCurve;
 use crate::response::local::Evidence;
+use crate::simd::{Loops, at_least, log2, vectorised};
+use base::{BaseCurve, Pair, coefficients, mapped};
 use serde::Serialize;
-use smooth::Difference;
 use std::ops::Range;
 use std::path::Path;
 
 /// Cells along the longer side, at most, that are compared.
 const CELLS: usize = 256;
-/// Cells on a side of one of the map's.
-const COARSER: usize = 4;
-/// The least relative standard deviation of a cell: alignment and the curve are not known better. As in deghosting.
-const LEAST: f32 = 0.06;
 /// Rec. 709 luminance: the gain is one for all channels.
 const LUMINANCE: [f32; 3] = super::statistics::BT709;
-/// The least share of an exposure step that is taken back wholly: less would make noise of nothing.
-const LEAST_FRACTION: f64 = 0.4;
 /// The greatest share of an exposure step that frames are taken to keep; what they seem to keep beyond is the steepness of the curve. Of 26 brackets of phones
 /// whose curve is about sRGB's (truth.py) all but three keep 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
@@ -48,10 +41,23 @@ const MOST_FRACTION: f64 = 0.6;
 #[derive(Debug, Clone, PartialEq)]
 pub struct LocalGain {
     region: Rect,
-    /// Of a cell of the maps, in pixels: a power of 2.
+    /// Of a cell of the planes, in pixels: a power of 2.
     side: usize,
-    /// One for each placed frame by rising exposure: its path, and for each cell the factor; none for the reference.
-    frames: Vec<(String, Option<Plane<f32>>)>,
+    /// The placed frames by rising exposure.
+    frames: Vec<Processed>,
+    /// Which of them is the reference.
+    reference: usize,
+    curve: BaseCurve,
+}
+
+/// A frame that is locally processed.
+#[derive(Debug, Clone, PartialEq)]
+struct Processed {
+    path: String,
+    /// a and b of the base a x + b, where x is the logarithm of radiance in stops.
+    base: Plane<[f32; 2]>,
+    /// What the base of a cell lacks, in stops, and whether the cell shows something.
+    lacks: Plane<(f32, bool)>,
 }
 
 /// What was found of local processing, for the report.
@@ -63,7 +69,7 @@ pub struct LocalReport {
     pub exposure_step_fraction: f64,
     /// Standard deviation over the picture of the ratio of two frames at the same code.
     pub variation_stops: f64,
-    /// By how many stops a stop of the merged frames was expanded where it is larger than a neighbourhood; 1 where nothing was.
+    /// By how many stops a stop of the frames was expanded where it is larger than a neighbourhood, as the mean over their range; 1 where nothing was.
     pub expansion: f64,
     /// The frames but the reference, by rising exposure; none where they are not locally processed.
     pub frames: Vec<LocalFrame>,
@@ -92,11 +98,6 @@ fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
 
-/// By how many stops a stop of what is larger than a neighbourhood is to be expanded.
-pub fn expansion(evidence: &Evidence) -> f64 {
-    1.0 / (evidence.step_fraction / power(evidence)).clamp(LEAST_FRACTION, 1.0)
-}
-
 impl LocalReport {
     /// The report of what was found, with the `gain` that was merged with where the frames are locally processed.
     pub fn of(evidence: &Evidence, gain: Option<&LocalGain>) -> Self {
@@ -104,7 +105,7 @@ impl LocalReport {
             locally_processed: evidence.is_local,
             exposure_step_fraction: evidence.step_fraction,
             variation_stops: evidence.variation_stops,
-            expansion: if evidence.is_local { expansion(evidence) } else { 1.0 },
+            expansion: gain.map_or(1.0, |gain| gain.curve.slope()),
             frames: gain.map_or_else(Vec::new, LocalGain::report),
         }
     }
@@ -122,24 +123,9 @@ fn side(region: Rect, most: usize) -> usize {
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// The luminance of a cell, as a frame shows it: its logarithm, and the variance of that; infinite where it shows nothing.
-#[derive(Debug, Clone, Copy, Default)]
-struct Shown {
-    stops: f32,
-    variance: f32,
-}
-
-impl Shown {
-    fn of(cell: &Cell, meanings: &[&cells::Meaning]) -> Shown {
-        let luminance: f32 = (0..3).map(|c| LUMINANCE[c] * cell.radiance[c]).sum();
-        if cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)) || luminance <= 0.0 {
-            return Shown { stops: 0.0, variance: f32::INFINITY };
-        }
-        let noise = cell.relative_noise(1, meanings);
-        // A share of the radiance is so many nepers.
-        let square = std::f32::consts::LOG2_E * std::f32::consts::LOG2_E;
-        Shown { stops: libm::log2f(luminance), variance: square * (LEAST * LEAST + noise * noise) }
-    }
+/// Whether what a cell shows is known: not where it clips, which a phone leaves white whatever it does around it, nor where all of it is black.
+fn is_known(cell: &Cell) -> bool {
+    !(cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)))
 }
 
 impl LocalGain {
@@ -149,42 +135,42 @@ impl LocalGain {
     /// [`Error::Scratch`].
     pub fn find(bracket: &Bracket, alignment: &Alignment, curve: &ResponseCurve, region: Rect) -> Result<Self> {
         let (layers, reference) = layers(bracket, alignment, curve);
-        let fine = side(region, CELLS);
-        let meanings: Vec<&cells::Meaning> = layers.iter().map(|layer| &layer.meaning).collect();
-        let shown = |i: usize| -> Result<Plane<Shown>> {
-            let cells = cells::average(&layers[i], region, fine, i as u16)?;
-            Ok(Plane::from_rows(cells.width(), cells.height(), |y, row| {
-                row.iter_mut().zip(cells.row(y)).for_each(|(shown, cell)| *shown = Shown::of(cell, &meanings));
-            }))
-        };
-        let name = |layer: &Layer| (layer.frame.path().to_string_lossy().into_owned(), None);
-        let mut frames: Vec<(String, Option<Plane<f32>>)> = layers.iter().map(name).collect();
-        let of_reference = shown(reference)?;
-        for outwards in [(0..reference).rev().collect::<Vec<_>>(), (reference + 1..layers.len()).collect()] {
-            let mut standard = of_reference.clone();
-            for i in outwards {
-                let frame = shown(i)?;
-                let differences = Plane::from_rows(frame.width(), frame.height(), |y, row| {
-                    for ((d, s), f) in row.iter_mut().zip(standard.row(y)).zip(frame.row(y)) {
-                        *d = Difference { stops: s.stops - f.stops, weight: LEAST * LEAST / (s.variance + f.variance) };
-                    }
-                });
-                let gain = smooth::smoothed(&differences, COARSER);
-                standard.fill_rows(|y, row| {
-                    let mut gains = vec![0.0f32; row.len()];
-                    row_between_cells(&gain, COARSER, |v| v, y, &mut gains);
-                    for ((s, f), gain) in row.iter_mut().zip(frame.row(y)).zip(gains) {
-                        if s.variance.is_infinite() && f.variance.is_finite() {
-                            *s = Shown { stops: f.stops + gain, variance: f.variance };
-                        }
-                    }
-                });
-                let mut factors = gain;
-                factors.fill_rows(|_, row| row.iter_mut().for_each(|v| *v = libm::exp2f(*v)));
-                frames[i].1 = Some(factors);
+        let side = side(region, CELLS);
+        let unit = bracket.reference().exposure.relative();
+        let mut seen = Vec::with_capacity(layers.len());
+        for (i, layer) in layers.iter().enumerate() {
+            let time = libm::log2(layer.frame.exposure.relative() / unit) as f32;
+            let cells = cells::average(layer, region, side, i as u16)?;
+            let stops = mapped(&cells, |cell| {
+                let luminance: f32 = (0..3).map(|c| LUMINANCE[c] * cell.radiance[c]).sum();
+                (!cell.is_outside()).then(|| libm::log2f(luminance.max(FLOOR)) + time)
+            });
+            let base = coefficients(&stops);
+            let bases = Plane::from_rows(cells.width(), cells.height(), |y, row: &mut [(f32, bool)]| {
+                for (x, v) in row.iter_mut().enumerate() {
+                    let [a, b] = base.at(x, y);
+                    *v = (a * stops.at(x, y).unwrap_or(0.0) + b, is_known(&cells.at(x, y)));
+                }
+            });
+            seen.push((time, base, bases));
+        }
+        let mut pairs = Vec::new();
+        for (i, (time, _, bases)) in seen.iter().enumerate() {
+            for (longer, _, others) in &seen[i + 1..] {
+                let both = bases.as_slice().iter().zip(others.as_slice()).filter(|(a, b)| a.1 && b.1);
+                pairs.extend(both.map(|(a, b)| Pair { bases: (a.0, b.0), stops: longer - time }));
             }
         }
-        Ok(LocalGain { region, side: fine * COARSER, frames })
+        let curve = BaseCurve::of(&pairs);
+        let mut frames = Vec::with_capacity(seen.len());
+        for ((time, base, bases), layer) in seen.into_iter().zip(&layers) {
+            frames.push(Processed {
+                path: layer.frame.path().to_string_lossy().into_owned(),
+                base: mapped(&base, |[a, b]| [*a, b + a * time]),
+                lacks: mapped(&bases, |(base, is_known)| (curve.at(*base), *is_known)),
+            });
+        }
+        Ok(LocalGain { region, side, frames, reference, curve })
     }
 
     /// Whether they are of this region and of these placed frames by rising exposure.
@@ -192,7 +178,7 @@ impl LocalGain {
     /// # Errors
     /// [`Error::Option`] with what they are of.
     pub(super) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
-        let is_of = |((path, _), frame): (&(String, _), &&Path)| *path == frame.to_string_lossy();
+        let is_of = |(own, frame): (&Processed, &&Path)| own.path == frame.to_string_lossy();
         if self.region == region && self.frames.len() == frames.len() && self.frames.iter().zip(frames).all(is_of) {
             return Ok(());
         }
@@ -200,26 +186,92 @@ impl LocalGain {
         Err(Error::Option { option: "--crop", reason: reason.to_owned() })
     }
 
-    /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
+    /// The factors of the cells of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows: those of pixels that are as bright
+    /// as their cell.
     pub fn at(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
-        let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
-        let width = self.region.width();
-        let mut factors = vec![0.0f32; rows.len() * width];
-        for (y, row) in rows.zip(factors.chunks_exact_mut(width)) {
-            row_between_cells(map, self.side, |v| v, y, row);
-        }
+        let Some(frame) = self.frames.get(layer) else { return Vec::new() };
+        let mut factors = self.rows(&frame.lacks, |(lacks, _)| lacks, rows);
+        factors.iter_mut().for_each(|v| *v = libm::exp2f(*v));
         factors
     }
 
-    /// The range of the gain of each frame but the reference, by rising exposure.
+    /// As [`at`](LocalGain::at), over the factors of the reference; nothing for the reference.
+    pub fn against_reference(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
+        if layer == self.reference {
+            return Vec::new();
+        }
+        let mut factors = self.at(layer, rows.clone());
+        factors.iter_mut().zip(self.at(self.reference, rows)).for_each(|(v, reference)| *v /= reference);
+        factors
+    }
+
+    /// How the base of frame `layer` follows from the logarithm of a pixel's radiance, at `rows` of the region, by rows.
+    pub(super) fn base(&self, layer: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
+        self.frames.get(layer).map_or_else(Vec::new, |frame| self.rows(&frame.base, |v| v, rows))
+    }
+
+    /// What is `of` cells, between them, at `rows` of the region.
+    fn rows<S: Copy, T: Mix + Default>(&self, cells: &Plane<S>, of: fn(S) -> T, rows: Range<usize>) -> Vec<T> {
+        let width = self.region.width();
+        let mut values = vec![T::default(); rows.len() * width];
+        for (y, row) in rows.zip(values.chunks_exact_mut(width)) {
+            row_between_cells(cells, self.side, of, y, row);
+        }
+        values
+    }
+
+    /// Into `factors` what the radiance of a row of a tile of `layer` is multiplied by, where `base` is the frame's [`base`](LocalGain::base) there.
+    pub(super) fn multiply(&self, layer: &Layer, row: &Row, base: &[[f32; 2]], factors: &mut [f32]) {
+        vectorised(Factors { layer, row, base, curve: &self.curve, factors });
+    }
+
+    /// What frames that are `photographed` so show of the radiance that they are multiplied to: the lights of the shortest are brighter by what its white lacks, and
+    /// a picture of them is to be exposed by so much less.
+    pub fn photographed(&self, photographed: Photographed) -> Photographed {
+        let lacks = self.curve.at(photographed.white_stops as f32);
+        Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
+    }
+
+    /// The range of the gain of each frame but the reference, by rising exposure, over the cells that both show.
     fn report(&self) -> Vec<LocalFrame> {
-        let of = |(path, map): &(String, Option<Plane<f32>>)| {
-            let factors = map.as_ref()?.as_slice();
-            let (least, most) = factors.iter().fold((f32::MAX, 0.0f32), |(a, b), &v| (a.min(v), b.max(v)));
-            let stops = |v: f32| libm::log2(f64::from(v));
-            Some(LocalFrame { path: path.clone(), gain_stops: (stops(least), stops(most)) })
+        let Some(reference) = self.frames.get(self.reference) else { return Vec::new() };
+        let of = |frame: &Processed| {
+            let both = frame.lacks.as_slice().iter().zip(reference.lacks.as_slice()).filter(|(a, b)| a.1 && b.1);
+            let all = both.map(|(a, b)| f64::from(a.0 - b.0));
+            let range = all.fold(None, |range: Option<(f64, f64)>, v| {
+                range.map_or(Some((v, v)), |(least, most)| Some((least.min(v), most.max(v))))
+            });
+            LocalFrame { path: frame.path.clone(), gain_stops: range.unwrap_or((0.0, 0.0)) }
         };
-        self.frames.iter().filter_map(of).collect()
+        let others = self.frames.iter().enumerate().filter(|(i, _)| *i != self.reference);
+        others.map(|(_, frame)| of(frame)).collect()
+    }
+}
+
+/// The factors of a row of a tile.
+struct Factors<'a, 'b> {
+    layer: &'a Layer<'b>,
+    row: &'a Row<'a>,
+    base: &'a [[f32; 2]],
+    curve: &'a BaseCurve,
+    factors: &'a mut [f32],
+}
+
+impl Loops for Factors<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let (mut luminance, mut meanings) = ([0.0f32; COLUMNS], [Meaning::default(); COLUMNS]);
+        for c in 0..3 {
+            self.layer.look_up(c, self.row.codes[c], &mut meanings);
+            for x in 0..COLUMNS {
+                luminance[x] += LUMINANCE[c] * meanings[x][0];
+            }
+        }
+        for ((factor, [a, b]), luminance) in self.factors.iter_mut().zip(self.base).zip(luminance) {
+            *factor = libm::exp2f(self.curve.at(a * log2(at_least(luminance, FLOOR)) + b));
+        }
     }
 }
 

@@ -1,0 +1,227 @@
+//! The base of a locally processed frame, and the curve that the phone compressed it by.
+//!
+//! In: the logarithm of each frame's exposure on cells. Out: for each cell how the base follows from a pixel's logarithm, and the curve from the base of a
+//! frame to that of the scene. Cost: two box filters over at most 256 x 256 cells for each frame, and some passes over the cells of each two frames.
+//! Source: base and detail as in Durand & Dorsey 2002; the base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance by itself,
+//! found on cells and interpolated (He & Sun 2015). The curve is recovered as a camera's is (Debevec & Malik 1997), from bases instead of codes.
+//!
+//! A local tone mapping compresses the base and keeps the details. An edge of some stops is part of the base: else there were halos. A phone renders each
+//! frame by itself: what becomes of a base depends on that base alone, so that one curve holds for all frames and places, and a stop of exposure is a stop
+//! of the base that it had.
+
+use crate::plane::Plane;
+use crate::pyramid::cells::gathered;
+use nalgebra::{SMatrix, SVector};
+
+/// The filter's radius as a share of the longer side: a neighbourhood of a twelfth.
+const RADIUS: usize = 24;
+/// The variance from which on half of the differences belong to the base, in square stops: an edge of 2.8 stops. On 12 truth brackets of phones, 4 has a
+/// PU21-PSNR of details lower by 0.4 dB.
+const EDGE: f32 = 2.0;
+/// Knots of the curve: one for each stop that a frame of 8 bit shows, or more.
+const KNOTS: usize = 13;
+/// The weight of the curve's squared second derivative beside the mean squared error. On the same brackets the details of a fifth and of five times as much
+/// differ by 0.1 dB.
+const SMOOTH: f64 = 0.01;
+/// Passes of least squares: in all but the first cells that show what moved have less weight.
+const PASSES: usize = 6;
+/// Tukey's reach in robust standard deviations.
+const REACH: f64 = 4.685;
+/// The standard deviation of a difference of two bases at the least, in stops: half of what deghosting takes a cell to be known by.
+const LEAST: f64 = 0.05;
+/// Stops of the scene's base to one of a frame's: a phone compresses and never expands, and more than the second would make noise of nothing.
+const SLOPES: (f64, f64) = (1.0, 2.5);
+/// Fewer differences tell no curve.
+const FEWEST: usize = 100;
+
+/// How the base follows from the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the logarithms of the cells, none outside of the
+/// frame.
+pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
+    let longer = stops.width().max(stops.height());
+    let radius = (longer as f64 / RADIUS as f64).round().max(1.0) as usize;
+    let moments = mapped(stops, |v: &Option<f32>| v.map_or([0.0; 3], |v| [v, v * v, 1.0]));
+    let own = mapped(&gathered(&moments, radius, add), |[sum, square, count]: &[f32; 3]| {
+        if *count == 0.0 {
+            return [0.0; 3];
+        }
+        let mean = sum / count;
+        let variance = (square / count - mean * mean).max(0.0);
+        let a = variance / (variance + EDGE);
+        [a, mean - a * mean, 1.0]
+    });
+    mapped(&gathered(&own, radius, add), |[a, b, count]: &[f32; 3]| [a / count.max(1.0), b / count.max(1.0)])
+}
+
+/// `of` each value of a plane.
+pub(super) fn mapped<S: Sync, T: Copy + Default + Send>(plane: &Plane<S>, of: impl Fn(&S) -> T + Sync) -> Plane<T> {
+    Plane::from_rows(plane.width(), plane.height(), |y, row: &mut [T]| {
+        row.iter_mut().zip(plane.row(y)).for_each(|(out, v)| *out = of(v));
+    })
+}
+
+/// Adds the sums of another cell.
+fn add(a: &mut [f32; 3], b: &[f32; 3]) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+}
+
+/// The bases of two frames at one cell, in stops, and by how many stops the second was exposed more.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pair {
+    pub bases: (f32, f32),
+    pub stops: f32,
+}
+
+/// How many stops the base of a frame lacks of the scene's: linear between knots, and beyond the last.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct BaseCurve {
+    low: f32,
+    step: f32,
+    lacks: [f32; KNOTS],
+}
+
+impl BaseCurve {
+    /// That which makes the bases of `pairs` differ by the exposures. It is 0 everywhere where they are too few, or alike.
+    pub fn of(pairs: &[Pair]) -> BaseCurve {
+        BaseCurve::recovered(pairs).unwrap_or(BaseCurve { low: 0.0, step: 1.0, lacks: [0.0; KNOTS] })
+    }
+
+    fn recovered(pairs: &[Pair]) -> Option<BaseCurve> {
+        if pairs.len() < FEWEST {
+            return None;
+        }
+        let mut bases: Vec<f32> = pairs.iter().flat_map(|pair| [pair.bases.0, pair.bases.1]).collect();
+        bases.sort_by(f32::total_cmp);
+        // A few of the darkest and the brightest would stretch the curve.
+        let few = bases.len() / 200;
+        let (low, step) = (bases[few], (bases[bases.len() - 1 - few] - bases[few]) / (KNOTS - 1) as f32);
+        if step <= f32::EPSILON {
+            return None;
+        }
+        let values = fitted(pairs, f64::from(low), f64::from(step))?;
+        let mut lacks = [0.0f32; KNOTS];
+        for k in 1..KNOTS {
+            let slope = ((values[k] - values[k - 1]) / f64::from(step)).clamp(SLOPES.0, SLOPES.1);
+            lacks[k] = lacks[k - 1] + (slope - 1.0) as f32 * step;
+        }
+        let mut curve = BaseCurve { low, step, lacks };
+        // The middle code keeps its radiance.
+        let middle = curve.at(0.0);
+        curve.lacks.iter_mut().for_each(|v| *v -= middle);
+        Some(curve)
+    }
+
+    /// What base `v` lacks.
+    #[inline(always)]
+    pub fn at(&self, v: f32) -> f32 {
+        let along = (v - self.low) / self.step;
+        let k = (along.max(0.0) as usize).min(KNOTS - 2);
+        self.lacks[k] + (along - k as f32) * (self.lacks[k + 1] - self.lacks[k])
+    }
+
+    /// Stops of the scene's base to one of a frame's, as the mean over the curve.
+    pub fn slope(&self) -> f64 {
+        1.0 + f64::from((self.lacks[KNOTS - 1] - self.lacks[0]) / (self.step * (KNOTS - 1) as f32))
+    }
+}
+
+/// The scene's base at the knots, which begin at `low` and are `step` apart: least squares, reweighted, and smooth.
+fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
+    let between = |v: f32| {
+        let along = ((f64::from(v) - low) / step).clamp(0.0, (KNOTS - 1) as f64);
+        let k = (along as usize).min(KNOTS - 2);
+        (k, along - k as f64)
+    };
+    // Of each pair the knots that it is of, with their factors.
+    let row = |pair: &Pair| {
+        let ((i, f), (j, g)) = (between(pair.bases.0), between(pair.bases.1));
+        [(j, 1.0 - g), (j + 1, g), (i, f - 1.0), (i + 1, -f)]
+    };
+    // Curves that differ by a constant fit alike: a trace of a pull towards 0 decides.
+    let mut smooth = SMatrix::<f64, KNOTS, KNOTS>::from_diagonal_element(1e-6);
+    let bend = [1.0, -2.0, 1.0];
+    for (k, p, q) in (0..KNOTS - 2).flat_map(|k| (0..9).map(move |i| (k, i / 3, i % 3))) {
+        smooth[(k + p, k + q)] += SMOOTH / (step * step * step) * bend[p] * bend[q];
+    }
+    let mut weights = vec![1.0; pairs.len()];
+    let mut values = SVector::zeros();
+    for _ in 0..PASSES {
+        let (mut normal, mut right) = (smooth, SVector::<f64, KNOTS>::zeros());
+        for (pair, weight) in pairs.iter().zip(&weights) {
+            let (row, weight) = (row(pair), weight / pairs.len() as f64);
+            for (p, u) in row {
+                right[p] += weight * u * f64::from(pair.stops);
+                for (q, v) in row {
+                    normal[(p, q)] += weight * u * v;
+                }
+            }
+        }
+        values = normal.cholesky()?.solve(&right);
+        let error = |pair: &Pair| row(pair).iter().map(|(p, u)| u * values[*p]).sum::<f64>() - f64::from(pair.stops);
+        let errors: Vec<f64> = pairs.iter().map(error).collect();
+        let mut sizes: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let reach = REACH * (sizes[sizes.len() / 2] / 0.6745).max(LEAST);
+        for (weight, e) in weights.iter_mut().zip(&errors) {
+            let part = (1.0 - e / reach * (e / reach)).max(0.0);
+            *weight = part * part;
+        }
+    }
+    Some(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and all of one elsewhere; every ninth shows what moved.
+    fn pairs() -> Vec<Pair> {
+        let shown = |scene: f32| scene - 0.5 * (scene.clamp(-4.0, 1.0) + 4.0);
+        let moved = |i: usize| if i % 9 == 0 { 3.0 } else { 0.0 };
+        let pair = |i: usize| {
+            let scene = -6.0 + 7.0 * (i as f32 / 3000.0);
+            Pair { bases: (shown(scene), shown(scene + 2.0) + moved(i)), stops: 2.0 }
+        };
+        (0..3000).map(pair).collect()
+    }
+
+    #[test]
+    fn curve_of_bases_is_the_inverse_of_what_the_phone_did_whatever_moved() {
+        let curve = BaseCurve::of(&pairs());
+        let slope = |v: f32| 1.0 + (curve.at(v + 0.1) - curve.at(v - 0.1)) / 0.2;
+        // The frames' base is -4 where the scene's is, and -1.5 where that is 1; knots are 0.7 stops apart.
+        for (v, expected) in [(-5.3, 1.0), (-3.0, 2.0), (-2.5, 2.0), (-0.2, 1.0)] {
+            assert!((slope(v) - expected).abs() < 0.25, "{v}: {} {curve:?}", slope(v));
+        }
+        assert!(curve.at(0.0).abs() < 1e-5 && curve.slope() > 1.2, "{curve:?}");
+    }
+
+    #[test]
+    fn curve_of_no_pairs_or_of_one_base_is_none() {
+        let alike = vec![Pair { bases: (1.0, 1.0), stops: 2.0 }; 300];
+        for pairs in [&[][..], &alike] {
+            let curve = BaseCurve::of(pairs);
+            assert_eq!((curve.at(-3.0), curve.at(2.0), curve.slope()), (0.0, 0.0, 1.0));
+        }
+    }
+
+    #[test]
+    fn base_has_edges_and_not_texture() {
+        let step = |stops: f32| {
+            Plane::from_rows(240, 160, |y, row: &mut [Option<f32>]| {
+                for (x, v) in row.iter_mut().enumerate() {
+                    let texture = if (x + y) % 2 == 0 { 0.1 } else { -0.1 };
+                    *v = (x < 230).then_some(texture + if x < 120 { -0.5 * stops } else { 0.5 * stops });
+                }
+            })
+        };
+        let base = |stops: f32, x: usize, v: f32| {
+            let [a, b] = coefficients(&step(stops)).at(x, 80);
+            a * v + b
+        };
+        // Far from the edge the variance is 0.01, of which 0.5 % belong to the base.
+        assert!((base(4.0, 30, -1.9) + 2.0).abs() < 0.01 && (base(4.0, 30, -2.1) + 2.0).abs() < 0.01);
+        // At it the variance is 4, of which two thirds do; what the frame does not cover has no say.
+        assert!(base(4.0, 121, 2.0) - base(4.0, 119, -2.0) > 2.2);
+        assert!((base(0.0, 229, 0.1)).abs() < 0.01);
+    }
+}
