@@ -342,7 +342,9 @@ impl<'a> Line<'a> {
         });
         self.times.tonemap = time;
         self.warnings.extend(unused.into_iter().map(|option| Warning::FusedAsIs { option }));
-        picture
+        let picture = picture?;
+        self.warnings.extend(picture.warning(&options.write.picture));
+        Ok(picture)
     }
 
     /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.

@@ -106,6 +106,7 @@ fn tonemapped(
     let (shape, made) = ((size, map.primaries), &options.write.picture);
     let picture = Picture::toned(each, shape, photographed, &options.operator, made)?;
     report.white_balance = picture.light;
+    warnings.extend(picture.warning(made));
     report.time_s.tonemap = timed(Stage::Write, since);
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.

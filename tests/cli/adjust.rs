@@ -1,7 +1,11 @@
 //! What photographers change of the picture: white, brightness, contrast, saturation, shadows and highlights, by every command and operator.
 
 use crate::support::{Folder, Run, small_jpeg};
-use hdralign::bracket::colour::srgb_to_linear;
+use hdralign::bracket::colour::{Primaries, srgb_to_linear};
+use hdralign::merge::RadianceMap;
+use hdralign::plane::Plane;
+use hdralign::tonemap::DisplayImage;
+use hdralign::write::{self, Metadata};
 use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
@@ -170,6 +174,23 @@ fn what_cannot_be_done_is_refused_with_the_remedy() {
     for command in ["align", "inspect"] {
         refused(&folder.line(&format!("{command} w2.jpg w3.jpg --brightness 1")), &["--brightness"]);
     }
+}
+
+#[test]
+fn picture_of_no_lights_colour_keeps_its_white_with_a_warning() {
+    let folder = Folder::empty();
+    let pixels = Plane::from_rows(60, 40, |_, row: &mut [[f32; 3]]| {
+        row.iter_mut().enumerate().for_each(|(x, p)| *p = [0.02, 0.1 + x as f32, 0.01]);
+    });
+    let map = RadianceMap { pixels, primaries: Primaries::SRGB };
+    let picture = DisplayImage { pixels: Plane::filled(60, 40, [0; 3]) };
+    let options = write::Options::default();
+    let files = write::write(&[folder.at("green.exr")], &map, &picture, &Metadata::default(), &options);
+    write::commit(files.expect("radiance").into_iter().map(|w| w.file).collect(), false).expect("a name");
+    let plain = folder.line("tonemap green.exr -o a.png -q").done();
+    let run = folder.line("tonemap green.exr -o b.png --white-balance auto").done();
+    assert!(run.stderr.contains("no light") && plain.stderr.is_empty(), "{}", run.stderr);
+    assert!(codes(&folder, "a.png") == codes(&folder, "b.png"));
 }
 
 /// A spot is a pixel of what is written before it is made smaller: of a part, counted from its corner.
