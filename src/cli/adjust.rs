@@ -6,17 +6,11 @@ use hdralign::tonemap::adjust::{Options, WhiteBalance};
 /// What is changed of the picture.
 #[derive(Debug, Args)]
 pub struct Adjust {
-    /// The light that the picture shows as white, radiance stays as it is: `as-shot`; `auto`, estimated; its colour temperature as the
-    /// photographs show it, 2000K (a candle; makes it cooler) to 25000K (shade; warmer), 6504K as is, and with a tint as in 5500K,10
-    /// (-150 to 150, of a greener light; makes it more magenta); or a spot that is grey, as in spot:1200,800: x and y of the result
-    /// before --resize
-    #[arg(
-        long,
-        value_name = "auto|as-shot|KELVIN|spot:X,Y",
-        default_value_t,
-        hide_default_value = true,
-        verbatim_doc_comment
-    )]
+    /// The light that the picture shows as white: `as-shot` changes nothing, `auto` estimates it. KELVIN is its temperature as the photographs
+    /// show it, as 5500 or 5500K: 2000 to 25000, below 6504 the picture becomes cooler, above it warmer; with a tint, as 5500K,10: -150
+    /// to 150, above 0 it becomes more magenta. SPOT is a pixel with grey around it, as spot:1200,800: of the result, before --resize.
+    /// Radiance stays as it is
+    #[arg(long, value_name = "auto|as-shot|KELVIN|SPOT", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,
 
     /// Make the picture brighter, or darker: -5 to 5, stops in its dark parts and less towards white, which nothing reaches

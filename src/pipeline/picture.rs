@@ -1,6 +1,6 @@
 //! The picture: what its rows come from, with all that is asked for of it.
 //!
-//! In: radiance, or the picture that the frames were fused to. Out: codes of rows. Cost: looking at all of it once, twice where white is sought in it; then that
+//! In: radiance, or the picture that the frames were fused to. Out: codes of rows. Cost: looking at all of it once, and at part of it where white is sought in it; then that
 //! of the operator and of the adjustments.
 
 use crate::bracket::colour::{Primaries, srgb_to_linear};
@@ -69,7 +69,19 @@ impl Picture {
             })?;
             spot.light(&primaries, (BLACK_RADIANCE, f32::INFINITY))
         };
-        let light = white(options, size, || Ok(overview(None)?.scene()), spot)?;
+        let afar = || {
+            let step = ((size.0 * size.1) / ENOUGH_PIXELS).clamp(1, MOST_STEP);
+            let mut overview = Overview::new((size.0, size.1.div_ceil(step)), &primaries);
+            each(&mut |first, map| {
+                let skipped = first.next_multiple_of(step) - first;
+                let rows = (skipped..map.pixels.height()).step_by(step).flat_map(|y| map.pixels.row(y)).copied();
+                let rows: Vec<[f32; 3]> = rows.collect();
+                overview.see(first.div_ceil(step), &Plane::from_vec(size.0, rows.len() / size.0.max(1), rows));
+                Ok(())
+            })?;
+            Ok(overview.scene())
+        };
+        let light = white(options, size, afar, spot)?;
         let mut cells = None;
         let tones = overview(light)?.scene().map_or_else(
             || Tones::black(size.0),
@@ -155,6 +167,11 @@ impl Picture {
         bands.enumerate().for_each(|(j, (codes, rows))| self.map(encoder, width, first + j * SHOWN_ROWS, rows, codes));
     }
 }
+
+/// Pixels by which the mean colour of a picture is known.
+const ENOUGH_PIXELS: usize = 1 << 18;
+/// Of so many rows one is looked at for that, at most.
+const MOST_STEP: usize = 8;
 
 /// The light that is to be shown as white in a picture of `size` pixels, where that is another than it was; `scene` shows the picture from afar, and `spot` what
 /// is around one of its pixels.

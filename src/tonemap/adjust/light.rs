@@ -299,7 +299,7 @@ mod tests {
     #[test]
     fn places_are_changed_with_their_texture_and_without_halos() {
         let (width, side) = (600, 6);
-        let texture = |x: usize| -> f32 { if x / 2 % 2 == 0 { 1.12 } else { 1.0 / 1.12 } };
+        let texture = |x: usize| -> f32 { if (x / 2).is_multiple_of(2) { 1.12 } else { 1.0 / 1.12 } };
         let at = |x: usize| texture(x) * if x < 300 { 0.02 } else { 0.75 };
         let cells = Plane::from_rows(width / side, 40, |_, row| {
             row.iter_mut().enumerate().for_each(|(x, cell)| *cell = at(x * side + 1).min(at(x * side + 3)) * 1.12);

@@ -210,7 +210,7 @@ mod tests {
         for y in 195..206 {
             // Noise, which is averaged.
             picture.row_mut(y)[295..306].iter_mut().enumerate().for_each(|(x, p)| {
-                *p = card.map(|c| 0.2 * c * if (x + y) % 2 == 0 { 1.1 } else { 0.9 });
+                *p = card.map(|c| 0.2 * c * if (x + y).is_multiple_of(2) { 1.1 } else { 0.9 });
             });
         }
         for portion in [1, 64, 400] {
