@@ -11,6 +11,7 @@ mod doubts;
 mod fusion;
 mod line;
 mod names;
+mod picture;
 mod referred;
 mod results;
 mod slabs;
@@ -245,6 +246,7 @@ fn merged(
             let (bracket, camera) = line.response(bracket, &alignment, saved, options)?;
             let curve_file = line.curve_file(&bracket, &alignment, &camera.curve, options)?;
             let region = options.crop.rect(&bracket, &alignment);
+            options.write.picture.adjust.check((region.width(), region.height()))?;
             let calibration = options.calibration.settle(bracket.reference(), &camera.curve)?;
             let radiance = line.merge(&bracket, &alignment, &camera, region, options)?;
             let (radiance, statistics) = line.units(radiance, &calibration, options)?;
@@ -269,6 +271,7 @@ fn merged(
             report.calibration = calibration;
             report.colour = Some(slabs.primaries().into());
             report.flare = flare;
+            report.white_balance = picture.light;
             report.ghosts = ghosts.as_ref().map(Ghosts::report);
             let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
             files.splice(0..0, results.into_iter().chain(curve_file));

@@ -176,15 +176,27 @@ impl Conversion {
         Self::of(matrix)
     }
 
+    /// As [`between`](Self::between), after which `light`, an xy beside the white of `to`, is taken to that white, at the same luminance.
+    pub fn balanced(from: &Primaries, to: &Primaries, light: [f64; 2]) -> Option<Self> {
+        let adapted = adaptation(light, to.white)? * adaptation(from.white, to.white)?;
+        Self::of(to.to_xyz()?.try_inverse()? * adapted * from.to_xyz()?)
+    }
+
     fn of(matrix: Matrix3<f64>) -> Option<Self> {
         let rows = [0, 1, 2].map(|r| [0, 1, 2].map(|c| matrix[(r, c)] as f32));
         rows.as_flattened().iter().all(|v| v.is_finite()).then_some(Conversion(rows))
     }
 
     /// The colour `c` in the other space.
-    #[inline]
+    #[inline(always)]
     pub fn apply(&self, c: [f32; 3]) -> [f32; 3] {
-        self.0.map(|row| row[0] * c[0] + row[1] * c[1] + row[2] * c[2])
+        // Written out: a closure over the rows is not inlined where loops are vectorised.
+        let [p, q, r] = &self.0;
+        [
+            p[0] * c[0] + p[1] * c[1] + p[2] * c[2],
+            q[0] * c[0] + q[1] * c[1] + q[2] * c[2],
+            r[0] * c[0] + r[1] * c[1] + r[2] * c[2],
+        ]
     }
 }
 

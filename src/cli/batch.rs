@@ -392,6 +392,7 @@ mod tests {
             &["-e=-2,0,2", "--reference", "2", "--align", "mtb", "-C", "none"],
             &["--deghost", "--flare", "--tmo", "drago", "--tmo-set", "bias=0.7", "--exr-type", "float", "-d", "out"],
             &["--deghost=0.25", "--weight", "noise", "--jpeg-quality", "80", "--threads", "3", "--keep-gps"],
+            &["--white-balance", "5500k,-10", "--brightness", "-0.5", "--shadows=40", "--highlights", "-30"],
             &["--response-model", "mitsunaga-nayar", "--response-degree", "4", "--absolute", "--force"],
         ] {
             let (line, options) = typed(words);

@@ -2,6 +2,7 @@
 //!
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
+mod adjust;
 mod align;
 mod allocator;
 mod batch;

@@ -1,5 +1,6 @@
-//! Arguments on the picture that is written: bits, colours and size.
+//! Arguments on the picture that is written: bits, colours, size, and what is changed of it.
 
+use super::adjust::Adjust;
 use clap::{Args, ValueEnum};
 use hdralign::tonemap::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
@@ -19,6 +20,9 @@ pub struct Picture {
     /// never resized
     #[arg(long, value_name = "PIXELS|PERCENT%")]
     resize: Option<Size>,
+
+    #[command(flatten)]
+    adjust: Adjust,
 }
 
 /// See [`Colours`].
@@ -59,6 +63,7 @@ impl Picture {
                 ColoursArg::AdobeRgb => Colours::AdobeRgb,
             },
             size: self.resize.unwrap_or_default(),
+            adjust: self.adjust.options(),
         }
     }
 }

@@ -1,9 +1,10 @@
-//! What was done, in words for people, on stderr: six lines, one more where something moved, and the warnings before them.
+//! What was done, in words for people, on stderr: six lines, one more where something moved and where white is balanced, and the warnings before them.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
 use hdralign::align::Status;
 use hdralign::report::{FrameReport, Report, WarningReport};
+use hdralign::tonemap::adjust::Light;
 use std::path::Path;
 
 /// Columns of the labels.
@@ -70,12 +71,18 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
         Some(row(merged, &size(report))),
         Some(row("aligned", &aligned(report, terminal.room(LABEL)))),
         movement(report).map(|moved| row("movement", &moved)),
+        report.white_balance.map(|light| row("white", &white(light))),
         Some(format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts")))),
         Some(row("range", &range(report))),
         Some(row("files", &files(&report.outputs, terminal.room(LABEL)))),
         Some(row("time", &duration(report.time_s.total))),
     ];
     all.into_iter().flatten().collect()
+}
+
+/// The light that the picture shows as white, as it is typed.
+pub fn white(light: Light) -> String {
+    format!("the light of --white-balance {light}")
 }
 
 /// How much moved, and where most; none where nothing did or it was not sought.

@@ -94,6 +94,9 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         let stops = report.radiance.dynamic_range_stops;
         let (width, height, time) = (report.width_px, report.height_px, report.time_s.total);
         super::say(format_args!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s"));
+        if let Some(light) = report.white_balance {
+            super::say(format_args!("white is {}", summary::white(light)));
+        }
     }
     let paths = || report.outputs.iter().map(|path| format!("{path}\n")).collect();
     super::tell(&if args.json { report.to_json() } else { paths() })?;

@@ -224,6 +224,11 @@ pub enum Warning {
         /// The longest side that was asked for, in pixels.
         asked_px: usize,
     },
+    /// The picture's own white was asked for, and is of no light's colour.
+    #[error(
+        "--white-balance auto: the picture has the colour of no light on average; white is left as it was; name a temperature, or a grey spot"
+    )]
+    NoWhite,
     /// Values were outside what the output format can hold.
     #[error("{}: {detail}", path.display())]
     OutOfRange {

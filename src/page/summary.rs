@@ -71,10 +71,20 @@ pub(super) fn settings(report: &Report) -> String {
 }
 
 /// Options by their names in the report, what a photographer calls them, and how they are typed.
-const NAMES: [(&str, &str, &str); 14] = [
+const NAMES: [(&str, &str, &str); 24] = [
     ("reference", "Reference frame", "--reference"),
     ("operator, name", "Tone mapping", "--tmo"),
+    ("adjust, white balance", "White balance", "--white-balance"),
+    ("white", "Light that is white", ""),
+    ("adjust, brightness", "Brightness, EV", "--brightness"),
+    ("adjust, contrast", "Contrast", "--contrast"),
+    ("adjust, saturation", "Saturation", "--saturation"),
+    ("adjust, shadows", "Shadows", "--shadows"),
+    ("adjust, highlights", "Highlights", "--highlights"),
     ("crop", "Part that is kept", "--crop"),
+    ("resize", "Size of the picture", "--resize"),
+    ("bit depth", "Bits of the picture", "--bit-depth"),
+    ("picture colour", "Colours of the picture", "--picture-colour"),
     ("deghost strength", "Removal of movement, strength", "--deghost"),
     ("align", "Alignment", "--align"),
     ("transforms from", "Places taken from", "--transforms"),
@@ -130,6 +140,7 @@ fn options(report: &Report) -> Vec<(String, String)> {
     rows.extend(report.transforms_from.iter().map(|path| ("transforms from".to_owned(), path.clone())));
     let all = report.options.as_ref().and_then(|options| serde_json::to_value(options).ok());
     flatten("", all.as_ref().unwrap_or(&Value::Null), &mut rows);
+    rows.extend(report.white_balance.map(|light| ("white".to_owned(), light.to_string())));
     if let Some(calibration) = &report.calibration {
         rows.push(("cd/m² of radiance 1".into(), format!("{:.4}", calibration.cd_m2_per_unit)));
     }

@@ -22,6 +22,7 @@ pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
         operator: merges.then(|| options.rendering.clone()),
+        adjust: merges.then_some(options.write.picture.adjust),
         bit_depth: merges.then_some(options.write.picture.depth.bits()),
         picture_colour: merges.then_some(options.write.picture.colours),
         resize: Some(options.write.picture.size).filter(|size| merges && *size != Size::Full).map(|s| s.to_string()),
@@ -55,6 +56,7 @@ mod tests {
             "deghost_strength",
             "flare",
             "operator",
+            "adjust",
             "bit_depth",
         ];
         assert!(radiance.iter().all(|key| aligned[*key].is_null()), "{aligned}");

@@ -5,8 +5,9 @@
 use super::curves;
 use super::doubts::{contradicted_response, differing_response, processing};
 use super::fusion::Aligned;
+use super::picture::Picture;
 use super::referred;
-use super::results::{Picture, Results};
+use super::results::Results;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
 use crate::align::given::SavedAlignment;
@@ -30,7 +31,6 @@ use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
-use crate::tonemap::overview::Overview;
 use crate::write::{self, Metadata, Pending, Written, aligned};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -320,19 +320,18 @@ impl<'a> Line<'a> {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
                     unused.extend(options.flare.then_some("--flare"));
-                    return Ok(Picture::Fused(aligned.fused(fused, options.write.picture.colours)?));
+                    let channels = aligned.fused(fused, options.write.picture.colours)?;
+                    return Picture::fused(channels, &options.write.picture);
                 }
             };
-            let mut overview = Overview::new(slabs.size(), &slabs.primaries()).photographed(photographed);
-            slabs.each(|first, map| {
-                overview.see(first, &map.pixels);
-                Ok(())
-            })?;
-            Ok(Picture::Toned(operator.settled(overview)))
+            let shape = (slabs.size(), slabs.primaries());
+            Picture::toned(&|see| slabs.each(see), shape, photographed, operator, &options.write.picture)
         });
         self.times.tonemap = time;
         self.warnings.extend(unused.into_iter().map(|option| Warning::FusedAsIs { option }));
-        picture
+        let picture = picture?;
+        self.warnings.extend(picture.warning(&options.write.picture));
+        Ok(picture)
     }
 
     /// The radiance and the picture, whole but not yet named; and the picture, where it is to be kept.

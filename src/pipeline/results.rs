@@ -3,57 +3,19 @@
 //! In: radiance, all of it or slab by slab, and what its picture comes from, which may be smaller. Out: every file that shows them, whole but not yet named. Cost: that of the
 //! tone mapping and the encoders. Memory: rows of the picture, and what the encoders hold.
 
+use super::picture::{Each, Picture};
 use crate::bracket::colour::Primaries;
 use crate::error::Result;
-use crate::merge::RadianceMap;
 use crate::plane::BAND_ROWS;
-use crate::tonemap::codes::{Code, Depth, Encoder, encoded};
-use crate::tonemap::fusion::Channels;
+use crate::tonemap::codes::{Depth, Encoder, encoded};
 use crate::tonemap::resize::Resizer;
-use crate::tonemap::tones::Tones;
 use crate::write::{self, Codes, Files, Metadata, Output, Settled, Written};
-use rayon::prelude::*;
 use std::time::{Duration, Instant};
-
-/// What rows of the picture come from.
-pub(super) enum Picture {
-    /// From the radiance.
-    Toned(Tones),
-    /// They are there, encoded, 0 to 1.
-    Fused(Channels),
-}
-
-impl Picture {
-    /// The codes of whole rows of radiance, the first of which is row `first`.
-    fn map<C: Code>(&self, encoder: &Encoder, first: usize, rows: &[[f32; 3]], codes: &mut [[C; 3]]) {
-        match self {
-            Picture::Toned(tones) => tones.map(encoder, first, rows, codes),
-            Picture::Fused(channels) => {
-                let start = first * channels[0].width();
-                for (i, code) in codes.iter_mut().enumerate() {
-                    *code = channels.each_ref().map(|c| C::of_encoded(encoder, c.as_slice()[start + i]));
-                }
-            }
-        }
-    }
-
-    /// The same of many rows of `width` pixels, side by side, into `codes`.
-    fn show<C: Code>(&self, encoder: &Encoder, width: usize, first: usize, rows: &[[f32; 3]], codes: &mut Vec<[C; 3]>) {
-        codes.resize(rows.len(), [C::default(); 3]);
-        let bands = codes.par_chunks_mut(SHOWN_ROWS * width).zip(rows.par_chunks(SHOWN_ROWS * width));
-        bands.enumerate().for_each(|(j, (codes, rows))| self.map(encoder, first + j * SHOWN_ROWS, rows, codes));
-    }
-}
 
 /// Rows that are given to the writers at once: bands enough for all threads, and buffers that stay in the cache.
 const AT_ONCE: usize = 8 * BAND_ROWS;
-/// Rows that a thread tone-maps at once.
-const SHOWN_ROWS: usize = 16;
 /// Rows that are made smaller at once: what is kept of them is of floats.
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;
-
-/// Shows all of the radiance, slab by slab with the number of the first row, as often as it is asked.
-pub(super) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
 /// Who wants to see the rows of the picture, in 8 bits and as large as the radiance.
 pub(super) type Shown<'a> = &'a mut dyn FnMut(&[[u8; 3]]);
@@ -75,7 +37,7 @@ impl Results<'_> {
     pub fn written(self, each: Each, picture: &Picture, mut shown: Option<Shown>) -> Result<(Vec<Written>, Duration)> {
         let Results { outputs, options, metadata, size, primaries, bright } = self;
         let (encoder, depth) = (Encoder::of(options.picture.colours), options.picture.depth);
-        let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(&encoder, y, row, codes);
+        let codes = |y: usize, row: &[[f32; 3]], codes: &mut [[u8; 3]]| picture.map(&encoder, size.0, y, row, codes);
         let settled = Settled::seen(&outputs, options, (size, primaries), bright, each, codes)?;
         let metadata = Metadata { primaries, ..metadata };
         let mut files = Files::begin(&outputs, size, &metadata, options, settled)?;

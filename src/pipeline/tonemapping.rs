@@ -3,7 +3,8 @@
 //! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
 //! the report has each one's time.
 
-use super::results::{Picture, Results};
+use super::picture::{Each, Picture};
+use super::results::Results;
 use super::{Progress, Stage, in_pool};
 use crate::bracket::colour::Space;
 use crate::budget;
@@ -14,7 +15,6 @@ use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;
 use crate::tonemap::Operator;
-use crate::tonemap::overview::Overview;
 use crate::write::{self, Output, Target};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -97,13 +97,16 @@ fn tonemapped(
     warnings.extend(gamut::warning(outside));
     let mut report = TonemapReport::new(input, &map, &metadata);
     report.operator = options.operator.clone();
+    report.adjust = options.write.picture.adjust;
     report.time_s.load = timed(Stage::Tonemap, began);
     let since = Instant::now();
     let size = (map.pixels.width(), map.pixels.height());
     let photographed = Photographed::read(&metadata.comments);
-    let mut overview = Overview::new(size, &map.primaries).photographed(photographed);
-    overview.see(0, &map.pixels);
-    let picture = Picture::Toned(options.operator.settled(overview));
+    let each: Each = &|see| see(0, &map);
+    let (shape, made) = ((size, map.primaries), &options.write.picture);
+    let picture = Picture::toned(each, shape, photographed, &options.operator, made)?;
+    report.white_balance = picture.light;
+    warnings.extend(picture.warning(made));
     report.time_s.tonemap = timed(Stage::Write, since);
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.
@@ -117,7 +120,7 @@ fn tonemapped(
         primaries: map.primaries,
         bright: report.radiance.p99_9,
     };
-    let (files, mapping) = results.written(&|see| see(0, &map), &picture, None)?;
+    let (files, mapping) = results.written(each, &picture, None)?;
     let mut pending = Vec::new();
     for written in files {
         warnings.extend(written.warnings);

@@ -16,6 +16,7 @@ use crate::merge::deghost::GhostReport;
 use crate::merge::flare::FlareReport;
 use crate::merge::local::LocalReport;
 use crate::response::ResponseReport;
+use crate::tonemap::adjust::Light;
 use options::OptionsReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -77,6 +78,8 @@ pub struct Report {
     pub calibration: Option<CalibrationReport>,
     /// What red, green and blue of the radiance are; none where frames were only aligned.
     pub colour: Option<ColourReport>,
+    /// The light that the picture shows as white; none for that of the photographs, and where frames were only aligned.
+    pub white_balance: Option<Light>,
     /// What was left out because it moved; none where that was not asked for.
     pub ghosts: Option<GhostReport>,
     /// What was found of flare; none where it was not sought.
@@ -231,6 +234,7 @@ impl Report {
             radiance: None,
             calibration: None,
             colour: None,
+            white_balance: None,
             ghosts: None,
             flare: None,
             outputs: Vec::new(),

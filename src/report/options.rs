@@ -6,8 +6,8 @@ use crate::align::{AlignMode, RobustMethod};
 use crate::bracket::colour::Space;
 use crate::merge::weight::Weight;
 use crate::response::ratios::Exposures;
-use crate::tonemap::Rendering;
 use crate::tonemap::codes::Colours;
+use crate::tonemap::{Rendering, adjust};
 use serde::Serialize;
 
 /// The options of a run; all from `exposures` on are none where frames were only aligned.
@@ -37,6 +37,8 @@ pub struct OptionsReport {
     pub colour: Option<Space>,
     /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
     pub operator: Option<Rendering>,
+    /// What was changed of the picture: white balance, as typed, brightness, contrast, saturation, shadows and highlights.
+    pub adjust: Option<adjust::Options>,
     /// Bits of a code of the picture: 8 or 16.
     pub bit_depth: Option<u8>,
     /// The colours of the picture.

@@ -9,7 +9,7 @@ use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::Plane;
-use crate::tonemap::Operator;
+use crate::tonemap::{Operator, adjust};
 use crate::write::Metadata;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -33,6 +33,10 @@ pub struct TonemapReport {
     pub height_px: usize,
     /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
     pub operator: Operator,
+    /// What was changed of the picture: as typed.
+    pub adjust: adjust::Options,
+    /// The light that is shown as white; none for that of the radiance map.
+    pub white_balance: Option<adjust::Light>,
     /// What its red, green and blue are.
     pub colour: ColourReport,
     /// The luminance of 1 in cd/m2, where the file says (OpenEXR's whiteLuminance, TIFF's StoNits); null elsewhere. `.hdr` is in W/sr/m2.
@@ -64,6 +68,8 @@ impl TonemapReport {
             width_px: map.pixels.width(),
             height_px: map.pixels.height(),
             operator: Operator::default(),
+            adjust: adjust::Options::default(),
+            white_balance: None,
             colour: map.primaries.into(),
             cd_m2_per_unit: metadata.cd_m2_per_unit.map(Factor::get),
             radiance: measured(map, unit),

@@ -27,6 +27,13 @@ impl ToSrgb {
         ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
+    /// The same, after which light of the chromaticity `light`, an xy beside D65, is white.
+    pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
+        let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
+        // What are no primaries are taken for sRGB's, as above.
+        ToSrgb(known.or_else(|| Conversion::balanced(&Primaries::SRGB, &Primaries::SRGB, light)))
+    }
+
     /// The colour in linear sRGB: components below 0 are colours that sRGB has not.
     #[inline(always)]
     pub fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {

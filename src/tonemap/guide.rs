@@ -59,6 +59,24 @@ impl Guide {
         Guide { side, lines: box_mean(&lines) }
     }
 
+    /// The lines that smooth `values` of cells of `side` pixels: where their variance is `half`, half of what differs from the surroundings is left; edges are
+    /// kept. The guided filter of a picture by itself (section 3.2).
+    pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
+        let (width, height) = (values.width(), values.height());
+        let moments = Plane::from_rows(width, height, |y, row| {
+            row.iter_mut().zip(values.row(y)).for_each(|(m, &v)| *m = [v, v * v]);
+        });
+        let means = box_mean(&moments);
+        let lines = Plane::from_rows(width, height, |y, row| {
+            for (line, &[v, vv]) in row.iter_mut().zip(means.row(y)) {
+                let variance = (vv - v * v).max(0.0);
+                let a = variance / (variance + half);
+                *line = [a, v - a * v];
+            }
+        });
+        Guide { side, lines: box_mean(&lines) }
+    }
+
     /// The lines of row `y` of the picture, one for each column of cells, into `row`.
     pub fn row(&self, y: usize, row: &mut Vec<[f32; 2]>) {
         self.row_of(&self.lines, y, row);

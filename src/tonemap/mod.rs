@@ -4,6 +4,7 @@
 //! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
 //! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`], [`display`] and [`codes`]. Cost: see each operator.
 
+pub mod adjust;
 mod bilateral;
 mod brightness;
 pub mod codes;
@@ -31,7 +32,7 @@ pub mod tones;
 use crate::error::Result;
 use crate::merge::{Photographed, RadianceMap};
 use crate::plane::Plane;
-use overview::Overview;
+use overview::{Overview, Scene};
 use settings::Setting;
 use tones::Tones;
 
@@ -109,20 +110,24 @@ impl Operator {
     /// What maps rows of the picture that `overview` has seen all of.
     pub fn settled(&self, overview: Overview) -> Tones {
         let width = overview.width();
-        let Some(scene) = overview.scene() else { return Tones::black(width) };
+        overview.scene().map_or_else(|| Tones::black(width), |scene| self.tones(&scene))
+    }
+
+    /// What maps rows of the picture of `scene`.
+    pub fn tones(&self, scene: &Scene) -> Tones {
         // Nothing in it says what is dark and what is bright.
         if scene.is_plain() {
-            return Tones::as_photographed(scene.to_srgb, width);
+            return Tones::as_photographed(scene.to_srgb, scene.size.0);
         }
         match self {
-            Operator::Natural(options) => natural::natural(&scene, options),
-            Operator::Reinhard02(options) => reinhard::global(&scene, options),
-            Operator::Reinhard02Local(options) => reinhard::local(&scene, options),
-            Operator::Drago(options) => drago::drago(&scene, options),
-            Operator::Durand(options) => durand::durand(&scene, options),
-            Operator::Fattal(options) => fattal::fattal(&scene, options),
-            Operator::Mantiuk06(options) => mantiuk06::mantiuk06(&scene, options),
-            Operator::Mantiuk08(options) => mantiuk08::mantiuk08(&scene, options),
+            Operator::Natural(options) => natural::natural(scene, options),
+            Operator::Reinhard02(options) => reinhard::global(scene, options),
+            Operator::Reinhard02Local(options) => reinhard::local(scene, options),
+            Operator::Drago(options) => drago::drago(scene, options),
+            Operator::Durand(options) => durand::durand(scene, options),
+            Operator::Fattal(options) => fattal::fattal(scene, options),
+            Operator::Mantiuk06(options) => mantiuk06::mantiuk06(scene, options),
+            Operator::Mantiuk08(options) => mantiuk08::mantiuk08(scene, options),
         }
     }
 }

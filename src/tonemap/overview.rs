@@ -56,6 +56,11 @@ impl Overview {
         Overview { photographed, ..self }
     }
 
+    /// With light of the chromaticity `light`, an xy beside D65, shown as white, from the `primaries` that it is made for.
+    pub fn balanced(self, primaries: &Primaries, light: [f64; 2]) -> Self {
+        Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
+    }
+
     /// Of the picture, in pixels.
     pub fn width(&self) -> usize {
         self.size.0

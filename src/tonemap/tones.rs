@@ -9,8 +9,10 @@ use super::codes::{Code, Encoder};
 use super::display::{ToSrgb, into_gamut, luminance};
 use super::guide::Guide;
 use super::oklab;
+use super::overview::Scene;
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
+use crate::pyramid::cells::Mix;
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised};
 
 /// Tones v that the curve has entries for: log2, so many to the octave, between which it is straight.
@@ -113,6 +115,22 @@ impl Tones {
             }
             vectorised(Mapped { tones: self, lines: &lines, chroma: &chroma, encoder, row, codes });
         }
+    }
+
+    /// The luminances on the display, 0..=1, of the cells of `grid`.
+    pub fn displayed(&self, grid: &Scene) -> Plane<f32> {
+        let (width, height) = (self.columns.0.len(), grid.size.1);
+        let centre = |cell: usize, end: usize| (cell * grid.side + grid.side / 2).min(end.max(1) - 1);
+        Plane::from_rows(grid.logs.width(), grid.logs.height(), |y, row| {
+            let mut lines = Vec::new();
+            self.guide.row(centre(y, height), &mut lines);
+            for (x, (v, l)) in row.iter_mut().zip(grid.logs.row(y)).enumerate() {
+                let at = centre(x, width);
+                let (cell, part) = (self.columns.0[at] as usize, self.columns.1[at]);
+                let [a, b] = lines[cell].towards(lines[cell + 1], part);
+                *v = self.curve.display(a * l + b);
+            }
+        })
     }
 
     /// The sRGB codes of `radiance`.

@@ -5,6 +5,7 @@
 use super::gain_map::Resolution;
 use super::{Format, Output};
 use crate::error::{Error, Result, Warning};
+use crate::tonemap::adjust;
 use crate::tonemap::codes::{Colours, Depth};
 use std::fmt;
 use std::str::FromStr;
@@ -18,6 +19,8 @@ pub struct Options {
     pub colours: Colours,
     /// How large they are. Default: as large as the radiance.
     pub size: Size,
+    /// What is changed of it after the operator. Default: nothing.
+    pub adjust: adjust::Options,
 }
 
 /// How large pictures are; none is ever larger than the radiance that it shows.
@@ -91,13 +94,16 @@ impl Options {
     /// [`Error::Option`] where one cannot, or where there is none.
     pub(super) fn check(&self, outputs: &[Output], gain_map: Resolution) -> Result<()> {
         let refused = |option, reason: String| Err(Error::Option { option, reason });
+        self.adjust.validate()?;
         let asked = [
-            ("--bit-depth", self.depth != Depth::default()),
-            ("--picture-colour", self.colours != Colours::default()),
-            ("--resize", self.size != Size::default()),
+            (self.depth != Depth::default()).then_some("--bit-depth"),
+            (self.colours != Colours::default()).then_some("--picture-colour"),
+            (self.size != Size::default()).then_some("--resize"),
+            // Who names no file at all has the picture in memory.
+            self.adjust.asked().filter(|_| !outputs.is_empty()),
         ];
         if outputs.iter().all(|output| output.format.holds_radiance())
-            && let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked)
+            && let Some(option) = asked.into_iter().flatten().next()
         {
             return refused(option, "no picture is written; name one by --picture, or leave it out".into());
         }

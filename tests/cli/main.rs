@@ -3,6 +3,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod adjust;
 mod bad_brackets;
 mod batch;
 mod cards;

@@ -138,6 +138,10 @@ fn what_was_asked_for_is_in_the_report() {
         "colour": null, "operator": {
             "name": "natural", "brightness": 0.48, "contrast": 0.3, "detail": 1.0, "saturation": 1.0
         },
+        "adjust": {
+            "white_balance": "as-shot", "brightness": 0.0, "contrast": 0.0, "saturation": 0.0, "shadows": 0.0,
+            "highlights": 0.0
+        },
         "bit_depth": 8, "picture_colour": "srgb", "resize": null
     });
     assert_eq!(asked, expected);

@@ -7,6 +7,7 @@ use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::simd::{self, Arm};
+use hdralign::tonemap::adjust::{self, WhiteBalance};
 use hdralign::tonemap::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
 use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
@@ -134,11 +135,19 @@ fn vector_instructions_do_not_change_a_byte() {
         },
         ..by_default.clone()
     };
+    let adjust = adjust::Options {
+        white_balance: WhiteBalance::Auto,
+        brightness: 0.7,
+        contrast: -20.0,
+        saturation: 40.0,
+        shadows: 60.0,
+        highlights: -70.0,
+    };
     let fine = |size| Options {
         outputs: vec![folder.at("a.png")],
         write: write::Options {
             overwrite: true,
-            picture: picture::Options { depth: Depth::Sixteen, colours: Colours::AdobeRgb, size },
+            picture: picture::Options { depth: Depth::Sixteen, colours: Colours::AdobeRgb, size, adjust },
             ..Default::default()
         },
         ..Options::default()

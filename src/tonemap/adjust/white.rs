@@ -1,0 +1,320 @@
+//! White balance: which light of the picture is shown as white.
+//!
+//! In: what was asked for. Out: a [`Light`], and its chromaticity. Cost: none.
+//! Source: CIE 15:2018, section 4.1.2 (daylight); Krystek, "An algorithm to calculate correlated colour temperature" (1985), equations 1 and 2 (black
+//! bodies); ANSI/IES TM-30-20, annex B (the one below 4000 K, the other above 5000 K, mixed between); Adobe, DNG SDK 1.7 (the unit of the tint).
+
+use crate::error::{Error, Result};
+use std::fmt;
+use std::str::FromStr;
+
+/// Which light is shown as white.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum WhiteBalance {
+    /// As the photographs show it.
+    #[default]
+    AsShot,
+    /// Estimated from the picture.
+    Auto,
+    /// Of this colour.
+    Light(Light),
+    /// That in which what is around this pixel is grey: x and y of the picture before it is made smaller.
+    Spot(usize, usize),
+}
+
+/// The colour of a light, as the photographs show it: in those of a camera that balanced them well it is 6504 K, whatever it was.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Light {
+    /// Correlated colour temperature, in kelvins.
+    pub kelvin: f64,
+    /// By how much it is greener than daylight, or a black body, of that temperature: 3000 times the distance in CIE 1960 uv. The picture gets as much
+    /// more magenta.
+    pub tint: f64,
+}
+
+/// The temperatures that there are, in kelvins: a candle, and the bluest sky.
+pub const KELVINS: (f64, f64) = (2000.0, 25000.0);
+/// The tints that there are, as in raw converters: a distance of 0.05, beyond which there is no temperature to speak of.
+pub const TINTS: (f64, f64) = (-150.0, 150.0);
+/// Tints to a distance of 1: as in the DNG SDK, so that they are those of the raw converters built on it.
+const TINTS_PER_UV: f64 = 3000.0;
+/// The white of displays.
+pub(super) const D65: Light = Light { kelvin: 6504.0, tint: 0.0 };
+/// The same, as the standard of sRGB rounds it.
+const D65_XY: [f64; 2] = [0.3127, 0.3290];
+
+impl Light {
+    /// Whether it is that which displays show as white, so that nothing is to be done.
+    pub fn is_white(self) -> bool {
+        self == D65
+    }
+
+    /// The same in numbers that are easy to type: whole kelvins, tenths of a tint. Nobody sees the difference.
+    pub(super) fn rounded(self) -> Light {
+        Light { kelvin: self.kelvin.round(), tint: (10.0 * self.tint).round() / 10.0 }
+    }
+
+    /// The CIE 1931 xy, beside a white of D65.
+    pub fn xy(self) -> [f64; 2] {
+        xy(self.uv())
+    }
+
+    /// The CIE 1960 uv.
+    fn uv(self) -> [f64; 2] {
+        let ([u, v], [du, dv]) = (locus(self.kelvin), green(self.kelvin));
+        // The formula of daylight misses the standard's white by 1e-5.
+        let ([u65, v65], at65) = (uv(D65_XY), locus(D65.kelvin));
+        let by = self.tint / TINTS_PER_UV;
+        [u + by * du + (u65 - at65[0]), v + by * dv + (v65 - at65[1])]
+    }
+
+    /// The light that has this xy: the nearest of all temperatures, and how far it is. None where it is of no temperature to speak of.
+    pub fn of_xy(chromaticity: [f64; 2]) -> Option<Light> {
+        let [u, v] = uv(chromaticity);
+        // In reciprocal temperatures steps look alike.
+        let ends = (1e6 / KELVINS.1, 1e6 / KELVINS.0);
+        let away = |mired: f64| {
+            let at = Light { kelvin: 1e6 / mired, tint: 0.0 }.uv();
+            libm::hypot(u - at[0], v - at[1])
+        };
+        let count = (ends.1 - ends.0) as usize;
+        let nearest = (0..=count).map(|i| ends.0 + i as f64).min_by(|a, b| away(*a).total_cmp(&away(*b)))?;
+        let (mut low, mut high) = ((nearest - 1.0).max(ends.0), (nearest + 1.0).min(ends.1));
+        for _ in 0..60 {
+            let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+            if away(a) < away(b) {
+                high = b;
+            } else {
+                low = a;
+            }
+        }
+        let mired = 0.5 * (low + high);
+        let kelvin = 1e6 / mired;
+        let ([du, dv], at) = (green(kelvin), Light { kelvin, tint: 0.0 }.uv());
+        let tint = TINTS_PER_UV * ((u - at[0]) * du + (v - at[1]) * dv);
+        let beside = TINTS_PER_UV * ((u - at[0]) * dv - (v - at[1]) * du).abs();
+        // Beyond the ends of the temperatures the nearest is not straight across.
+        ((TINTS.0..=TINTS.1).contains(&tint) && beside < BESIDE).then_some(Light { kelvin, tint })
+    }
+
+    /// Whether there is such a light.
+    ///
+    /// # Errors
+    /// [`Error::Option`] where it is out of its range.
+    pub(super) fn validate(self) -> Result<()> {
+        let refused = |reason| Err(Error::Option { option: OPTION, reason });
+        if !(KELVINS.0..=KELVINS.1).contains(&self.kelvin) {
+            let reason = format!("{} K is outside of {} to {} K; {FORMS}", self.kelvin, KELVINS.0, KELVINS.1);
+            return refused(reason);
+        }
+        if !(TINTS.0..=TINTS.1).contains(&self.tint) {
+            return refused(format!("a tint of {} is outside of {} to {}; {FORMS}", self.tint, TINTS.0, TINTS.1));
+        }
+        Ok(())
+    }
+}
+
+/// The option, as it is typed.
+pub(super) const OPTION: &str = "--white-balance";
+/// What may be typed.
+const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500K,10`, or a grey spot of the picture as in \
+                     `spot:1200,800`";
+/// How far along the temperatures the nearest may lie from a colour, in tints: beyond the ends nothing is straight across.
+const BESIDE: f64 = 1.0;
+
+/// The CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
+fn locus(t: f64) -> [f64; 2] {
+    let daylight = 0.001 * (t - 4000.0).clamp(0.0, 1000.0);
+    let ([a, b], [c, d]) = (black_body(t.min(5000.0)), self::daylight(t.max(4000.0)));
+    [a + daylight * (c - a), b + daylight * (d - b)]
+}
+
+/// Krystek's rational approximations, within 1e-4 from 1000 to 15000 K.
+fn black_body(t: f64) -> [f64; 2] {
+    let u = (0.860_117_757 + t * (1.541_182_54e-4 + t * 1.286_412_12e-7))
+        / (1.0 + t * (8.424_202_35e-4 + t * 7.081_451_63e-7));
+    let v = (0.317_398_726 + t * (4.228_062_45e-5 + t * 4.204_816_91e-8))
+        / (1.0 + t * (-2.897_418_16e-5 + t * 1.614_560_53e-7));
+    [u, v]
+}
+
+/// CIE 15, equations 4.5 to 4.7, from 4000 to 25000 K.
+fn daylight(t: f64) -> [f64; 2] {
+    let x = if t <= 7000.0 {
+        0.244_063 + (0.099_11e3 + (2.9678e6 - 4.6070e9 / t) / t) / t
+    } else {
+        0.237_040 + (0.247_48e3 + (1.9018e6 - 2.0064e9 / t) / t) / t
+    };
+    uv([x, x * (2.870 - 3.0 * x) - 0.275])
+}
+
+/// The direction straight across the locus at `t`, towards green, of length 1.
+fn green(t: f64) -> [f64; 2] {
+    // A millionth of a reciprocal temperature to either side.
+    let (a, b) = (locus(t * (1.0 - 1e-6)), locus(t * (1.0 + 1e-6)));
+    let (du, dv) = (b[0] - a[0], b[1] - a[1]);
+    let length = libm::hypot(du, dv);
+    // It falls in u from red to blue all the way.
+    [dv / length, -du / length]
+}
+
+fn uv([x, y]: [f64; 2]) -> [f64; 2] {
+    let scale = 3.0 - 2.0 * x + 12.0 * y;
+    [4.0 * x / scale, 6.0 * y / scale]
+}
+
+fn xy([u, v]: [f64; 2]) -> [f64; 2] {
+    let scale = 4.0 + 2.0 * u - 8.0 * v;
+    [3.0 * u / scale, 2.0 * v / scale]
+}
+
+impl FromStr for WhiteBalance {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<WhiteBalance, String> {
+        match text {
+            "auto" => return Ok(WhiteBalance::Auto),
+            "as-shot" => return Ok(WhiteBalance::AsShot),
+            _ => {}
+        }
+        let wrong = || format!("{text:?} is no white; {FORMS}");
+        let numbers = |text: &str| -> Option<(f64, Option<f64>)> {
+            let number = |text: &str| text.trim().parse().ok();
+            match text.split_once(',') {
+                Some((a, b)) => Some((number(a)?, Some(number(b)?))),
+                None => Some((number(text)?, None)),
+            }
+        };
+        if let Some(spot) = text.strip_prefix("spot:") {
+            let at = spot.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
+            return at.map(|(x, y)| WhiteBalance::Spot(x, y)).ok_or_else(wrong);
+        }
+        let upper = text.to_uppercase();
+        let (kelvin, tint) = numbers(&upper.replacen('K', "", 1)).ok_or_else(wrong)?;
+        let is_said = upper.split(',').next().is_some_and(|first| first.trim().ends_with('K'));
+        match tint {
+            // A pixel looks just like it.
+            Some(_) if !is_said => Err(format!(
+                "{text:?} is a temperature and a tint, or a pixel; write `{}K,{}` or `spot:{text}`",
+                kelvin,
+                tint.unwrap_or_default()
+            )),
+            _ if !is_said && upper.contains('K') => Err(wrong()),
+            tint => {
+                let light = Light { kelvin, tint: tint.unwrap_or(0.0) };
+                light.validate().map_err(|error| error.to_string().replacen(&format!("{OPTION}: "), "", 1))?;
+                Ok(WhiteBalance::Light(light))
+            }
+        }
+    }
+}
+
+impl fmt::Display for WhiteBalance {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            WhiteBalance::AsShot => f.write_str("as-shot"),
+            WhiteBalance::Auto => f.write_str("auto"),
+            WhiteBalance::Light(light) => light.fmt(f),
+            WhiteBalance::Spot(x, y) => write!(f, "spot:{x},{y}"),
+        }
+    }
+}
+
+impl serde::Serialize for WhiteBalance {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl fmt::Display for Light {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}K", self.kelvin)?;
+        if self.tint == 0.0 { Ok(()) } else { write!(f, ",{}", self.tint) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// CIE 15, tables of daylight and of black bodies: A (2856 K) is a black body, D50 (5003 K) and D75 (7504 K) are daylight.
+    #[test]
+    fn lights_have_the_published_chromaticities() {
+        for (kelvin, x, y) in [
+            (2856.0, 0.44758, 0.40745),
+            (5003.0, 0.34567, 0.35851),
+            (6504.0, 0.3127, 0.3290),
+            (7504.0, 0.29902, 0.31485),
+            (2000.0, 0.52669, 0.41331),
+        ] {
+            let [a, b] = Light { kelvin, tint: 0.0 }.xy();
+            assert!((a - x).abs() < 4e-4 && (b - y).abs() < 4e-4, "{kelvin}: {a} {b}");
+        }
+        // To the place that the standard has.
+        let [x, y] = D65.xy();
+        assert!((x - 0.3127).abs() < 1e-12 && (y - 0.3290).abs() < 1e-12 && D65.is_white());
+    }
+
+    #[test]
+    fn light_of_a_colour_is_the_light_that_has_it() {
+        for kelvin in [2100.0, 2856.0, 4000.0, 4321.0, 5000.0, 6504.0, 12_000.0, 24_000.0] {
+            for tint in [-140.0, -20.0, 0.0, 7.5, 140.0] {
+                let light = Light { kelvin, tint };
+                let found = Light::of_xy(light.xy()).unwrap();
+                let [a, b] = [light.xy(), found.xy()];
+                assert!((a[0] - b[0]).abs() < 1e-6 && (a[1] - b[1]).abs() < 1e-6, "{light} {found}");
+            }
+            let near = Light { kelvin, tint: 20.0 };
+            let found = Light::of_xy(near.xy()).unwrap();
+            // Where the mixing begins and ends the locus has a corner, from which straight across is more than one way.
+            assert!((found.kelvin / kelvin - 1.0).abs() < 6e-3 && (found.tint - 20.0).abs() < 0.2, "{near} {found}");
+        }
+        // sRGB's red, green and blue are of no temperature.
+        for colour in [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]] {
+            assert_eq!(Light::of_xy(colour), None);
+        }
+    }
+
+    #[test]
+    fn warmer_is_of_a_lower_temperature_and_greener_of_a_higher_tint() {
+        let xy = |kelvin: f64, tint: f64| Light { kelvin, tint }.xy();
+        let mut kelvin = KELVINS.0;
+        while kelvin < KELVINS.1 {
+            assert!(xy(kelvin, 0.0)[0] > xy(kelvin * 1.01, 0.0)[0], "{kelvin}");
+            assert!(xy(kelvin, 10.0)[1] > xy(kelvin, 0.0)[1], "{kelvin}");
+            kelvin *= 1.01;
+        }
+    }
+
+    #[test]
+    fn white_is_typed_in_one_way_each() {
+        let light = |kelvin, tint| WhiteBalance::Light(Light { kelvin, tint });
+        for (text, expected) in [
+            ("auto", WhiteBalance::Auto),
+            ("as-shot", WhiteBalance::AsShot),
+            ("5500", light(5500.0, 0.0)),
+            ("5500K", light(5500.0, 0.0)),
+            ("5500k,+10", light(5500.0, 10.0)),
+            ("3200K, -7.5", light(3200.0, -7.5)),
+            ("spot:1200,800", WhiteBalance::Spot(1200, 800)),
+        ] {
+            assert_eq!(text.parse(), Ok(expected), "{text}");
+            assert_eq!(expected.to_string().parse(), Ok(expected), "{text}");
+        }
+        for (text, said) in [
+            ("daylight", "`as-shot`"),
+            ("5500,10", "`5500K,10` or `spot:5500,10`"),
+            ("1200,800", "`spot:1200,800`"),
+            ("1200K", "outside of 2000 to 25000 K"),
+            ("nanK", "outside of 2000"),
+            ("5500K,400", "a tint of 400"),
+            ("5500,10K", "spot:"),
+            ("spot:-1,5", "spot:1200,800"),
+            ("K", "no white"),
+            ("", "no white"),
+        ] {
+            let error = text.parse::<WhiteBalance>().unwrap_err();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+    }
+}
