@@ -7,10 +7,10 @@ use hdralign::tonemap::adjust::{Options, WhiteBalance};
 #[derive(Debug, Args)]
 pub struct Adjust {
     /// The light that the picture shows as white: `as-shot` changes nothing, `auto` estimates it. KELVIN is its temperature as the photographs
-    /// show it, as 5500 or 5500K: 2000 to 25000, below 6504 the picture becomes cooler, above it warmer; with a tint, as 5500K,10: -150
-    /// to 150, above 0 it becomes more magenta. SPOT is a pixel with grey around it, as spot:1200,800: of the result, before --resize.
-    /// Radiance stays as it is
-    #[arg(long, value_name = "auto|as-shot|KELVIN|SPOT", default_value_t, hide_default_value = true)]
+    /// show it, as 5500 or 5500K: 2000 to 25000, below 6504 the picture becomes cooler, above it warmer; with a tint, as 5500,10: -150
+    /// to 150, above 0 it becomes more magenta. X,Y is a pixel with grey around it, of the result, before --resize; spot:2400,100 says
+    /// so where it might be a light. Radiance stays as it is
+    #[arg(long, value_name = "auto|as-shot|KELVIN[,TINT]|X,Y", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,
 
     /// Make the picture brighter, or darker: -5 to 5, stops in its dark parts and less towards white, which nothing reaches

@@ -123,7 +123,7 @@ fn gain_map_is_made_for_the_adjusted_picture() {
 #[test]
 fn merge_and_tonemap_give_the_same_adjusted_picture_on_any_threads() {
     let folder = Folder::with_bracket();
-    for white in ["auto", "spot:150,150", "5000K,12"] {
+    for white in ["auto", "150,150", "5000K,12"] {
         let all = format!("--white-balance {white} --brightness -0.4 --shadows 60 --highlights -60 --saturation 15");
         folder.line(&format!("{MERGE} -o a.exr --exr-type float -o a.tif --picture b.png {all} --threads 1")).done();
         folder.line(&format!("tonemap a.exr -o c.png -q --force {all} --threads 5")).done();
@@ -162,9 +162,8 @@ fn what_cannot_be_done_is_refused_with_the_remedy() {
         ("-o b.png --shadows -101", &["--shadows", "-100 to 100"]),
         ("-o b.png --saturation much", &["--saturation", "much"]),
         ("-o b.png --white-balance 1500", &["--white-balance", "2000 to 25000 K"]),
-        ("-o b.png --white-balance 150,100", &["spot:150,100", "150K,100"]),
-        ("-o b.png --white-balance sunny", &["sunny", "`auto`", "`5500K`", "`spot:1200,800`"]),
-        ("-o b.png --white-balance spot:300,10", &["spot 300,10", "300 x 200 pixels"]),
+        ("-o b.png --white-balance sunny", &["sunny", "`auto`", "`5500K`", "`1200,800`"]),
+        ("-o b.png --white-balance 300,10", &["spot 300,10", "300 x 200 pixels"]),
     ] {
         for line in [MERGE, "tonemap a.exr", &format!("{MERGE} --tmo mertens")] {
             refused(&folder.line(&format!("{line} {options}")), said);

@@ -98,6 +98,11 @@ impl Light {
     }
 
     /// Whether there is such a light.
+    fn is_one(self) -> bool {
+        (KELVINS.0..=KELVINS.1).contains(&self.kelvin) && (TINTS.0..=TINTS.1).contains(&self.tint)
+    }
+
+    /// Checks that there is such a light.
     ///
     /// # Errors
     /// [`Error::Option`] where it is out of its range.
@@ -117,8 +122,8 @@ impl Light {
 /// The option, as it is typed.
 pub(super) const OPTION: &str = "--white-balance";
 /// What may be typed.
-const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500K,10`, or a grey spot of the picture as in \
-                     `spot:1200,800`";
+const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500,10`, or a grey spot of the picture as in `1200,800` \
+                     or, where that might be a light, `spot:2100,90`";
 /// How far along the temperatures the nearest may lie from a colour, in tints: beyond the ends nothing is straight across.
 const BESIDE: f64 = 1.0;
 
@@ -193,12 +198,13 @@ impl FromStr for WhiteBalance {
         let (kelvin, tint) = numbers(&upper.replacen('K', "", 1)).ok_or_else(wrong)?;
         let is_said = upper.split(',').next().is_some_and(|first| first.trim().ends_with('K'));
         match tint {
-            // A pixel looks just like it.
-            Some(_) if !is_said => Err(format!(
-                "{text:?} is a temperature and a tint, or a pixel; write `{}K,{}` or `spot:{text}`",
-                kelvin,
-                tint.unwrap_or_default()
-            )),
+            // A pixel looks just like it: what may be a light is one.
+            Some(tint) if !is_said && !(Light { kelvin, tint }).is_one() => match (kelvin, tint) {
+                (x, y) if [x, y].iter().all(|v| *v >= 0.0 && v.fract() == 0.0 && *v < 1e9) => {
+                    Ok(WhiteBalance::Spot(x as usize, y as usize))
+                }
+                _ => Err(wrong()),
+            },
             _ if !is_said && upper.contains('K') => Err(wrong()),
             tint => {
                 let light = Light { kelvin, tint: tint.unwrap_or(0.0) };
@@ -287,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn white_is_typed_in_one_way_each() {
+    fn white_is_typed_as_a_light_or_a_pixel() {
         let light = |kelvin, tint| WhiteBalance::Light(Light { kelvin, tint });
         for (text, expected) in [
             ("auto", WhiteBalance::Auto),
@@ -296,20 +302,25 @@ mod tests {
             ("5500K", light(5500.0, 0.0)),
             ("5500k,+10", light(5500.0, 10.0)),
             ("3200K, -7.5", light(3200.0, -7.5)),
+            ("5500,10", light(5500.0, 10.0)),
             ("spot:1200,800", WhiteBalance::Spot(1200, 800)),
+            // No temperature, or no tint.
+            ("1200,100", WhiteBalance::Spot(1200, 100)),
+            ("2400, 800", WhiteBalance::Spot(2400, 800)),
+            ("spot:2400,100", WhiteBalance::Spot(2400, 100)),
         ] {
             assert_eq!(text.parse(), Ok(expected), "{text}");
             assert_eq!(expected.to_string().parse(), Ok(expected), "{text}");
         }
         for (text, said) in [
             ("daylight", "`as-shot`"),
-            ("5500,10", "`5500K,10` or `spot:5500,10`"),
-            ("1200,800", "`spot:1200,800`"),
+            ("5500,-400", "`spot:"),
+            ("1200.5,800", "`1200,800`"),
             ("1200K", "outside of 2000 to 25000 K"),
             ("nanK", "outside of 2000"),
             ("5500K,400", "a tint of 400"),
             ("5500,10K", "spot:"),
-            ("spot:-1,5", "spot:1200,800"),
+            ("spot:-1,5", "1200,800"),
             ("K", "no white"),
             ("", "no white"),
         ] {
