@@ -176,7 +176,7 @@ mod tests {
     /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and all of one elsewhere; every ninth shows what moved.
     fn pairs() -> Vec<Pair> {
         let shown = |scene: f32| scene - 0.5 * (scene.clamp(-4.0, 1.0) + 4.0);
-        let moved = |i: usize| if i % 9 == 0 { 3.0 } else { 0.0 };
+        let moved = |i: usize| if i.is_multiple_of(9) { 3.0 } else { 0.0 };
         let pair = |i: usize| {
             let scene = -6.0 + 7.0 * (i as f32 / 3000.0);
             Pair { bases: (shown(scene), shown(scene + 2.0) + moved(i)), stops: 2.0 }

@@ -3,7 +3,7 @@
 //! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by which the radiance of each pixel of
 //! each frame is multiplied, so that it is the scene's. Cost: that of averaging the frames over cells, some 20 ns a pixel and frame, and of a logarithm and
 //! an exponential for each pixel of each frame; nothing where frames are not locally processed.
-//! Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002), whose curve the exposures tell ([`base`]).
+//! Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002), whose curve the exposures tell (`base`).
 //!
 //! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base found.
 //! 2. Bases of two frames at the same cell, which differ in the scene by as much as the exposures, tell the curve by which the phone compressed them.
