@@ -14,7 +14,7 @@
 //! - L is the least radiance that the clipped frames leave possible, U the most that the black ones do. So at the rim of a lamp, where a displaced
 //!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
 
-use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, Taken, Tile};
+use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, PAINTED, Taken, Tile};
 use super::mean::{Channels, Means};
 use crate::simd::{Loops, at_least, at_most};
 
@@ -70,7 +70,8 @@ impl Loops for FilledRow<'_, '_> {
             let [red, green, blue] = row.codes;
             let mut is_end = [0u32; COLUMNS];
             for x in 0..COLUMNS {
-                let is_believed = red[x] >= 0.0 && kept.get(x).is_none_or(|&kept| kept >= 0.5);
+                let is_shown = red[x] >= 0.0 && row.beside[x] & PAINTED == 0;
+                let is_believed = is_shown && kept.get(x).is_none_or(|&kept| kept >= 0.5);
                 let is_later = fill == Fill::Black || is_seen[x] == 0;
                 is_end[x] = u32::from(is_believed && is_later);
                 is_seen[x] |= u32::from(is_believed);

@@ -78,9 +78,9 @@ pub(super) struct Tile {
     codes: Vec<[f32; 3]>,
     /// By channel, the tile's first pixel at column and row 1.
     planes: [Vec<f32>; 3],
-    /// 1 where a channel is at its top, or as good as.
+    /// [`CLIPPED`] where a channel is at its top, or as good as, and [`PAINTED`].
     clipped: Vec<u8>,
-    /// 1 where a pixel or one of its eight neighbours is clipped, the tile's first pixel at column and row 0.
+    /// The same of a pixel and its eight neighbours, the tile's first pixel at column and row 0.
     beside: Vec<u8>,
 }
 
@@ -89,9 +89,15 @@ pub(super) struct Tile {
 pub(super) struct Row<'a> {
     /// R, G and B on the scale 0..=255; below 0 where the frame does not reach.
     pub codes: [&'a [f32; COLUMNS]; 3],
-    /// 1 where a clipped pixel is near.
+    /// Whether a [`CLIPPED`] or a [`PAINTED`] pixel is near.
     pub beside: &'a [u8; COLUMNS],
 }
+
+/// Where a channel is at its top.
+pub(super) const CLIPPED: u8 = 1;
+/// Where channels are at their top and the others at 0, in another frame than the reference: no light is so, but the borders of registered scans are. Such a
+/// pixel has no weight, and must not vouch for anything.
+pub(super) const PAINTED: u8 = 2;
 
 impl Tile {
     pub fn new() -> Self {
@@ -111,7 +117,8 @@ impl Tile {
         let at = (1 + c.start - columns.start, 1 + r.start - rows.start);
         let codes = &mut self.codes[..size.0 * size.1];
         resample_rows(window, &layer.warp, c, r, codes);
-        vectorised(Apart { size, at, codes, planes: &mut self.planes, clipped: &mut self.clipped });
+        let painted = if layer.is_reference { 0 } else { PAINTED };
+        vectorised(Apart { size, at, painted, codes, planes: &mut self.planes, clipped: &mut self.clipped });
         vectorised(Beside { rows: rows.len(), clipped: &self.clipped, beside: &mut self.beside });
     }
 
@@ -129,6 +136,8 @@ struct Apart<'a> {
     size: (usize, usize),
     /// Where the first of them lies.
     at: (usize, usize),
+    /// What pixels of a painted colour are.
+    painted: u8,
     codes: &'a [[f32; 3]],
     planes: &'a mut [Vec<f32>; 3],
     clipped: &'a mut [u8],
@@ -150,7 +159,14 @@ impl Loops for Apart<'_> {
             for x in 0..width {
                 let [r, g, b] = codes[x];
                 (red[x], green[x], blue[x]) = (r, g, b);
-                clipped[x] = u8::from(r >= TOP) | u8::from(g >= TOP) | u8::from(b >= TOP);
+                let (tops, ends) = ([r >= 254.5, g >= 254.5, b >= 254.5], [r <= 0.5, g <= 0.5, b <= 0.5]);
+                let is_painted = (tops[0] | ends[0])
+                    & (tops[1] | ends[1])
+                    & (tops[2] | ends[2])
+                    & (tops[0] | tops[1] | tops[2])
+                    & (ends[0] | ends[1] | ends[2]);
+                let is_clipped = u8::from(r >= TOP) | u8::from(g >= TOP) | u8::from(b >= TOP);
+                clipped[x] = is_clipped | if is_painted { self.painted } else { 0 };
             }
         }
     }
@@ -192,6 +208,7 @@ pub(super) enum Fill {
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
     warp: Warp,
+    is_reference: bool,
     /// By channel and code.
     entries: [Vec<Entry>; 3],
     /// The last code whose entry begins what lies between it and the next: 255 where nothing lies between codes.
@@ -283,13 +300,16 @@ pub(super) fn layers<'a>(
             Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
             _ => Noise::least(),
         };
-        Ok((frame, warp, frame.exposure.relative() / reference, noise, fill(i)))
+        Ok((frame, warp, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
     };
     let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
     let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.say(curve, *time, noise));
     let placed = placed.into_iter();
-    let layer =
-        |(frame, warp, time, noise, fill)| Layer { fill, ..layer(frame, warp, (time, &noise), curve, weight, most) };
+    let layer = |(frame, warp, time, noise, (fill, is_reference))| Layer {
+        fill,
+        is_reference,
+        ..layer(frame, warp, (time, &noise), curve, weight, most)
+    };
     Ok(placed.map(layer).collect())
 }
 
@@ -325,6 +345,7 @@ fn layer<'a>(
     Layer {
         frame,
         warp,
+        is_reference: false,
         // A frame of 8 bit that did not move has whole codes alone.
         last: if frame.max() == u16::from(u8::MAX) && warp == Warp::Identity { 255.0 } else { 254.0 },
         say: weight.say(curve, time, noise) / most,

@@ -4,7 +4,7 @@
 //! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
-use super::layer::{COLUMNS, Fill, Layer, Meaning, Row, Taken, Tile};
+use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
 /// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
@@ -111,7 +111,7 @@ impl Means {
         }
     }
 
-    /// Adds a frame's row, as it is `taken`. A pixel that the frame does not reach is one that is not believed.
+    /// Adds a frame's row, as it is `taken`. A pixel that the frame does not reach, or that is painted, is one that is not believed.
     #[inline(always)]
     pub fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
         let View { meanings, trust, v, below_top, is_first, is_believed, gain: factor, inverse } = &mut self.frame;
@@ -127,8 +127,9 @@ impl Means {
         let [red, green, blue] = row.codes;
         for x in 0..COLUMNS {
             let top = at_least(at_least(red[x], green[x]), blue[x]);
-            let t = if red[x] < 0.0 { 0.0 } else { trust[x] };
-            let is_beside = row.beside[x] != 0;
+            let is_shown = red[x] >= 0.0 && row.beside[x] & PAINTED == 0;
+            let t = if is_shown { trust[x] } else { 0.0 };
+            let is_beside = row.beside[x] & CLIPPED != 0;
             trust[x] = t;
             v[x] = t * (if is_beside { layer.ringing } else { 1.0 }) * layer.guard(top);
             // Beside clipped pixels, between which and their darker neighbours a moved frame is interpolated, any code may be a clipped one's.
@@ -314,6 +315,29 @@ mod tests {
         // The weights of the two alone decide: the longer has twice the say, and its code is nearer to the middle.
         let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
         assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
+    }
+
+    #[test]
+    fn what_is_painted_into_a_frame_vouches_for_nothing_there_and_beside() {
+        let paint = |x: usize, _: usize| if x < 4 { [0, 0, 255] } else { [40; 3] };
+        let bare: Seen = (0.0, &|_, _| [100; 3]);
+        let of = |frames: &[Seen]| {
+            let (bracket, alignment) = bracket(frames);
+            merged(&bracket, &alignment, Weight::Hat)
+        };
+        let (with, without) = (of(&[(-2.0, &paint), bare]), of(&[(-2.0, &|_, _| [40; 3]), bare]));
+        let x = |code: usize| ResponseCurve::srgb().exposures(2)[code];
+        for row in 0..SIZE.1 {
+            // The reference alone, there and in the next column; behind that as if there were no paint.
+            for column in 0..=4 {
+                let found = with[row * SIZE.0 + column][2];
+                assert!((found / x(100) - 1.0).abs() < 1e-3, "{row} {column}: {found} for {}", x(100));
+            }
+            assert_eq!(with[row * SIZE.0 + 5..(row + 1) * SIZE.0], without[row * SIZE.0 + 5..(row + 1) * SIZE.0]);
+        }
+        // Where all frames have it, the reference is believed.
+        let own = of(&[(-2.0, &|_, _| [255, 0, 0]), (0.0, &|_, _| [255, 0, 0])]);
+        assert!(own[31][0] > x(200), "{:?}", own[31]);
     }
 
     #[test]

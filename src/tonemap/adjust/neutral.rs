@@ -18,7 +18,7 @@ use std::ops::Range;
 /// The parts of the pixels below and above which a cell does not count: too dark to tell a colour; lamps, windows and what clipped.
 const ENDS: (f64, f64) = (0.05, 0.95);
 /// How far white is taken from that of the photographs to the mean, in reciprocal temperature and in tint: cameras have balanced already, and no scene is wholly
-/// grey on average. By eye, on fourteen photographed brackets: a lamp stays a lamp.
+/// grey on average. By eye, on four photographed brackets: a lamp stays a lamp.
 const SHARE: f64 = 0.6;
 
 /// The light in `scene`, as far as it is trusted; none where the mean is of no light's colour.
