@@ -19,6 +19,7 @@
 //!   stands for the most light and would darken the mean most. Under noise weights this alone is worth 17 dB on truth brackets.
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
+//! - A frame is not among the j where it is painted, in and beside pixels with channels at both ends of the codes, unless it is the reference.
 //! - A frame of which the place is only [assumed](crate::align::Status::Assumed) is not among the j: it fills what they clip, or what is black in all of
 //!   them (`fill`).
 //! - Of frames that are locally processed, X_j / dt_j is multiplied by the frame's [gain](local) there, and so is what it vouches for and clips at.

@@ -213,6 +213,7 @@ mod tests {
     use crate::tonemap::adjust;
     use crate::tonemap::adjust::white::Light;
     use crate::tonemap::display::luminance;
+    use crate::tonemap::tests::every as every_operator;
 
     const SIZE: (usize, usize) = (240, 160);
     const CARD: (usize, usize) = (40, 40);
@@ -234,19 +235,6 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    fn operators() -> Vec<Operator> {
-        vec![
-            Operator::default(),
-            Operator::Reinhard02(Default::default()),
-            Operator::Reinhard02Local(Default::default()),
-            Operator::Drago(Default::default()),
-            Operator::Durand(Default::default()),
-            Operator::Fattal(Default::default()),
-            Operator::Mantiuk06(Default::default()),
-            Operator::Mantiuk08(Default::default()),
-        ]
-    }
-
     /// What has been fused: the scene as a camera shows it.
     fn channels() -> Channels {
         let map = scene();
@@ -262,7 +250,7 @@ mod tests {
         let each: Each = &|see| see(0, &map);
         let toned = |operator: Operator| Picture::toned(each, (SIZE, Primaries::SRGB), None, &operator, &options);
         let fused = Picture::fused(channels(), &options);
-        let pictures = operators().into_iter().map(toned).chain([fused]);
+        let pictures = every_operator().into_iter().map(toned).chain([fused]);
         let light = |picture: Result<Picture>| {
             let mut light = vec![[0.0f32; 3]; SIZE.0 * SIZE.1];
             picture.unwrap().map(&Encoder::default(), SIZE.0, 0, map.pixels.as_slice(), &mut light);

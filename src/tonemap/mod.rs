@@ -107,12 +107,6 @@ impl Operator {
         settings::validate(&self.clone().settings(), self.name())
     }
 
-    /// What maps rows of the picture that `overview` has seen all of.
-    pub fn settled(&self, overview: Overview) -> Tones {
-        let width = overview.width();
-        overview.scene().map_or_else(|| Tones::black(width), |scene| self.tones(&scene))
-    }
-
     /// What maps rows of the picture of `scene`.
     pub fn tones(&self, scene: &Scene) -> Tones {
         // Nothing in it says what is dark and what is bright.
@@ -189,15 +183,17 @@ pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, opera
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
     overview.see(0, pixels);
-    DisplayImage { pixels: operator.settled(overview).picture(pixels) }
+    let tones = overview.scene().map_or_else(|| Tones::black(pixels.width()), |scene| operator.tones(&scene));
+    DisplayImage { pixels: tones.picture(pixels) }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
 
-    fn every() -> Vec<Operator> {
+    /// Every operator, as by default.
+    pub(crate) fn every() -> Vec<Operator> {
         vec![
             Operator::Natural(natural::Options::default()),
             Operator::Reinhard02(reinhard::Options::default()),

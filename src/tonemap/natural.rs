@@ -98,13 +98,13 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let levels = Levels::new(&fused, brightness, options.contrast);
     let colours = Colours { photograph: &photograph, is_known: scene.photographed.is_some() };
     let (width, height) = (grid.logs.width(), grid.logs.height());
-    let most = options.saturation as f32;
+    let saturation = options.saturation as f32;
     let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
         for (x, cell) in row.iter_mut().enumerate() {
             let fused = levels.at([0, 1, 2].map(|c| fused[c].at(x, y)));
             let display = luminance(fused);
             let [share, turn] = colours.shown(fused, colour(grid.colours.at(x, y)), display.max(DARKEST));
-            *cell = [log2(display + DARKEST), most * share, turn];
+            *cell = [log2(display + DARKEST), saturation * share, turn];
         }
     });
     let tones = Plane::from_rows(width, height, |y, row| {

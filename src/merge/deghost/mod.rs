@@ -2,7 +2,7 @@
 //!
 //! In: a bracket, where its frames lie, and what their codes mean. Out: [`Ghosts`], for each frame and pixel how far it may take part.
 //! Cost: some 200 ns of one core for each cell of each frame, and 200 more where something differs: of 12 MP 4 ns a pixel; 156 bytes for each of
-//! at most 262,144 cells (more only beyond 16 MP), whatever the number of frames, and a byte for each cell of each frame. Source:
+//! at most 262,144 cells (more only beyond 16 MP), whatever the number of frames, and for each cell of each frame a byte, of the shorter ones two. Source:
 //! the reference as the standard, and the frame's departure from it against what noise allows, are those of Ward's hdrgen (option `-g`);
 //! the noise model, the chain of standards, the scales, and that an edge must tell motion from misfit are ours.
 //!
@@ -226,7 +226,7 @@ fn says_nothing(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     })
 }
 
-/// Leaves frames out where they are `silent`, as far as any other is: a bright wall that is nearly black there would be merged with who stands before it.
+/// Leaves frames out where they are `silent`, as far as any other frame is: else a bright wall, nearly black there, would be merged with somebody before it.
 fn leave_out_silent(frames: &mut [(String, Option<Plane<u8>>)], silent: &[(usize, Plane<bool>)]) {
     let Some((_, first)) = silent.first() else { return };
     let mut least = vec![u8::MAX; first.as_slice().len()];
