@@ -48,7 +48,7 @@ impl Limits {
         // The squares of signal over noise of the frames that tell the radiance, added up.
         let told = |radiance: f64| -> f64 {
             let of_frame = |time: &f64| {
-                let codes: [f64; 3] = std::array::from_fn(|c| code(curve, c, radiance * time));
+                let codes: [f64; 3] = std::array::from_fn(|c| f64::from(curve.code(c, (radiance * time) as f32)));
                 if (0..3).any(|c| codes[c] <= least[c] || codes[c] > CLIPS.1 as f64) {
                     return 0.0;
                 }
@@ -80,14 +80,6 @@ impl Limits {
 /// The luminance of what red, green and blue have of it.
 fn grey(of: impl Fn(usize) -> f64) -> f64 {
     (0..3).map(|c| f64::from(BT709[c]) * of(c)).sum()
-}
-
-/// The code, between codes, of an exposure.
-fn code(curve: &ResponseCurve, channel: usize, exposure: f64) -> f64 {
-    let x = curve.exposures(channel);
-    let above = x.partition_point(|&v| f64::from(v) < exposure).clamp(1, CODES - 1);
-    let (a, b) = (f64::from(x[above - 1]), f64::from(x[above]));
-    (above - 1) as f64 + ((exposure - a) / (b - a)).clamp(0.0, 1.0)
 }
 
 /// dX/dZ at a code.

@@ -123,6 +123,15 @@ impl ResponseCurve {
         a + (code - below as f32) * (b - a)
     }
 
+    /// The code, between two, that means `exposure` in a channel: the inverse of [`exposure`](Self::exposure).
+    pub fn code(&self, channel: usize, exposure: f32) -> f32 {
+        let x = &self.exposure[channel];
+        let above = x.partition_point(|&v| v < exposure).clamp(1, CODES - 1);
+        let (a, b) = (x[above - 1], x[above]);
+        let part = if b > a { ((exposure - a) / (b - a)).clamp(0.0, 1.0) } else { 1.0 };
+        (above - 1) as f32 + part
+    }
+
     /// Shifts the channels against each other until the w-weighted mean over all codes is the same in each, and all three until
     /// their mean at code [`MID`] is 0.
     fn neutralised(mut g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {

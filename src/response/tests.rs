@@ -145,3 +145,14 @@ fn stated_curves_are_what_they_state() {
     assert!((linear.exposure(2, 64.5) * 128.0 - 64.5).abs() < 1e-4);
     assert!(ResponseCurve::new([[0.0; CODES]; 3]).is_none());
 }
+
+#[test]
+fn code_is_the_inverse_of_exposure() {
+    let curve = ResponseCurve::srgb();
+    for code in (0..=2550).map(|z| z as f32 / 10.0) {
+        let found = curve.code(1, curve.exposure(1, code));
+        // Two roundings of 2^-24 of an exposure, of which the steps are 2^-8 at least.
+        assert!((found - code).abs() < 1e-4, "{code}: {found}");
+    }
+    assert_eq!((curve.code(0, 0.0), curve.code(0, f32::INFINITY)), (0.0, 255.0));
+}

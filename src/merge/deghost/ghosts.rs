@@ -115,7 +115,7 @@ impl Ghosts {
     }
 
     /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips and no frame is left that shows more.
-    pub(in crate::merge) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
+    pub(crate) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
         if let Some(holes) = &self.holes {
             for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
                 holes.fill(self.side, first + y, row);

@@ -6,7 +6,8 @@
 //!
 //! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before a bright sky, nothing that is left says
 //! more, and the mean would be a grey patch in the mover's shape. What the reference clips about it, connected with it, is about as bright: the
-//! logarithm of that is continued into the hole, by the finest cells that know something. It only adds light, and only where the reference clips.
+//! logarithm of that is continued into the hole, by the finest cells that know something, and with its colour, which white has lost. It takes away no light,
+//! and is only where the reference clips.
 
 use super::cells::Cell;
 use super::region;
@@ -152,20 +153,39 @@ impl Holes {
 
     /// Fills row `y` of the region, of which cells are `side` pixels long.
     pub fn fill(&self, side: usize, y: usize, pixels: &mut [[f32; 3]]) {
-        let mut counts = vec![0.0f32; pixels.len()];
-        row_between_cells(&self.counts, side, |v| f32::from(v) / 255.0, y, &mut counts);
+        let length = pixels.len();
+        let counts = row(&self.counts, side, |v| f32::from(v) / 255.0, y, length);
         if counts.iter().all(|&count| count == 0.0) {
             return;
         }
-        let mut more = vec![0.0f32; pixels.len()];
-        for (c, (plane, (begins, sure))) in self.radiance.iter().zip(self.clips).enumerate() {
-            row_between_cells(plane, side, |v| v, y, &mut more);
-            for ((pixel, count), more) in pixels.iter_mut().zip(&counts).zip(&more) {
-                let clipped = ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0);
-                pixel[c] += count * clipped * (more - pixel[c]).max(0.0);
+        let more = self.radiance.each_ref().map(|plane| row(plane, side, |v| v, y, length));
+        for (x, (pixel, &count)) in pixels.iter_mut().zip(&counts).enumerate().filter(|(_, (_, count))| **count > 0.0) {
+            let more = [more[0][x], more[1][x], more[2][x]];
+            let clipped: [f32; 3] = std::array::from_fn(|c| {
+                let (begins, sure) = self.clips[c];
+                ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0)
+            });
+            let white = clipped.into_iter().fold(1.0, f32::min);
+            // A channel that does not clip says how bright it is here.
+            let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
+            let shown = shown(0).min(shown(1)).min(shown(2));
+            // What is white in all channels has lost its colour, and has at least so much light.
+            let most = |of: [f32; 3]| of.into_iter().fold(FLOOR, f32::max);
+            let scale = (most(*pixel) / most(more)).max(1.0);
+            for c in 0..3 {
+                let lighter = clipped[c] * (shown * more[c] - pixel[c]).max(0.0);
+                let coloured = scale * more[c] - pixel[c];
+                pixel[c] += count * (lighter + white * (coloured - lighter));
             }
         }
     }
+}
+
+/// Row `y` of `length` pixels between cells of `side` pixels.
+fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usize, length: usize) -> Vec<f32> {
+    let mut row = vec![0.0f32; length];
+    row_between_cells(cells, side, value, y, &mut row);
+    row
 }
 
 /// `values` as far as `weights` (0..=1) know them; elsewhere the mean of what is known around, of as few cells as know something. 0 where nothing is known at

@@ -50,6 +50,8 @@ const LARGEST: usize = 8;
 const GAP: usize = 3;
 /// How far around what moved a frame is left out, in cells: its edges are mixed with the background.
 const MARGIN: usize = 2;
+/// How far from what moved cells are that its edges are mixed with for certain.
+const EDGE: usize = 1;
 /// Over so many cells more it comes back, to both sides of their middle.
 const FADE: usize = 2;
 
@@ -206,8 +208,8 @@ pub fn find(
             take_over(&mut standard, &frame, &moved, &meanings);
             let mut kept = region::kept(&moved, MARGIN, FADE);
             if i < reference {
+                keep_beside(&mut kept, &region::grown_by(&moved, EDGE), (&frame, &shown));
                 shorter.add(&frame, &kept);
-                keep_beside(&mut kept, &moved, &shown);
                 silent.push((i, says_nothing(&frame, &shown)));
             }
             frames[i].1 = Some(kept);
@@ -241,12 +243,14 @@ fn leave_out_silent(frames: &mut [(String, Option<Plane<u8>>)], silent: &[(usize
     }
 }
 
-/// Keeps a shorter frame beside what `moved` in it, where the reference is white: without it there would be a white blob. Where a mover's soft
-/// edge darkens it, light is [continued](holes) all the same.
-fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, reference: &Plane<Cell>) {
+/// Keeps a shorter frame beside what `moved` in it, where the reference is white and the frame shows as much light: without it there would be a white
+/// blob. Where it shows less, as in a mover's soft edge, light is [continued](holes).
+fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&Plane<Cell>, &Plane<Cell>)) {
     kept.fill_rows(|y, row| {
-        for ((kept, moved), cell) in row.iter_mut().zip(moved.row(y)).zip(reference.row(y)) {
-            if !moved && (0..3).all(|c| cell.is_clipped(c)) {
+        let cells = frame.row(y).iter().zip(reference.row(y));
+        for ((kept, moved), (f, s)) in row.iter_mut().zip(moved.row(y)).zip(cells) {
+            let is_white = (0..3).all(|c| s.is_clipped(c));
+            if !moved && is_white && (0..3).any(|c| f.radiance[c] >= s.radiance[c]) {
                 *kept = u8::MAX;
             }
         }

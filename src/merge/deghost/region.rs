@@ -44,7 +44,7 @@ pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
 }
 
 /// What is true, and what is within `reach` cells of it to either side, above and below.
-fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
+pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     gathered(plane, reach, |is, near| *is |= near)
 }
 

@@ -132,6 +132,30 @@ fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
 }
 
 #[test]
+fn what_is_continued_has_the_colour_of_what_is_around_and_no_seam() {
+    // A wall in the sun, white in the reference; in the shorter frame a shadow has come, with a soft edge.
+    let sun = [3.0, 2.4, 1.4];
+    let shadow = |x: usize, y: usize| {
+        let (dx, dy) = (x as f64 - 120.0, y as f64 - 90.0);
+        let lit = ((libm::sqrt(dx * dx + dy * dy) - 20.0) / 24.0).clamp(0.05, 1.0);
+        sun.map(|e| lit * e)
+    };
+    let wall = |_: usize, _: usize| sun;
+    let (bracket, alignment) = bracket([&shadow, &wall, &wall]);
+    let ghosts = seek(&bracket, &alignment);
+    let found = merged(&bracket, &alignment, Some(&ghosts));
+    let lit = found.at(10, 90);
+    let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
+    for x in 60..180 {
+        // The shadow's outer edge, brighter than what the reference clips at (a third of the light in red), is no motion: half the light is left.
+        let [r, g, b] = share(x);
+        assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
+        // The shadow's edge rises by 0.04 a pixel.
+        assert!((r - share(x - 1)[0]).abs() < 0.1, "{x}: {r} after {}", share(x - 1)[0]);
+    }
+}
+
+#[test]
 fn what_is_bright_beside_a_mover_keeps_its_form() {
     // Bars that the reference clips and the shorter frame shows, and a mover in that one just below.
     let bars = |x: usize, y: usize| match (x / 8 % 2, y < 60) {
