@@ -11,6 +11,7 @@ use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes};
 use crate::error::Result;
 use rayon::prelude::*;
+use std::cmp::Ordering;
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
@@ -189,17 +190,25 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// The range of frames that say something of a place: not those so short that a longer one is no brighter.
-fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
+/// By rising exposure the frames that show a place, but the last, and whether it is brighter in the next one or darker, by more than [`RISE`].
+fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(usize, Ordering)> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
         views.filter_map(|(i, (p, (_, ln_time)))| Some((i, p.as_ref()?[channel].mean, ln_time / LN_2))).collect();
-    let first = views.windows(2).find(|pair| {
+    let change = |pair: &[(usize, f64, f64)]| {
         let (step, rise) = (pair[1].2 - pair[0].2, pair[1].1 - pair[0].1);
-        rise > step * (RISE.0 * pair[0].1).max(RISE.1)
-    });
+        let least = step * (RISE.0 * pair[0].1).max(RISE.1);
+        let change = if rise.abs() > least { rise.total_cmp(&0.0) } else { Ordering::Equal };
+        (pair[0].0, change)
+    };
+    views.windows(2).map(change).collect()
+}
+
+/// The range of frames that say something of a place: not those so short that a longer one is no brighter.
+fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
+    let changes = changes(place, frames, channel);
     // Where nothing rises, it is black or white throughout.
-    first.map_or(0, |pair| pair[0].0)..frames.len()
+    changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)..frames.len()
 }
 
 /// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise. A patch that something
@@ -208,9 +217,17 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
     let (mut silent, mut told) = (Vec::new(), Vec::new());
     for (frames, place) in seen.iter().flat_map(|seen| seen.places.iter().map(|place| (&seen.frames, place))) {
-        let (none, some) = place.patches.split_at(telling(place, frames, channel).start);
-        silent.extend(none.iter().flatten().filter(dark).map(|patch| patch[channel]));
-        told.extend(some.iter().flatten().filter(dark).map(|patch| patch[channel].mean));
+        let first = telling(place, frames, channel).start;
+        silent.extend(place.patches[..first].iter().flatten().filter(dark).map(|patch| patch[channel]));
+        for (i, change) in changes(place, frames, channel).into_iter().filter(|(i, _)| *i >= first) {
+            let Some(patch) = place.patches[i].as_ref().filter(dark) else { continue };
+            match change {
+                Ordering::Greater => told.push(patch[channel].mean),
+                // Noise makes black as often darker as brighter.
+                Ordering::Less => silent.push(patch[channel]),
+                Ordering::Equal => {}
+            }
+        }
     }
     let end = parting(silent.iter().map(|patch| patch.mean), told);
     let noisy = silent.iter().filter(|patch| patch.mean <= end).map(|patch| patch.mean + 2.0 * patch.deviation);

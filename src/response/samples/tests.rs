@@ -94,3 +94,23 @@ fn codes_are_parted_where_the_fewest_are_on_the_wrong_side() {
     assert_eq!(parted(&[9.0], &[1.0, 2.0]), f64::MIN);
     assert_eq!(parted(&[], &[]), f64::MIN);
 }
+
+#[test]
+fn blocks_of_noise_in_black_are_black() {
+    // Nine exposures of a place of which a third is black; there JPEG leaves blocks of codes 0 to 2, in each frame others, now darker and now brighter.
+    let times: Vec<f64> = (0..9).map(|i| libm::exp2(f64::from(i) - 4.0)).collect();
+    let (bracket, alignment) =
+        still((400, 300), &times, |x, y| if x < 130 { [1e-6; 3] } else { tiles(x, y).map(|e| e * 0.1) });
+    let noisy = bracket.frames().iter().enumerate().map(|(i, frame)| {
+        let whole = frame.whole().unwrap();
+        let Codes::Eight(codes) = whole.codes() else { unreachable!() };
+        let block =
+            |pixel: usize| (pixel % 400 / 8 * 37 + pixel / 400 / 8 * 101 + i * 53).wrapping_mul(2654435761) >> 7;
+        let lifted = codes.iter().enumerate().map(|(k, &z)| z.max([0, 1, 1, 2][block(k / 3) % 4])).collect();
+        let samples = crate::bracket::Samples::Eight(lifted);
+        Frame::new(frame.path().to_owned(), 400, 300, samples, frame.exposure.clone())
+    });
+    let noisy = Bracket::new(noisy.collect(), &crate::bracket::ReferenceChoice::Number(5)).unwrap();
+    let black = draw(&[&Places::of(&noisy, &alignment).unwrap()], 500).black;
+    assert!(black.iter().all(|b| (1.0..3.0).contains(b)), "{black:?}");
+}
