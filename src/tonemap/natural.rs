@@ -8,8 +8,8 @@
 //!    place is: night stays night.
 //! 2. The exposures are fused, and black and white are where the fused picture has its darkest and brightest.
 //! 3. A power and a curve of contrast give it the brightness of a photograph, or somewhat less than the longest exposure's.
-//! 4. Straight lines carry luminance from the grid to the pixels (`guide`). Hue is that of the photograph which shows a place so bright, and chroma between
-//!    its own and the fused picture's; where nothing is known of photographs, hue is the scene's, and no colour is stronger than there.
+//! 4. Straight lines carry luminance from the grid to the pixels (`guide`). A colour is that of the photograph which shows a place so bright; where nothing is
+//!    known of photographs, hue is the scene's, and no colour is stronger than there.
 //!
 //! The numbers below were chosen by eye, and by blind judgements, on sixteen photographed brackets.
 
@@ -40,7 +40,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { brightness: 0.48, contrast: 0.3, detail: 1.0, saturation: 1.0 }
+        Options { brightness: 0.48, contrast: 0.2, detail: 1.0, saturation: 1.0 }
     }
 }
 
@@ -74,17 +74,18 @@ const MOST_EXPOSURES: usize = 16;
 const ENDS: (f64, f64) = (0.005, 0.003);
 /// How far the darkest is taken towards black, and the code that is not taken there at all.
 const BLACK: (f32, f32) = (0.5, 0.15);
-/// The codes, of 1, between which white is: what fusion makes brighter is held back softly from `KNEE` on.
-const WHITE: (f32, f32) = (0.8, 1.4);
-/// See [`WHITE`].
-const KNEE: f32 = 0.9;
+/// The code, of 1, that white is at least.
+const WHITE: f32 = 0.8;
+/// What fusion makes brighter than white is held back softly from this code on. To make all darker instead takes away contrast.
+const KNEE: f32 = 0.8;
 
 /// How much of the mean code of the longest exposure the picture may have.
 const OF_LONGEST: f64 = 0.8;
 /// How far the brightness may be brought to that asked for, as a power of luminance.
 const POWERS: (f64, f64) = (0.6, 1.4);
 
-/// What luminances, relative to display white, are raised by while they are logarithms: code 6. What is darker than that has little weight in the lines.
+/// What luminances, relative to display white, are raised by while they are logarithms: code 6. What is darker than that has little weight in the lines, and
+/// its colour cannot be told from noise.
 const DARKEST: f32 = 0.002;
 
 /// The tones of `scene`.
@@ -101,10 +102,10 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let saturation = options.saturation as f32;
     let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
         for (x, cell) in row.iter_mut().enumerate() {
-            let fused = levels.at([0, 1, 2].map(|c| fused[c].at(x, y)));
-            let display = luminance(fused);
-            let [share, turn] = colours.shown(fused, colour(grid.colours.at(x, y)), display.max(DARKEST));
-            *cell = [log2(display + DARKEST), saturation * share, turn];
+            let display = levels.display([0, 1, 2].map(|c| fused[c].at(x, y)));
+            let [share, turn] = colours.shown(colour(grid.colours.at(x, y)), display.max(DARKEST));
+            let told = display * display / (display * display + DARKEST * DARKEST);
+            *cell = [log2(display + DARKEST), saturation * share * told, turn];
         }
     });
     let tones = Plane::from_rows(width, height, |y, row| {
@@ -142,9 +143,9 @@ struct Colours<'a> {
 
 impl Colours<'_> {
     /// The share of the chroma of `colour` (of luminance 1) at the luminance `display` that is shown, and the turn of its hue in radians: those of the photograph
-    /// that shows it so bright, where lamp light is golden, not pink; halfway between the chroma there and that of `fused`, which is livelier in dark places.
+    /// that shows it so bright, where lamp light is golden, not pink.
     /// A scene that nobody photographed turns little, and only where what is nearly white gets pale, and no colour becomes stronger.
-    fn shown(&self, fused: [f32; 3], colour: [f32; 3], display: f32) -> [f32; 2] {
+    fn shown(&self, colour: [f32; 3], display: f32) -> [f32; 2] {
         let lab = |rgb| {
             let [_, a, b] = oklab::from_linear(rgb);
             (a, b, (a * a + b * b).sqrt())
@@ -153,9 +154,8 @@ impl Colours<'_> {
         if of_scene <= GREY {
             return [1.0, 0.0];
         }
-        let (_, _, of_fused) = lab(fused);
         let (to_a, to_b, of_photograph) = lab(self.photograph.showing(colour, display));
-        let share = (of_fused * of_photograph).sqrt() / of_scene;
+        let share = of_photograph / of_scene;
         let turn = libm::atan2f(a * to_b - b * to_a, a * to_a + b * to_b);
         match self.is_known {
             true => [share, turn.clamp(-MOST_TURN.1, MOST_TURN.1)],
@@ -245,7 +245,7 @@ impl Levels {
         let mut greys: Vec<f32> = r.iter().zip(g).zip(b).map(|((r, g), b)| (r + g + b) / 3.0).collect();
         greys.sort_unstable_by(f32::total_cmp);
         let black = BLACK.0 * quantile(&greys, ENDS.0).clamp(0.0, BLACK.1);
-        let white = quantile(&greys, 1.0 - ENDS.1).clamp(WHITE.0, WHITE.1);
+        let white = quantile(&greys, 1.0 - ENDS.1).clamp(WHITE, 1.0);
         let mut levels = Levels { black, white, power: 1.0, contrast };
         let step = (r.len() / 4096).max(1);
         let linear: Vec<f64> =
@@ -280,12 +280,10 @@ impl Levels {
         code + self.contrast * (code * code * (3.0 - 2.0 * code) - code)
     }
 
-    /// Linear light on the display of fused codes.
-    fn at(&self, codes: [f32; 3]) -> [f32; 3] {
-        let levelled = self.levelled(codes);
-        let light = luminance(levelled).max(DARKEST);
-        let display = srgb_to_linear(self.code(light.into())) as f32;
-        scaled(levelled, display / light)
+    /// The luminance, relative to display white, of fused codes.
+    fn display(&self, codes: [f32; 3]) -> f32 {
+        let light = luminance(self.levelled(codes)).max(DARKEST);
+        srgb_to_linear(self.code(light.into())) as f32
     }
 }
 
