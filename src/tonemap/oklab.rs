@@ -13,11 +13,9 @@ const TO_CONES: [[f32; 3]; 3] = [
     [0.211_903_5, 0.680_699_5, 0.107_396_96],
     [0.088_302_46, 0.281_718_85, 0.629_978_7],
 ];
-const FROM_CONES: [[f32; 3]; 3] = [
-    [4.076_741_7, -3.307_711_6, 0.230_969_94],
-    [-1.268_438, 2.609_757_4, -0.341_319_38],
-    [-0.004_196_086_3, -0.703_418_6, 1.707_614_7],
-];
+/// Of the first and the last kind of cones, against the second. Ottosson has a third column, which makes the sum of a row 1; so grey stays grey to the last bit.
+const FROM_CONES: [[f32; 2]; 3] =
+    [[4.076_741_7, 0.230_969_94], [-1.268_438, -0.341_319_38], [-0.004_196_086_3, 1.707_614_7]];
 const TO_LAB: [[f32; 3]; 3] = [
     [0.210_454_26, 0.793_617_8, -0.004_072_047],
     [1.977_998_5, -2.428_592_2, 0.450_593_7],
@@ -59,7 +57,13 @@ pub(super) fn from_linear(rgb: [f32; 3]) -> Lab {
 #[inline(always)]
 pub(super) fn to_linear(lab: Lab) -> [f32; 3] {
     let [l, m, s] = times(&FROM_LAB, lab);
-    times(&FROM_CONES, [l * l * l, m * m * m, s * s * s])
+    let (l, m, s) = (l * l * l, m * m * m, s * s * s);
+    let (l, s) = (l - m, s - m);
+    [
+        m + FROM_CONES[0][0] * l + FROM_CONES[0][1] * s,
+        m + FROM_CONES[1][0] * l + FROM_CONES[1][1] * s,
+        m + FROM_CONES[2][0] * l + FROM_CONES[2][1] * s,
+    ]
 }
 
 /// Steps of the search for the edge of the gamut: to a part in 64 of the chroma.
