@@ -1,4 +1,4 @@
-//! Samples: places of the scene, and the codes by which the frames saw them.
+//! Samples: places of the scene, and the codes by which the frames saw them; and up to which code a frame is black.
 //!
 //! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over picture and
 //! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 20 ms at most on two cores, whatever the size.
