@@ -22,6 +22,9 @@ const STEP: f64 = 0.3;
 const CONDITION: f64 = 1e5;
 /// Stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a print film scan 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
+/// So many codes are so many stops at least, anywhere between codes 16 and 240: with the least contrast, evenly, they are 0.43. Where samples contradict each
+/// other the curve found falls, and is flat when it is made to rise.
+const FLAT: (usize, f64) = (64, 0.1);
 /// Root mean square residual, in stops, above which the model does not hold.
 pub(super) const RESIDUAL: f64 = 0.5;
 
@@ -106,7 +109,11 @@ pub fn check(samples: &[Sample]) -> Told<()> {
 /// Whether the curve may be a camera's.
 fn verdict(g: &[f64; CODES], fit: &Fit) -> Told<()> {
     let contrast = stops(g[240] - g[16]);
-    if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
+    let (codes, rise) = FLAT;
+    let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
+    if let Some(z) = flat {
+        Err(format!("the curve found does not rise from code {z} to code {}", z + codes))
+    } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
         Err(format!("the curve found has {contrast:.1} stops from code 16 to code 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
         Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
@@ -256,6 +263,10 @@ mod tests {
         let n = samples.len();
         assert!(judge(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
         assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
+        // It falls from code 110 on, as where a mover was taken for light, and is flat when made to rise.
+        let falls =
+            found(|z| 2.0 * libm::log(if z < 110 || z > 200 { z as f64 } else { 220.0 - z as f64 }.max(0.1)), n);
+        assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));
         let (g, fit) = judge(&samples, found(|z| 2.0 * libm::log((z as f64).max(0.1)), n)).unwrap();
         assert!(g[MID] == 0.0 && g.windows(2).all(|w| w[0] < w[1]) && !fit.borrowed);
     }
