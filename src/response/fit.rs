@@ -265,7 +265,7 @@ mod tests {
         assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
         // It falls from code 110 on, as where a mover was taken for light, and is flat when made to rise.
         let falls =
-            found(|z| 2.0 * libm::log(if z < 110 || z > 200 { z as f64 } else { 220.0 - z as f64 }.max(0.1)), n);
+            found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);
         assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));
         let (g, fit) = judge(&samples, found(|z| 2.0 * libm::log((z as f64).max(0.1)), n)).unwrap();
         assert!(g[MID] == 0.0 && g.windows(2).all(|w| w[0] < w[1]) && !fit.borrowed);
