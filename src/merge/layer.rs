@@ -96,7 +96,7 @@ pub(super) struct Row<'a> {
 /// Where a channel is at its top.
 pub(super) const CLIPPED: u8 = 1;
 /// Where channels are at their top and the others at 0, in another frame than the reference: no light is so, but the borders of registered scans are. Such a
-/// pixel has no weight, and must not vouch for anything.
+/// pixel has no weight, and is no lower bound of the radiance.
 pub(super) const PAINTED: u8 = 2;
 
 impl Tile {

@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_painted_into_a_frame_vouches_for_nothing_there_and_beside() {
+    fn painted_pixels_have_no_weight_there_and_beside() {
         let paint = |x: usize, _: usize| if x < 4 { [0, 0, 255] } else { [40; 3] };
         let bare: Seen = (0.0, &|_, _| [100; 3]);
         let of = |frames: &[Seen]| {

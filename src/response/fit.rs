@@ -22,8 +22,8 @@ const STEP: f64 = 0.3;
 const CONDITION: f64 = 1e5;
 /// Stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a print film scan 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// So many codes are so many stops at least, anywhere between codes 16 and 240: with the least contrast, evenly, they are 0.43. Where samples contradict each
-/// other the curve found falls, and is flat when it is made to rise.
+/// Any so many codes between 16 and 240 must span so many stops. At the least [`CONTRAST`], spread evenly, they span 0.43. Where samples contradict each
+/// other the fitted curve falls, and making it monotone leaves it flat.
 const FLAT: (usize, f64) = (64, 0.1);
 /// Root mean square residual, in stops, above which the model does not hold.
 pub(super) const RESIDUAL: f64 = 0.5;
@@ -263,7 +263,7 @@ mod tests {
         let n = samples.len();
         assert!(judge(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
         assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
-        // It falls from code 110 on, as where a mover was taken for light, and is flat when made to rise.
+        // The curve falls from code 110 to 200, as where samples contradict each other.
         let falls =
             found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);
         assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));

@@ -190,7 +190,7 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// By rising exposure the frames that show a place, but the last, and whether it is brighter in the next one or darker, by more than [`RISE`].
+/// Whether a place becomes brighter or darker, by more than [`RISE`], from each frame that shows it to the next longer one; by rising exposure.
 fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(usize, Ordering)> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
@@ -204,33 +204,37 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// The range of frames that say something of a place: not those so short that a longer one is no brighter.
+/// The range of frames that measure a place: not those so short that a longer one is no brighter.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
-    let changes = changes(place, frames, channel);
-    // Where nothing rises, it is black or white throughout.
-    changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)..frames.len()
+    first_rise(&changes(place, frames, channel))..frames.len()
+}
+
+/// The frame from which on a place becomes brighter; the first where it never does: it is black or white throughout.
+fn first_rise(changes: &[(usize, Ordering)]) -> usize {
+    changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)
 }
 
 /// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise. A patch that something
 /// moved across says nothing either, but among others as dark that do.
 fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
-    let (mut silent, mut told) = (Vec::new(), Vec::new());
+    let (mut underexposed, mut exposed) = (Vec::new(), Vec::new());
     for (frames, place) in seen.iter().flat_map(|seen| seen.places.iter().map(|place| (&seen.frames, place))) {
-        let first = telling(place, frames, channel).start;
-        silent.extend(place.patches[..first].iter().flatten().filter(dark).map(|patch| patch[channel]));
-        for (i, change) in changes(place, frames, channel).into_iter().filter(|(i, _)| *i >= first) {
+        let changes = changes(place, frames, channel);
+        let first = first_rise(&changes);
+        underexposed.extend(place.patches[..first].iter().flatten().filter(dark).map(|patch| patch[channel]));
+        for (i, change) in changes.into_iter().filter(|(i, _)| *i >= first) {
             let Some(patch) = place.patches[i].as_ref().filter(dark) else { continue };
             match change {
-                Ordering::Greater => told.push(patch[channel].mean),
-                // Noise makes black as often darker as brighter.
-                Ordering::Less => silent.push(patch[channel]),
+                Ordering::Greater => exposed.push(patch[channel].mean),
+                // Noise makes black darker as often as brighter.
+                Ordering::Less => underexposed.push(patch[channel]),
                 Ordering::Equal => {}
             }
         }
     }
-    let end = parting(silent.iter().map(|patch| patch.mean), told);
-    let noisy = silent.iter().filter(|patch| patch.mean <= end).map(|patch| patch.mean + 2.0 * patch.deviation);
+    let end = parting(underexposed.iter().map(|patch| patch.mean), exposed);
+    let noisy = underexposed.iter().filter(|patch| patch.mean <= end).map(|patch| patch.mean + 2.0 * patch.deviation);
     let mut codes: Vec<f64> = noisy.filter(|&code| code < DARK).collect();
     codes.sort_by(f64::total_cmp);
     match codes.len() {

@@ -104,8 +104,8 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
         for (x, cell) in row.iter_mut().enumerate() {
             let display = levels.display([0, 1, 2].map(|c| fused[c].at(x, y)));
             let [share, turn] = colours.shown(colour(grid.colours.at(x, y)), display.max(DARKEST));
-            let told = display * display / (display * display + DARKEST * DARKEST);
-            *cell = [log2(display + DARKEST), saturation * share * told, turn];
+            let visible = display * display / (display * display + DARKEST * DARKEST);
+            *cell = [log2(display + DARKEST), saturation * share * visible, turn];
         }
     });
     let tones = Plane::from_rows(width, height, |y, row| {

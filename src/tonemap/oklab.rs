@@ -13,7 +13,7 @@ const TO_CONES: [[f32; 3]; 3] = [
     [0.211_903_5, 0.680_699_5, 0.107_396_96],
     [0.088_302_46, 0.281_718_85, 0.629_978_7],
 ];
-/// Of the first and the last kind of cones, against the second. Ottosson has a third column, which makes the sum of a row 1; so grey stays grey to the last bit.
+/// Coefficients of L - M and S - M. Each row of Ottosson's matrix sums to 1, so M itself has the coefficient 1, and grey stays exactly grey.
 const FROM_CONES: [[f32; 2]; 3] =
     [[4.076_741_7, 0.230_969_94], [-1.268_438, -0.341_319_38], [-0.004_196_086_3, 1.707_614_7]];
 const TO_LAB: [[f32; 3]; 3] = [
