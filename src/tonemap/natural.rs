@@ -7,7 +7,8 @@
 //! 1. The scene, on a grid, is exposed: from the exposure that shows its lights to the bracket's longest, for how long a photographer exposed says how bright the
 //!    place is: night stays night.
 //! 2. The exposures are fused, and black and white are where the fused picture has its darkest and brightest.
-//! 3. A power and a curve of contrast give it the brightness of a photograph, or somewhat less than the longest exposure's.
+//! 3. A curve of contrast is applied; a power makes it darker where the longest exposure is dark, and brings radiance without photographs to the brightness
+//!    of one.
 //! 4. Straight lines carry luminance from the grid to the pixels (`guide`). A colour is that of the photograph which shows a place so bright; where nothing is
 //!    known of photographs, hue is the scene's, and no colour is stronger than there.
 //!
@@ -28,8 +29,9 @@ use crate::simd::log2;
 /// What may be set; the rest the picture decides.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The mean of the picture's code values, 0 to 1, where the photographs were not darker.
-    pub brightness: f64,
+    /// The mean of the picture's code values, 0 to 1, where the photographs were not darker. `None`: as the fused photographs have it; 0.48 for radiance
+    /// of which no photographs are known.
+    pub brightness: Option<f64>,
     /// The strength of the curve of contrast: 0 is none, 1 raises contrast by half in the middle tones.
     pub contrast: f64,
     /// Fine contrast: 1 as in the scene, above it raised.
@@ -40,7 +42,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { brightness: 0.48, contrast: 0.2, detail: 1.0, saturation: 1.0 }
+        Options { brightness: None, contrast: 0.2, detail: 1.0, saturation: 1.0 }
     }
 }
 
@@ -48,7 +50,7 @@ impl Options {
     /// What may be set, by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::brightness(&mut self.brightness),
+            Setting::estimated("brightness", (0.1, 0.9), &mut self.brightness, "the mean of the picture's codes, of 1"),
             Setting::number("contrast", (0.0, 1.0), &mut self.contrast, "of the middle tones; 0 adds none"),
             Setting::number("detail", (0.5, 3.0), &mut self.detail, "times the fine contrast of the scene"),
             Setting::saturation(&mut self.saturation),
@@ -81,6 +83,8 @@ const KNEE: f32 = 0.8;
 
 /// How much of the mean code of the longest exposure the picture may have.
 const OF_LONGEST: f64 = 0.8;
+/// The mean code, of 1, of a picture of radiance of which no photographs are known: the median of sixteen fused brackets is 0.46.
+const BRIGHTNESS: f64 = 0.48;
 /// How far the brightness may be brought to that asked for, as a power of luminance.
 const POWERS: (f64, f64) = (0.6, 1.4);
 
@@ -95,8 +99,13 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let photograph = Photograph::new(contrast, white_stops);
     let exposures = Exposures::of(scene, &photograph);
     let fused = fused(&grid, &exposures, &photograph);
-    let brightness = exposures.brightness(&grid, &photograph, options.brightness);
-    let levels = Levels::new(&fused, brightness, options.contrast);
+    let longest = OF_LONGEST * exposures.longest_mean(&grid, &photograph);
+    let (brightness, powers) = match (options.brightness, scene.photographed) {
+        // What is fused of photographs is as bright as photographs are.
+        (None, Some(_)) => (longest, (1.0, POWERS.1)),
+        (asked, _) => (longest.min(asked.unwrap_or(BRIGHTNESS)), POWERS),
+    };
+    let levels = Levels::new(&fused, brightness, powers, options.contrast);
     let colours = Colours { photograph: &photograph, is_known: scene.photographed.is_some() };
     let (width, height) = (grid.logs.width(), grid.logs.height());
     let saturation = options.saturation as f32;
@@ -197,13 +206,13 @@ impl Exposures {
         self.stops[self.stops.len() - 1]
     }
 
-    /// The mean code that the picture of `grid` is to have where `asked` was asked for.
-    fn brightness(&self, grid: &Scene, photograph: &Photograph, asked: f64) -> f64 {
+    /// The mean code of `grid` in the longest exposure.
+    fn longest_mean(&self, grid: &Scene, photograph: &Photograph) -> f64 {
         let logs = grid.logs.as_slice();
         let code = |l: &f32| f64::from(photograph.code(l + self.longest() as f32));
         let step = (logs.len() / 4096).max(1);
         let codes: Vec<f64> = logs.iter().step_by(step).map(code).collect();
-        asked.min(OF_LONGEST * codes.iter().sum::<f64>() / codes.len() as f64)
+        codes.iter().sum::<f64>() / codes.len() as f64
     }
 }
 
@@ -239,8 +248,8 @@ struct Levels {
 }
 
 impl Levels {
-    /// So that the mean code of the luminance of `fused` is `brightness`, or as near as [`POWERS`] allow.
-    fn new(fused: &Channels, brightness: f64, contrast: f64) -> Self {
+    /// So that the mean code of the luminance of `fused` is `brightness`, or as near as `powers` allow.
+    fn new(fused: &Channels, brightness: f64, (mut low, mut high): (f64, f64), contrast: f64) -> Self {
         let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());
         let mut greys: Vec<f32> = r.iter().zip(g).zip(b).map(|((r, g), b)| (r + g + b) / 3.0).collect();
         greys.sort_unstable_by(f32::total_cmp);
@@ -250,7 +259,6 @@ impl Levels {
         let step = (r.len() / 4096).max(1);
         let linear: Vec<f64> =
             (0..r.len()).step_by(step).map(|i| luminance(levels.levelled([r[i], g[i], b[i]])).into()).collect();
-        let (mut low, mut high) = POWERS;
         for _ in 0..20 {
             levels.power = 0.5 * (low + high);
             let mean = linear.iter().map(|l| levels.code(*l)).sum::<f64>() / linear.len() as f64;

@@ -61,12 +61,27 @@ fn night_stays_night() {
     assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
 }
 
+/// What is fused of photographs is not brought to a mean: nothing is made brighter, and it is what was asked for where something was.
 #[test]
-fn the_settings_do_what_they_say() {
+fn brightness_is_that_of_the_fused_photographs_unless_it_is_set() {
+    let map = room(1.0);
+    let of = |brightness| {
+        let photographed = Photographed { longest: 0.001, shortest: 1024.0, contrast: 1.3, white_stops: 2.5 };
+        mean(&shown(&map, Some(photographed), &Options { brightness, ..Options::default() })) / 255.0
+    };
+    let as_fused = of(None);
+    assert!((as_fused - BRIGHTNESS).abs() > 0.02, "{as_fused}");
+    for asked in [as_fused - 0.03, as_fused + 0.03] {
+        assert!((of(Some(asked)) - asked).abs() < 0.02, "{asked}: {}", of(Some(asked)));
+    }
+}
+
+#[test]
+fn settings_do_what_they_say() {
     let map = room(1.0);
     let plain = picture(&map, &Options::default());
-    assert!((mean(&plain) / 255.0 - Options::default().brightness).abs() < 0.06, "{}", mean(&plain));
-    let brighter = picture(&map, &Options { brightness: 0.55, ..Options::default() });
+    assert!((mean(&plain) / 255.0 - BRIGHTNESS).abs() < 0.06, "{}", mean(&plain));
+    let brighter = picture(&map, &Options { brightness: Some(0.55), ..Options::default() });
     assert!(mean(&brighter) > mean(&plain) + 5.0);
     let chroma =
         |codes: &Plane<[u8; 3]>| -> i32 { codes.as_slice().iter().map(|p| i32::from(p[0]) - i32::from(p[2])).sum() };
