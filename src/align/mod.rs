@@ -62,29 +62,33 @@ use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
 use warp::Warp;
 
-/// Which methods seek the motion.
+/// Alignment method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// All of them, as far as needed; every result judged.
+    /// Bitmaps, features and pixels, as far as needed; every result is checked.
     #[default]
     Auto,
-    /// Median threshold bitmaps alone: shift and rotation.
+    /// Median threshold bitmaps only: shift and rotation.
     Mtb,
-    /// SIFT on the plain picture and its bitmaps, and a robust fit ([`RobustMethod`]): a homography.
+    /// SIFT features only: a homography.
     Sift,
-    /// None: the frames are taken as they lie.
+    /// No alignment.
     None,
 }
 
-/// How the matches that agree on a motion are told from the wrong ones.
+/// Robust estimator for feature matches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum RobustMethod {
-    /// [`ransac`]: the motion with which most agree, to within a threshold; four fifths may be wrong.
+    /// The transform with the most inliers; up to four fifths of the matches may be wrong.
     #[default]
     Ransac,
-    /// [`lmeds`]: the motion that half of them fit best, with no threshold; fewer than half may be wrong.
+    /// The transform with the least median of squares, without a threshold; fewer than half of the matches may be wrong.
     Lmeds,
 }
 

@@ -120,15 +120,17 @@ impl From<&FoundBracket> for Planned {
     }
 }
 
-/// Whose exposure is the unit of radiance.
+/// Exposure whose radiance is the unit of a bracket's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Normalisation {
     /// Each bracket's own reference.
     #[default]
     Bracket,
-    /// One for the brackets of a panorama: what two of them show alike has the same radiance.
+    /// One for all brackets of a panorama, so that their overlaps have the same radiance.
     Set,
-    /// One for all.
+    /// One for all brackets.
     All,
 }
 

@@ -15,6 +15,7 @@ pub use transfer::{Curve, Transfer};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
+use strum::IntoEnumIterator;
 
 /// The CIE 1931 xy chromaticities of red, green, blue and white.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -113,27 +114,25 @@ pub fn linear_to_srgb(linear: f64) -> f64 {
 
 /// A linear colour space with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Space {
-    /// sRGB's primaries, those of ITU-R BT.709.
+    /// Primaries of ITU-R BT.709, D65.
     Srgb,
-    /// Display P3.
+    /// Display P3, D65.
     DisplayP3,
-    /// Adobe RGB (1998).
+    /// Adobe RGB (1998), D65.
     AdobeRgb,
-    /// ITU-R BT.2020.
+    /// ITU-R BT.2020, D65.
     Rec2020,
-    /// ProPhoto RGB.
+    /// ProPhoto RGB, D50.
     Prophoto,
-    /// ACEScg.
+    /// ACEScg: AP1 with the ACES white.
     Acescg,
 }
 
 impl Space {
-    /// All of them.
-    pub const ALL: [Space; 6] =
-        [Space::Srgb, Space::DisplayP3, Space::AdobeRgb, Space::Rec2020, Space::Prophoto, Space::Acescg];
-
     /// Its primaries and white.
     pub fn primaries(self) -> Primaries {
         match self {
@@ -148,7 +147,7 @@ impl Space {
 
     /// The space with these primaries, if they are one's within what profiles round (0.005).
     pub fn of(primaries: &Primaries) -> Option<Space> {
-        Space::ALL.into_iter().find(|space| primaries.is_close(&space.primaries(), 0.005))
+        Space::iter().find(|space| primaries.is_close(&space.primaries(), 0.005))
     }
 
     /// The id by which newer readers of OpenEXR know it (`colorInteropID`); ProPhoto has none.
@@ -300,8 +299,8 @@ mod tests {
         assert!(close(to(Space::Srgb, Space::Acescg, [1.0, 0.0, 0.0]), [0.6131, 0.0702, 0.0206]));
         assert!(close(to(Space::Srgb, Space::Acescg, [0.0, 0.0, 1.0]), [0.0474, 0.0134, 0.8698]));
         assert!(close(to(Space::AdobeRgb, Space::Srgb, [0.0, 1.0, 0.0]), [-0.3984, 1.0, -0.0430]));
-        for from in Space::ALL {
-            for other in Space::ALL {
+        for from in Space::iter() {
+            for other in Space::iter() {
                 assert!(close(to(from, other, [1.0; 3]), [1.0; 3]), "{from:?} to {other:?}");
                 let there = to(from, other, [0.3, 0.9, 0.1]);
                 let back = to(other, from, there);
@@ -314,7 +313,7 @@ mod tests {
 
     #[test]
     fn grey_has_equal_xyz_and_luminance_is_kept() {
-        for space in Space::ALL {
+        for space in Space::iter() {
             let (neutral, weights) = (NeutralXyz::of(&space.primaries()), space.primaries().luminance());
             assert!(neutral.of_rgb([0.5; 3]).iter().all(|v| (v - 0.5).abs() < 1e-6));
             for rgb in [[0.2, 0.5, 0.7], [1.0, 0.0, 0.0], [0.0, 0.02, 0.3]] {
@@ -348,7 +347,7 @@ mod tests {
     #[test]
     fn what_a_file_rounds_does_not_matter() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
-        for p in Space::ALL.map(Space::primaries) {
+        for p in Space::iter().map(Space::primaries) {
             let read =
                 Primaries { red: float(p.red), green: float(p.green), blue: float(p.blue), white: float(p.white) };
             assert_eq!(Conversion::between(&p, &Primaries::SRGB), Conversion::between(&read, &Primaries::SRGB));

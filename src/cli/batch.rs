@@ -3,10 +3,11 @@
 mod found;
 mod night;
 
+use super::choice::choice;
 use super::input::{Cut, Method, Work};
 use super::merging::Merging;
 use clap::parser::ValueSource;
-use clap::{ArgAction, ArgMatches, Parser, ValueEnum};
+use clap::{ArgAction, ArgMatches, Parser};
 use hdralign::batch::find::{self, FindOptions};
 use hdralign::batch::name::Template;
 use hdralign::batch::plan::{self, Normalisation, Responses, Settings, Step};
@@ -145,21 +146,9 @@ struct Acting {
     #[command(flatten)]
     merging: Merging,
 
-    /// Whose exposure is the unit of radiance
-    #[arg(long, alias = "normalise", value_enum, default_value_t, value_name = "WHAT")]
-    normalize: NormalizeArg,
-}
-
-/// See [`Normalisation`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum NormalizeArg {
-    /// Each bracket's own
-    #[default]
-    Bracket,
-    /// One for the brackets of a panorama
-    Set,
-    /// One for all
-    All,
+    /// Set the exposure whose radiance is the unit
+    #[arg(long, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
+    normalize: Normalisation,
 }
 
 /// The options of a step, as its line has them.
@@ -268,11 +257,7 @@ impl Args {
             |formats: &[String]| formats.iter().map(|f| Path::new("result").with_extension(f)).collect::<Vec<_>>();
         let results = [write::Output::results(&paths(&formats))?, write::Output::pictures(&paths(&pictures))?];
         acting.write.check(&results.concat())?;
-        let normalisation = match self.acting.normalize {
-            NormalizeArg::Bracket => Normalisation::Bracket,
-            NormalizeArg::Set => Normalisation::Set,
-            NormalizeArg::All => Normalisation::All,
-        };
+        let normalisation = self.acting.normalize;
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
             let reason =
                 "radiance in cd/m2 has one unit already; leave --absolute and --calibration-factor out, or this";

@@ -1,8 +1,9 @@
 //! Arguments that the commands share.
 
+use super::choice::choice;
 use super::memory;
+use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use clap::{Args, ValueEnum};
 use hdralign::align::given::{Given, Place};
 use hdralign::align::mtb::MtbOptions;
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
@@ -20,17 +21,17 @@ pub struct Method {
     #[arg(short, long, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
-    /// How the frames are aligned
-    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
-    align: AlignArg,
+    /// Set the alignment method
+    #[arg(long, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
+    align: AlignMode,
 
     /// Largest rotation that the bitmaps are searched for, in degrees to either side
     #[arg(long, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
 
-    /// How matches of features that agree on a motion are told from wrong ones
-    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
-    robust: RobustArg,
+    /// Set the robust estimator for feature matches
+    #[arg(long, value_parser = choice::<RobustMethod>(), default_value_t, value_name = "METHOD")]
+    robust: RobustMethod,
 }
 
 /// What the machine may be used for, what may be replaced, and what is said.
@@ -170,30 +171,6 @@ pub struct Common {
     pub verbose: bool,
 }
 
-/// See [`AlignMode`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum AlignArg {
-    /// Bitmaps, features and pixels, as far as needed, every result judged
-    #[default]
-    Auto,
-    /// Median threshold bitmaps alone: shift and rotation
-    Mtb,
-    /// SIFT features alone: a homography
-    Sift,
-    /// The frames as they lie
-    None,
-}
-
-/// See [`RobustMethod`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum RobustArg {
-    /// The motion with which most agree within a threshold
-    #[default]
-    Ransac,
-    /// The motion with the least median of squares: no threshold, but over half must be right
-    Lmeds,
-}
-
 /// The file for the report; `-` is what other programs take for standard output.
 fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
@@ -205,16 +182,8 @@ impl Method {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
             align: AlignOptions {
-                mode: match self.align {
-                    AlignArg::Auto => AlignMode::Auto,
-                    AlignArg::Mtb => AlignMode::Mtb,
-                    AlignArg::Sift => AlignMode::Sift,
-                    AlignArg::None => AlignMode::None,
-                },
-                robust: match self.robust {
-                    RobustArg::Ransac => RobustMethod::Ransac,
-                    RobustArg::Lmeds => RobustMethod::Lmeds,
-                },
+                mode: self.align,
+                robust: self.robust,
                 mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
                 ..AlignOptions::default()
             },

@@ -1,10 +1,11 @@
 //! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
 
+use super::choice::choice;
 use super::picture::Picture;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
 use super::tone::Tone;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use hdralign::bracket::LoadOptions;
 use hdralign::error::Error;
 use hdralign::merge::calibration::Calibration;
@@ -19,9 +20,9 @@ pub struct Merging {
     #[command(flatten)]
     recovery: Recovery,
 
-    /// How far a code value is trusted
-    #[arg(long, value_enum, default_value_t, value_name = "NAME")]
-    weight: WeightArg,
+    /// Set the weighting function over the code values
+    #[arg(long, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
+    weight: Weight,
 
     /// Leave out of the other photographs what moved, and is not as the reference shows it: people, cars, leaves, water. off leaves all in; a
     /// strength is 0 (only what is plainly different) to 1 (whatever may be), and that of auto 0.5
@@ -62,39 +63,14 @@ pub struct Merging {
     keep_gps: bool,
 }
 
-/// See [`Weight`].
-#[derive(Debug, Clone, Copy, Default, ValueEnum)]
-enum WeightArg {
-    /// Rises linearly from both ends to the middle
-    #[default]
-    Hat,
-    /// A bell about the middle
-    Gaussian,
-    /// Nearly 1 but for the ends
-    Plateau,
-    /// 1 for all
-    Uniform,
-    /// Mann & Picard's certainty: the slope of the response
-    MannPicard,
-    /// The inverse of the variance: light, rounding and the frame's noise as measured
-    Noise,
-}
-
 impl Merging {
     /// `options` with what these arguments say.
     pub fn options(&self, options: Options) -> Result<Options, Error> {
         Ok(Options {
             load: LoadOptions { keep_gps: self.keep_gps, ..options.load },
-            exposures: self.recovery.exposures(),
+            exposures: self.recovery.exposures,
             response: self.recovery.model()?,
-            weight: match self.weight {
-                WeightArg::Hat => Weight::Hat,
-                WeightArg::Gaussian => Weight::Gaussian,
-                WeightArg::Plateau => Weight::Plateau,
-                WeightArg::Uniform => Weight::Uniform,
-                WeightArg::MannPicard => Weight::MannPicard,
-                WeightArg::Noise => Weight::Noise,
-            },
+            weight: self.weight,
             deghost: self.deghost,
             flare: self.flare,
             colour: self.radiance.colour(),

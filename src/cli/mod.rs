@@ -7,6 +7,7 @@ mod align;
 mod allocator;
 mod batch;
 mod cgroup;
+mod choice;
 mod compare;
 mod completions;
 mod input;

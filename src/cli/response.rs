@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let options = camera::Options {
         line: pipeline::Options {
             response: args.recovery.model()?,
-            exposures: args.recovery.exposures(),
+            exposures: args.recovery.exposures,
             ..args.aligned.options()
         },
         curves: args.output.clone(),

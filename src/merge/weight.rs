@@ -15,22 +15,24 @@ const FADES: (f64, f64) = (8.0, 40.0);
 /// Codes to either side over which the slope of a curve is taken.
 const REACH: usize = 4;
 
-/// How far a code on the scale 0..=255 is trusted: 0 at both ends, where it may be clipped, but for [`Weight::Uniform`].
+/// Weighting function over the code values, scaled to 0..=255: 0 at both ends, which may be clipped, except for [`Weight::Uniform`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Weight {
-    /// Rises linearly from both ends to the middle.
+    /// Linear from both ends of the code values to the middle.
     #[default]
     Hat,
-    /// A bell about the middle, with a standard deviation of 45 codes.
+    /// Gaussian about the middle, with a standard deviation of 45 of 255 code values.
     Gaussian,
-    /// Nearly 1 but for the last tenth at either end.
+    /// Nearly 1, except for the last tenth of the code values at either end.
     Plateau,
-    /// 1 for all codes, clipped or not, in all frames alike.
+    /// 1 for every code value, clipped or not.
     Uniform,
-    /// Mann & Picard's certainty: the slope of the response, codes over stops. What a step of one code tells least is trusted most.
+    /// Certainty (Mann & Picard 1995): the slope of the response, in code values per stop.
     MannPicard,
-    /// The inverse of the variance of the radiance: noise as it is measured in the frame, rounding, and what the curve makes of both.
+    /// Inverse variance of the radiance, from the noise measured in each frame and from rounding.
     Noise,
 }
 

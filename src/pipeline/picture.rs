@@ -213,7 +213,7 @@ mod tests {
     use crate::tonemap::adjust;
     use crate::tonemap::adjust::white::Light;
     use crate::tonemap::display::luminance;
-    use crate::tonemap::tests::every as every_operator;
+    use strum::IntoEnumIterator;
 
     const SIZE: (usize, usize) = (240, 160);
     const CARD: (usize, usize) = (40, 40);
@@ -250,7 +250,7 @@ mod tests {
         let each: Each = &|see| see(0, &map);
         let toned = |operator: Operator| Picture::toned(each, (SIZE, Primaries::SRGB), None, &operator, &options);
         let fused = Picture::fused(channels(), &options);
-        let pictures = every_operator().into_iter().map(toned).chain([fused]);
+        let pictures = Operator::iter().map(toned).chain([fused]);
         let light = |picture: Result<Picture>| {
             let mut light = vec![[0.0f32; 3]; SIZE.0 * SIZE.1];
             picture.unwrap().map(&Encoder::default(), SIZE.0, 0, map.pixels.as_slice(), &mut light);

@@ -145,31 +145,27 @@ impl ResponseCurve {
     }
 }
 
-/// How the response is had.
+/// Method used to recover the camera response. Where a bracket does not determine it, the sRGB curve is used.
 #[derive(Debug, Clone, PartialEq)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum ResponseModel {
-    /// From the bracket, after Debevec & Malik 1997; the sRGB curve where the bracket does not tell.
+    /// From the bracket: Debevec & Malik 1997.
     Debevec(debevec::Options),
-    /// From the bracket, after Robertson, Borman & Stevenson 2003; else the sRGB curve.
+    /// From the bracket: Robertson, Borman & Stevenson 2003.
     Robertson(robertson::Options),
-    /// From the bracket, as a polynomial, after Mitsunaga & Nayar 1999; else the sRGB curve.
+    /// From the bracket, as a polynomial: Mitsunaga & Nayar 1999.
     MitsunagaNayar(mitsunaga_nayar::Options),
-    /// Codes are proportional to exposure.
+    /// Code values proportional to the exposure.
     Linear,
     /// The sRGB transfer function.
     Srgb,
 }
 
 impl ResponseModel {
-    /// As it is typed, and as reports have it.
+    /// The name used by the command line and by reports.
     pub fn name(&self) -> &'static str {
-        match self {
-            ResponseModel::Debevec(_) => "debevec",
-            ResponseModel::Robertson(_) => "robertson",
-            ResponseModel::MitsunagaNayar(_) => "mitsunaga-nayar",
-            ResponseModel::Linear => "linear",
-            ResponseModel::Srgb => "srgb",
-        }
+        self.into()
     }
 
     /// Whether it is sought in the bracket.

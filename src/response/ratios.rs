@@ -26,14 +26,16 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::f64::consts::LN_2;
 
-/// What becomes of the exposures before they are divided out of the response.
+/// Exposure correction, before the exposures are divided out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
-    /// Fine-tuned from the pixels, but for those that the user gave.
+    /// Corrected from the pixels by at most a sixth of a stop, except exposures that the user gave.
     #[default]
     FineTuned,
-    /// As the files or the user give them, or as they were estimated.
+    /// Taken from the files or the user, or as estimated.
     AsGiven,
 }
 

@@ -11,14 +11,16 @@ use std::sync::LazyLock;
 
 /// The colours of a picture: primaries and transfer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Colours {
-    /// sRGB.
+    /// sRGB: shown correctly by every program and display.
     #[default]
     Srgb,
-    /// Display P3: sRGB's transfer, and a quarter more of the colours that are seen.
+    /// Display P3: more saturated reds and greens, for phones and newer computers.
     DisplayP3,
-    /// Adobe RGB (1998): the greens and cyans of print.
+    /// Adobe RGB (1998): for print; .jpg has it only without a gain map.
     AdobeRgb,
 }
 
@@ -61,13 +63,17 @@ impl Colours {
     }
 }
 
-/// Bits of a code.
+/// Bits per channel of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Depth {
-    /// 0..=255.
+    /// Code values 0 to 255.
     #[default]
+    #[strum(serialize = "8")]
     Eight,
-    /// 0..=65535.
+    /// Code values 0 to 65535, for further editing.
+    #[strum(serialize = "16")]
     Sixteen,
 }
 

@@ -34,6 +34,7 @@ use crate::merge::{Photographed, RadianceMap};
 use crate::plane::Plane;
 use overview::{Overview, Scene};
 use settings::Setting;
+use strum::{EnumMessage, IntoEnumIterator};
 use tones::Tones;
 
 /// A display-encoded picture: 8-bit, sRGB transfer and primaries.
@@ -43,25 +44,27 @@ pub struct DisplayImage {
     pub pixels: Plane<[u8; 3]>,
 }
 
-/// How luminance is brought into the range of a display.
+/// Tone mapping operator: from radiance to the range of a display.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(tag = "name", rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// The operator of the house.
+    /// Exposures made from the radiance and fused, with the colours of the photographs.
     Natural(natural::Options),
-    /// Reinhard et al. 2002, the global curve.
+    /// Global, photographic curve: Reinhard et al. 2002.
     Reinhard02(reinhard::Options),
-    /// Reinhard et al. 2002, dodging and burning.
+    /// Local, dodging and burning: Reinhard et al. 2002.
     Reinhard02Local(reinhard::Options),
-    /// Drago et al. 2003.
+    /// Global, adaptive logarithm: Drago et al. 2003.
     Drago(drago::Options),
-    /// Durand & Dorsey 2002.
+    /// Local, bilateral base and detail: Durand & Dorsey 2002.
     Durand(durand::Options),
-    /// Fattal et al. 2002.
+    /// Local, attenuated gradients: Fattal et al. 2002.
     Fattal(fattal::Options),
-    /// Mantiuk et al. 2006.
+    /// Local, contrasts as the eye perceives them: Mantiuk et al. 2006.
     Mantiuk06(mantiuk06::Options),
-    /// Mantiuk et al. 2008.
+    /// Global, curve with the most visible contrasts on a display: Mantiuk et al. 2008.
     Mantiuk08(mantiuk08::Options),
 }
 
@@ -72,18 +75,9 @@ impl Default for Operator {
 }
 
 impl Operator {
-    /// Its name, as it is typed.
+    /// The name used by the command line and by reports.
     pub fn name(&self) -> &'static str {
-        match self {
-            Operator::Natural(_) => "natural",
-            Operator::Reinhard02(_) => "reinhard02",
-            Operator::Reinhard02Local(_) => "reinhard02-local",
-            Operator::Drago(_) => "drago",
-            Operator::Durand(_) => "durand",
-            Operator::Fattal(_) => "fattal",
-            Operator::Mantiuk06(_) => "mantiuk06",
-            Operator::Mantiuk08(_) => "mantiuk08",
-        }
+        self.into()
     }
 
     /// What may be set of it.
@@ -126,13 +120,13 @@ impl Operator {
     }
 }
 
-/// How the picture comes about.
+/// Source of the picture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 pub enum Rendering {
-    /// From radiance, by an operator.
+    /// Radiance, by a tone mapping operator.
     Toned(Operator),
-    /// From the aligned frames.
+    /// The aligned frames, by exposure fusion.
     Fused(fusion::Options),
 }
 
@@ -143,7 +137,20 @@ impl Default for Rendering {
 }
 
 impl Rendering {
-    /// Its name, as it is typed.
+    /// Every rendering with its default settings, and a phrase on each.
+    pub fn every() -> Vec<(Rendering, &'static str)> {
+        let toned = Operator::iter().map(|operator| {
+            let about = operator.get_documentation().unwrap_or_default();
+            (Rendering::Toned(operator), about)
+        });
+        let fused = (
+            Rendering::Fused(fusion::Options::default()),
+            "Exposure fusion of the aligned frames, for `merge` only: Mertens et al. 2007.",
+        );
+        toned.chain([fused]).collect()
+    }
+
+    /// The name used by the command line and by reports.
     pub fn name(&self) -> &'static str {
         match self {
             Rendering::Toned(operator) => operator.name(),
@@ -188,27 +195,13 @@ pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, opera
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
 
-    /// Every operator, as by default.
-    pub(crate) fn every() -> Vec<Operator> {
-        vec![
-            Operator::Natural(natural::Options::default()),
-            Operator::Reinhard02(reinhard::Options::default()),
-            Operator::Reinhard02Local(reinhard::Options::default()),
-            Operator::Drago(drago::Options::default()),
-            Operator::Durand(durand::Options::default()),
-            Operator::Fattal(fattal::Options::default()),
-            Operator::Mantiuk06(mantiuk06::Options::default()),
-            Operator::Mantiuk08(mantiuk08::Options::default()),
-        ]
-    }
-
     #[test]
     fn setting_out_of_range_is_an_error_that_names_it() {
-        assert!(every().iter().all(|operator| operator.validate().is_ok()));
+        assert!(Operator::iter().all(|operator| operator.validate().is_ok()));
         assert!(Rendering::Fused(fusion::Options::default()).validate().is_ok());
         for reach in [f64::NAN, -1.0, 1e9] {
             let durand = Operator::Durand(durand::Options { reach, ..durand::Options::default() });
@@ -221,7 +214,7 @@ pub(crate) mod tests {
     #[test]
     fn the_ends_of_what_floats_hold_give_a_picture() {
         let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];
-        for operator in every() {
+        for operator in Operator::iter() {
             for side in [2usize, 6, 40] {
                 let pixels = (0..side * side).map(|i| ends[(i * 7 + i / side) % ends.len()]).collect();
                 let pixels = Plane::from_vec(side, side, pixels);
@@ -234,7 +227,7 @@ pub(crate) mod tests {
     /// Radiance 1 is the middle code; 4.7 and what is above it is white (1 / 0.2159 = 4.63); the least code but 0 is 0.00014 / 0.2159.
     #[test]
     fn one_tone_is_what_the_photographs_showed() {
-        for operator in every() {
+        for operator in Operator::iter() {
             let code = |pixel: [f32; 3], size: (usize, usize)| {
                 let pixels = Plane::filled(size.0, size.1, pixel);
                 let picture = tonemap(&RadianceMap { pixels, primaries: Primaries::SRGB }, None, &operator).pixels;

@@ -23,16 +23,17 @@ use ::exr::meta::header::Header;
 use ::exr::meta::{BlockDescription, MetaData, magic_number, sequence_end};
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// How a number is kept.
+/// Sample type of an OpenEXR file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Sample {
-    /// Halves where they hold the picture, else floats: see [`settled`](Self::settled). A writer that is fed rows, and so cannot know,
-    /// takes floats.
+    /// Half floats, or floats where halves are too small or too coarse for the radiance.
     #[default]
     Auto,
     /// 16 bits: steps of 1/2048 or finer, up to 65504.
     Half,
-    /// 32 bits: as merged.
+    /// 32 bits: exactly as merged.
     Float,
 }
 
@@ -96,17 +97,21 @@ impl Loops for Count<'_> {
     }
 }
 
-/// How blocks are packed; all without loss.
+/// Compression of an OpenEXR file, always lossless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Compression {
-    /// Wavelet and Huffman over 32 rows: the smallest for photographs.
+    /// Wavelet and Huffman coding of 32 rows: the smallest for photographs.
     #[default]
     Piz,
-    /// Deflate over 16 rows.
+    /// Deflate of 16 rows.
+    #[strum(serialize = "zip")]
     Zip16,
-    /// Deflate over single rows.
+    /// Deflate of single rows.
+    #[strum(serialize = "zips")]
     Zip1,
-    /// Not at all.
+    /// No compression: twice the size.
     None,
 }
 

@@ -27,15 +27,17 @@ pub const MOST_STOPS: f64 = 6.0;
 /// Numbers are multiples of this, so that decimals and fractions are the same to the letter.
 const GRAIN: f64 = 1024.0;
 
-/// How large the map is.
+/// Size of the gain map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Resolution {
-    /// As large as the picture: every pixel's radiance comes back.
+    /// As large as the picture: holds the radiance of every pixel.
     #[default]
     Full,
-    /// Half as wide and half as high: a smaller file, and the radiance of edges is mixed.
+    /// Half as wide and high: a smaller file, with the radiance of edges mixed.
     Half,
-    /// There is no map: a JPEG like any other.
+    /// No gain map: an ordinary JPEG.
     None,
 }
 

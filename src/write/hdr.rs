@@ -14,13 +14,15 @@ use crate::error::Result;
 /// Lumens per watt of Radiance's white, by definition.
 pub const WHITE_EFFICACY: f64 = 179.0;
 
-/// What the three mantissas of a pixel are of.
+/// Pixel encoding of a Radiance file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Encoding {
-    /// Red, green and blue of the picture's primaries.
+    /// Red, green and blue with a shared exponent.
     #[default]
     Rgbe,
-    /// CIE XYZ: holds every colour that there is.
+    /// CIE XYZ with a shared exponent: holds every visible colour.
     Xyze,
 }
 

@@ -79,15 +79,19 @@ impl Sample for f32 {
     }
 }
 
-/// How radiance is kept in a TIFF.
+/// Pixel encoding of radiance in a TIFF.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Encoding {
-    /// 32-bit floats: as merged.
+    /// 32-bit floats: exactly as merged.
     #[default]
     Float,
-    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %, and every colour that light has; see [`logluv`](super::logluv).
+    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %.
+    #[strum(serialize = "logluv24")]
     LogLuv24,
     /// LogLuv of 32 bits: 126 stops in steps of 0.27 %.
+    #[strum(serialize = "logluv32")]
     LogLuv32,
 }
 
