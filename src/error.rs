@@ -207,6 +207,9 @@ pub enum Error {
         /// What the system said.
         source: rayon::ThreadPoolBuildError,
     },
+    /// The caller broke the run off.
+    #[error("the run was cancelled")]
+    Cancelled,
     /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
     #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
     Abandoned {

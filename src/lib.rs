@@ -1,19 +1,62 @@
 //! Aligns a bracket of differently exposed photographs, recovers the camera's response, merges to linear radiance, and tone-maps.
 //!
-//! ```
+//! From files to files, as `hdralign merge` does it:
+//!
+//! ```no_run
 //! use hdralign::pipeline::{self, Options};
-//! use std::path::PathBuf;
 //!
 //! # fn main() -> hdralign::error::Result<()> {
-//! let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
-//! let images: Vec<PathBuf> = (1..=5).map(|i| PathBuf::from(format!("{folder}/window_{i}.jpg"))).collect();
-//! let result = pipeline::develop(&images, &Options::default(), &|_progress| ())?;
-//!
-//! println!("{} x {} pixels", result.radiance.pixels.width(), result.radiance.pixels.height());
-//! for frame in &result.report.frames {
+//! let images = ["IMG_1.jpg".into(), "IMG_2.jpg".into(), "IMG_3.jpg".into()];
+//! let options = Options { outputs: vec!["room.exr".into(), "room.png".into()], ..Options::default() };
+//! let report = pipeline::run(&images, &options, &|_progress| ())?;
+//! for frame in &report.frames {
 //!     println!("{}: {:?}, confidence {:.2}", frame.path, frame.alignment.status, frame.alignment.confidence);
 //! }
-//! # assert!(result.report.frames.iter().all(|f| f.alignment.confidence > 0.5));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! From memory to memory, without any file; the caller may cancel, and chooses the thread pool:
+//!
+//! ```
+//! use hdralign::bracket::{Bracket, Frame, ReferenceChoice, exposure::Exposure};
+//! use hdralign::pipeline::{self, Options};
+//! use std::ops::ControlFlow;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
+//! let mut frames = Vec::new();
+//! for (i, ev) in [(1, -4.0), (3, 0.0), (5, 4.0)] {
+//!     let image = image::open(format!("{folder}/window_{i}.jpg"))?;
+//!     let exposure = Exposure::given(ev).ok_or("not finite")?;
+//!     frames.push(Frame::from_image(format!("{ev} EV"), image, exposure)?);
+//! }
+//! let bracket = Bracket::new(frames, &ReferenceChoice::Auto)?;
+//! let result = pipeline::merge_bracket(bracket, &Options::default(), &|_progress| ControlFlow::Continue(()))?;
+//!
+//! let radiance = image::Rgb32FImage::from(result.radiance);
+//! let picture = image::RgbImage::from(result.display);
+//! assert_eq!(radiance.dimensions(), picture.dimensions());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Alignment only:
+//!
+//! ```
+//! use hdralign::align::{AlignOptions, align};
+//! use hdralign::bracket::{LoadOptions, load};
+//! # use std::path::PathBuf;
+//!
+//! # fn main() -> hdralign::error::Result<()> {
+//! # let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
+//! # let images: Vec<PathBuf> = (1..=5).map(|i| PathBuf::from(format!("{folder}/window_{i}.jpg"))).collect();
+//! let (bracket, _warnings) = load(&images, &LoadOptions::default())?;
+//! let (alignment, _warnings) = align(&bracket, &AlignOptions::default())?;
+//! for (frame, verdict) in bracket.frames().iter().zip(&alignment.verdicts) {
+//!     println!("{}: {:?}, confidence {:.2}", frame.path().display(), verdict.model, verdict.confidence);
+//! }
+//! # assert!(alignment.verdicts.iter().all(|verdict| verdict.confidence > 0.5));
 //! # Ok(())
 //! # }
 //! ```

@@ -10,6 +10,7 @@ mod curves;
 mod doubts;
 mod fusion;
 mod line;
+mod memory;
 mod names;
 mod picture;
 mod referred;
@@ -41,6 +42,7 @@ use slabs::Slabs;
 use std::path::{Path, PathBuf};
 
 pub use crop::Crop;
+pub use memory::merge_bracket;
 pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use tonemapping::{TonemapOptions, tonemap_file};
 
@@ -236,53 +238,65 @@ fn merged(
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
         let mut line = Line::new(watch).with_page(options);
         let bracket = line.load(images, &options.merging(), options)?;
-        options.crop.check(&bracket)?;
         in_pool(bracket.threads(), move || {
             check_taken(taken, &bracket)?;
-            options.calibration.check(bracket.reference())?;
-            options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
-            let (bracket, alignment) = line.align(bracket, options)?;
-            check_placed(&bracket, &alignment)?;
-            let (bracket, camera) = line.response(bracket, &alignment, saved, options)?;
-            let curve_file = line.curve_file(&bracket, &alignment, &camera.curve, options)?;
-            let region = options.crop.rect(&bracket, &alignment);
-            options.write.picture.adjust.check((region.width(), region.height()))?;
-            let calibration = options.calibration.settle(bracket.reference(), &camera.curve)?;
-            let radiance = line.merge(&bracket, &alignment, &camera, region, options)?;
-            let (radiance, statistics) = line.units(radiance, &calibration, options)?;
-            let (ghosts, local) = (radiance.ghosts.as_ref(), radiance.local.as_ref());
-            let aligned = Aligned { bracket: &bracket, alignment: &alignment, region, curve: &camera.curve, ghosts };
-            let photographed = radiance.photographed;
-            let picture = line.tonemap(&radiance.slabs, photographed, &aligned, options)?;
-            let mut files = line.others(&bracket, &alignment, region, options)?;
-            let metadata = line::metadata(bracket.reference(), photographed, options);
-            let merging = MergeOptions { weight: options.weight, region };
-            let developed = Developed { curve: &camera.curve, merging, ghosts, local };
-            line.gather(&bracket, &alignment, region, Some(&developed), options)?;
-            let mut report = Report::new(&bracket, &alignment, region);
-            // The frames make room for what is encoded.
-            drop(bracket);
-            let Radiance { slabs, merged, limits, ghosts, flare, local, .. } = radiance;
-            report.options = Some(asked::report(options, true));
-            report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-            report.local_processing = camera.local_report(local.as_ref());
-            report.response = Some(camera.report);
-            report.radiance = Some(merged.report(statistics, limits, options.unit_exposure));
-            report.calibration = calibration;
-            report.colour = Some(slabs.primaries().into());
-            report.flare = flare;
-            report.white_balance = picture.light;
-            report.ghosts = ghosts.as_ref().map(Ghosts::report);
-            let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
-            files.splice(0..0, results.into_iter().chain(curve_file));
-            if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
-                files.push(write::mask::write(path, &ghosts.mask())?);
-            }
-            let files = line.report(&mut report, files, options)?;
-            let prepared = Prepared { report, files, overwrite: options.write.overwrite };
-            Ok((prepared, Results { radiance: slabs, display }))
+            developed(line, bracket, saved, taken, options, keep)
         })
     })
+}
+
+/// The line from the loaded bracket on; the picture is kept where it is wanted.
+fn developed(
+    mut line: Line,
+    bracket: Bracket,
+    saved: Option<SavedResponse>,
+    taken: &Taken,
+    options: &Options,
+    keep: bool,
+) -> Result<(Prepared<Report>, Results)> {
+    options.crop.check(&bracket)?;
+    options.calibration.check(bracket.reference())?;
+    options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
+    let (bracket, alignment) = line.align(bracket, options)?;
+    check_placed(&bracket, &alignment)?;
+    let (bracket, camera) = line.response(bracket, &alignment, saved, options)?;
+    let curve_file = line.curve_file(&bracket, &alignment, &camera.curve, options)?;
+    let region = options.crop.rect(&bracket, &alignment);
+    options.write.picture.adjust.check((region.width(), region.height()))?;
+    let calibration = options.calibration.settle(bracket.reference(), &camera.curve)?;
+    let radiance = line.merge(&bracket, &alignment, &camera, region, options)?;
+    let (radiance, statistics) = line.units(radiance, &calibration, options)?;
+    let (ghosts, local) = (radiance.ghosts.as_ref(), radiance.local.as_ref());
+    let aligned = Aligned { bracket: &bracket, alignment: &alignment, region, curve: &camera.curve, ghosts };
+    let photographed = radiance.photographed;
+    let picture = line.tonemap(&radiance.slabs, photographed, &aligned, options)?;
+    let mut files = line.others(&bracket, &alignment, region, options)?;
+    let metadata = line::metadata(bracket.reference(), photographed, options);
+    let merging = MergeOptions { weight: options.weight, region };
+    let developed = Developed { curve: &camera.curve, merging, ghosts, local };
+    line.gather(&bracket, &alignment, region, Some(&developed), options)?;
+    let mut report = Report::new(&bracket, &alignment, region);
+    // The frames make room for what is encoded.
+    drop(bracket);
+    let Radiance { slabs, merged, limits, ghosts, flare, local, .. } = radiance;
+    report.options = Some(asked::report(options, true));
+    report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
+    report.local_processing = camera.local_report(local.as_ref());
+    report.response = Some(camera.report);
+    report.radiance = Some(merged.report(statistics, limits, options.unit_exposure));
+    report.calibration = calibration;
+    report.colour = Some(slabs.primaries().into());
+    report.flare = flare;
+    report.white_balance = picture.light;
+    report.ghosts = ghosts.as_ref().map(Ghosts::report);
+    let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
+    files.splice(0..0, results.into_iter().chain(curve_file));
+    if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
+        files.push(write::mask::write(path, &ghosts.mask())?);
+    }
+    let files = line.report(&mut report, files, options)?;
+    let prepared = Prepared { report, files, overwrite: options.write.overwrite };
+    Ok((prepared, Results { radiance: slabs, display }))
 }
 
 /// Aligns the bracket `images`, writes aligned frames and the report where asked for, and gives the report.
@@ -333,8 +347,8 @@ pub fn inspect(
             let (tables, _) = line.timed(Stage::Inspect, || {
                 let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
                 files::write(&inspection, folder, options.write.overwrite)
-            });
-            tables
+            })?;
+            Ok(tables)
         })
     })
 }
@@ -342,12 +356,17 @@ pub fn inspect(
 /// More threads than this only cost memory, on any machine.
 const MOST_THREADS: usize = 1024;
 
-/// Runs `work` on a pool of `threads` threads, or on the common one; on the pool that calls it, if that has as many.
+/// Runs `work` on a pool of `threads` threads, or on the common one, which is started first.
 fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
-    let Some(threads) = threads else {
+    if threads.is_none() {
         start_threads()?;
-        return work();
-    };
+    }
+    in_own_pool(threads, work)
+}
+
+/// Runs `work` on a pool of `threads` threads, or on the pool of the caller.
+fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+    let Some(threads) = threads else { return work() };
     let refused = |reason: String| Error::Option { option: "--threads", reason };
     if threads == 0 {
         return Err(refused("0 threads cannot work; give 1 or more".into()));
@@ -408,12 +427,18 @@ fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
     images.iter().chain(&options.response_file).chain(transforms).cloned().collect()
 }
 
-/// Whether everything asked for can be written, before any work is done.
-fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
+/// Whether the options that concern no file are within their ranges.
+fn validate(options: &Options) -> Result<()> {
     options.align.validate()?;
     options.rendering.validate()?;
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
+    options.deghost.validate()
+}
+
+/// Whether everything asked for can be written, before any work is done.
+fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
+    validate(options)?;
     options.write.check(&options.results()?)?;
     for path in [&options.response_file, &options.save_response].into_iter().flatten() {
         file::Format::of(path)?;
@@ -421,7 +446,6 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     if let Some(path) = &options.report {
         report::Format::of(path)?;
     }
-    options.deghost.validate()?;
     write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }

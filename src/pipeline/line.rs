@@ -32,7 +32,7 @@ use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
 use crate::tonemap::Rendering;
 use crate::write::{self, Metadata, Pending, Written, aligned};
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -91,9 +91,29 @@ pub(super) fn metadata(reference: &Frame, photographed: Option<Photographed>, op
     Metadata { cd_m2_per_unit, comments, ..Metadata::of(reference) }
 }
 
+/// The caller's function that progress is reported to.
+#[derive(Clone, Copy)]
+enum Watch<'a> {
+    Plain(&'a (dyn Fn(Progress) + Sync)),
+    /// It may cancel the run.
+    Cancelling(&'a (dyn Fn(Progress) -> ControlFlow<()> + Sync)),
+}
+
+impl Watch<'_> {
+    fn report(self, progress: Progress) -> ControlFlow<()> {
+        match self {
+            Watch::Plain(watch) => {
+                watch(progress);
+                ControlFlow::Continue(())
+            }
+            Watch::Cancelling(watch) => watch(progress),
+        }
+    }
+}
+
 /// The stages with a clock, and what they have warned of so far.
 pub(super) struct Line<'a> {
-    watch: &'a (dyn Fn(Progress) + Sync),
+    watch: Watch<'a>,
     pub began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
@@ -103,6 +123,15 @@ pub(super) struct Line<'a> {
 
 impl<'a> Line<'a> {
     pub fn new(watch: &'a (dyn Fn(Progress) + Sync)) -> Self {
+        Line::watched(Watch::Plain(watch))
+    }
+
+    /// As [`new`](Self::new); where `watch` breaks, the run is cancelled before the next stage.
+    pub fn cancellable(watch: &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync)) -> Self {
+        Line::watched(Watch::Cancelling(watch))
+    }
+
+    fn watched(watch: Watch<'a>) -> Self {
         Line { watch, began: Instant::now(), times: Times::default(), warnings: Vec::new(), page: None }
     }
 
@@ -124,27 +153,35 @@ impl<'a> Line<'a> {
     ) -> Result<()> {
         let Some(mut page) = self.page.take() else { return Ok(()) };
         let gathered = || page.gather(bracket, alignment, region, &options.align, &self.warnings, developed);
-        let (gathered, time) = self.timed(Stage::Inspect, gathered);
-        page.take_time(time.unwrap_or(0.0));
+        let ((), time_s) = self.timed(Stage::Inspect, gathered)?;
+        page.take_time(time_s);
         self.page = Some(page);
-        gathered
+        Ok(())
     }
 
-    /// `work`, announced, and its time.
-    pub fn timed<R>(&self, stage: Stage, work: impl FnOnce() -> R) -> (R, Option<f64>) {
-        (self.watch)(Progress::Begins(stage));
+    /// `work`, announced, and its time in seconds.
+    ///
+    /// # Errors
+    /// Those of `work`; [`Error::Cancelled`] where the caller breaks off.
+    pub fn timed<R>(&self, stage: Stage, work: impl FnOnce() -> Result<R>) -> Result<(R, f64)> {
+        if self.watch.report(Progress::Begins(stage)).is_break() {
+            return Err(Error::Cancelled);
+        }
         let began = Instant::now();
-        let result = work();
-        (result, Some(began.elapsed().as_secs_f64()))
+        let result = work()?;
+        Ok((result, began.elapsed().as_secs_f64()))
     }
 
     /// The bracket, to which `stages` are done.
     pub fn load(&mut self, images: &[PathBuf], stages: &Stages, options: &Options) -> Result<Bracket> {
         let watch = self.watch;
-        let decoded = |done| watch(Progress::Decoded(done));
-        let (loaded, time) = self.timed(Stage::Load, || bracket::load_for(stages, images, &options.load, &decoded));
-        let (bracket, warnings) = loaded?;
-        self.times.load = time;
+        // Frames that are being decoded are decoded to the end; the next stage is not begun.
+        let decoded = |done| {
+            let _ = watch.report(Progress::Decoded(done));
+        };
+        let load = || bracket::load_for(stages, images, &options.load, &decoded);
+        let ((bracket, warnings), time_s) = self.timed(Stage::Load, load)?;
+        self.times.load = Some(time_s);
         self.warnings.extend(warnings);
         Ok(bracket)
     }
@@ -152,9 +189,9 @@ impl<'a> Line<'a> {
     /// Where its frames lie, and the bracket with the reference that this is of: that which it has, or another ([`referred`]).
     pub fn align(&mut self, bracket: Bracket, options: &Options) -> Result<(Bracket, Alignment)> {
         let reference = bracket.reference_index();
-        let (aligned, time) = self.timed(Stage::Align, || referred::align(bracket, options));
-        let (bracket, alignment, warnings) = aligned?;
-        self.times.align = time;
+        let align = || referred::align(bracket, options);
+        let ((bracket, alignment, warnings), time_s) = self.timed(Stage::Align, align)?;
+        self.times.align = Some(time_s);
         if bracket.reference_index() != reference {
             // Of colours that are others than the reference's there is something else to say.
             self.warnings.retain(|warning| !matches!(warning, Warning::ProfilesDiffer { .. }));
@@ -172,7 +209,7 @@ impl<'a> Line<'a> {
         saved: Option<SavedResponse>,
         options: &Options,
     ) -> Result<(Bracket, Camera)> {
-        let (done, time) = self.timed(Stage::Response, || -> Result<_> {
+        let (done, time_s) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
             let is_sought = saved.is_none() && options.response.is_sought();
             let is_needed = is_tuned || is_sought || saved.is_some() || options.save_response.is_some();
@@ -207,9 +244,9 @@ impl<'a> Line<'a> {
             // A curve that is given is taken at its word: the frames are merged as functions of exposure.
             let evidence = evidence.filter(|_| report.model != "file");
             Ok((bracket, Camera { curve, report, evidence }, warnings))
-        });
-        let (bracket, camera, warnings) = done?;
-        self.times.response = time;
+        })?;
+        let (bracket, camera, warnings) = done;
+        self.times.response = Some(time_s);
         self.warnings.extend(warnings);
         Ok((bracket, camera))
     }
@@ -224,7 +261,7 @@ impl<'a> Line<'a> {
     ) -> Result<Radiance> {
         let curve = &camera.curve;
         let merging = MergeOptions { weight: options.weight, region };
-        let (merged, time) = self.timed(Stage::Merge, || {
+        let (merged, time_s) = self.timed(Stage::Merge, || {
             let local = camera.local().map(|_| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
             let gain = local.as_ref().map(|local| move |layer: usize, rows: Range<usize>| local.at(layer, rows));
             let gain = gain.as_ref().map(|gain| gain as deghost::Gain);
@@ -259,9 +296,9 @@ impl<'a> Line<'a> {
                 None => photographed,
             };
             Ok(Radiance { slabs, photographed, merged, limits, ghosts, flare, local })
-        });
-        self.times.merge = time;
-        merged
+        })?;
+        self.times.merge = Some(time_s);
+        Ok(merged)
     }
 
     /// Radiance in the colour space and the unit that are wanted, and the statistics of that.
@@ -315,7 +352,7 @@ impl<'a> Line<'a> {
         options: &Options,
     ) -> Result<Picture> {
         let mut unused = Vec::new();
-        let (picture, time) = self.timed(Stage::Tonemap, || {
+        let (picture, time_s) = self.timed(Stage::Tonemap, || {
             let operator = match &options.rendering {
                 Rendering::Toned(operator) => operator,
                 Rendering::Fused(fused) => {
@@ -326,10 +363,9 @@ impl<'a> Line<'a> {
             };
             let shape = (slabs.size(), slabs.primaries());
             Picture::toned(&|see| slabs.each(see), shape, photographed, operator, &options.write.picture)
-        });
-        self.times.tonemap = time;
+        })?;
+        self.times.tonemap = Some(time_s);
         self.warnings.extend(unused.into_iter().map(|option| Warning::FusedAsIs { option }));
-        let picture = picture?;
         self.warnings.extend(picture.warning(&options.write.picture));
         Ok(picture)
     }
@@ -359,7 +395,7 @@ impl<'a> Line<'a> {
                 kept.extend_from_slice(codes);
             }
         };
-        let (written, time) = self.timed(Stage::Write, || {
+        let ((files, mapping), time_s) = self.timed(Stage::Write, || {
             let results = Results {
                 outputs: options.results()?,
                 options: &options.write,
@@ -369,13 +405,12 @@ impl<'a> Line<'a> {
                 bright: statistics.p99_9,
             };
             results.written(&|see| slabs.each(see), picture, is_seen.then_some(&mut shown))
-        });
+        })?;
         self.page = page;
         self.warnings.extend(options.write.picture.size.warning((width, height)));
-        let (files, mapping) = written?;
         let mapping = mapping.as_secs_f64();
         self.times.tonemap = self.times.tonemap.map(|time| time + mapping);
-        self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0) - mapping);
+        self.times.write = Some(self.times.write.unwrap_or(0.0) + time_s - mapping);
         Ok((files, Plane::from_vec(width, if keep { height } else { 0 }, kept)))
     }
 
@@ -403,7 +438,7 @@ impl<'a> Line<'a> {
         options: &Options,
     ) -> Result<Vec<Written>> {
         let reference = bracket.reference();
-        let (written, time) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
+        let (written, time_s) = self.timed(Stage::Write, || -> Result<Vec<Written>> {
             let mut files = Vec::new();
             if let Some(path) = &options.transforms {
                 files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
@@ -414,9 +449,9 @@ impl<'a> Line<'a> {
                 files.extend(aligned::write(bracket, alignment, region, prefix, &metadata)?);
             }
             Ok(files)
-        });
-        self.times.write = Some(self.times.write.unwrap_or(0.0) + time.unwrap_or(0.0));
-        written
+        })?;
+        self.times.write = Some(self.times.write.unwrap_or(0.0) + time_s);
+        Ok(written)
     }
 
     /// Completes the report, and gives all files: `files`, and that of the report.

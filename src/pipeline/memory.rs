@@ -1,0 +1,55 @@
+//! A bracket in memory: no file is read or written.
+//!
+//! In: a [`Bracket`], of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
+//! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and writing.
+
+use super::line::Line;
+use super::{Options, Outcome, Progress, developed, in_own_pool, validate};
+use crate::bracket::{Bracket, LoadOptions};
+use crate::error::{Error, Result};
+use crate::tonemap::DisplayImage;
+use std::ops::ControlFlow;
+
+/// Aligns, calibrates, merges and tone-maps `bracket`.
+///
+/// `options.load` and all options that name a file must be as by default. The work is done on the rayon pool that calls this, or
+/// on one of [`threads`](Options::threads). `watch` is called from any thread; where it breaks, the run is cancelled before the next stage.
+///
+/// # Errors
+/// [`Error::Option`] for options that are out of range or need files; [`Error::Cancelled`]; [`Error::NothingAligned`] and
+/// [`Error::NoOverlap`] where the frames do not show one scene. A frame is named by its path, which need not exist.
+pub fn merge_bracket(
+    bracket: Bracket,
+    options: &Options,
+    watch: &(dyn Fn(Progress) -> ControlFlow<()> + Sync),
+) -> Result<Outcome> {
+    in_own_pool(options.threads, || {
+        refuse_files(options)?;
+        validate(options)?;
+        let (prepared, results) = developed(Line::cancellable(watch), bracket, None, &None, options, true)?;
+        let radiance = results.radiance.whole()?;
+        Ok(Outcome { radiance, display: DisplayImage { pixels: results.display }, report: prepared.report })
+    })
+}
+
+/// Refuses options that would have no effect without files.
+fn refuse_files(options: &Options) -> Result<()> {
+    let given = [
+        ("load", options.load != LoadOptions::default()),
+        ("outputs", !options.outputs.is_empty()),
+        ("pictures", !options.pictures.is_empty()),
+        ("response_file", options.response_file.is_some()),
+        ("save_response", options.save_response.is_some()),
+        ("save_aligned", options.save_aligned.is_some()),
+        ("ghost_mask", options.ghost_mask.is_some()),
+        ("transforms", options.transforms.is_some()),
+        ("report", options.report.is_some()),
+    ];
+    match given.into_iter().find(|(_, is_given)| *is_given) {
+        None => Ok(()),
+        Some((option, _)) => {
+            let reason = "it is of files; leave it as by default for a bracket in memory".to_owned();
+            Err(Error::Option { option, reason })
+        }
+    }
+}
