@@ -1,35 +1,42 @@
 //! Arguments on what is changed of the picture, with every operator in the same way.
 
+use super::heading::PICTURE;
 use clap::Args;
 use hdralign::tonemap::adjust::{Options, WhiteBalance};
 
 /// What is changed of the picture.
 #[derive(Debug, Args)]
+#[command(next_help_heading = PICTURE)]
 pub struct Adjust {
-    /// The light that the picture shows as white: `as-shot` changes nothing, `auto` estimates it. KELVIN is its temperature as the photographs
-    /// show it, as 5500 or 5500K: 2000 to 25000, below 6504 the picture becomes cooler, above it warmer; with a tint, as 5500,10: -150
-    /// to 150, above 0 it becomes more magenta. X,Y is a pixel with grey around it, of the result, before --resize; spot:2400,100 says
-    /// so where it might be a light. Radiance stays as it is
+    /// Set the white balance of the picture [default: as-shot]
+    ///
+    /// auto estimates the light. KELVIN is its temperature, 2000 to 25000: below 6504 the picture becomes cooler, above it warmer. TINT is -150
+    /// to 150: above 0 the picture becomes more magenta. X,Y is a grey spot of the result, before --resize; write spot:2400,100 where the
+    /// numbers could be a temperature and a tint. Radiance is not changed
     #[arg(long, value_name = "auto|as-shot|KELVIN[,TINT]|X,Y", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,
 
-    /// Make the picture brighter, or darker: -5 to 5, stops in its dark parts and less towards white, which nothing reaches
+    /// Make the picture brighter or darker, -5 to 5
+    ///
+    /// The unit is a stop in the dark parts and less towards white, so that nothing is clipped
     #[arg(long, value_name = "EV", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     brightness: f64,
 
-    /// More contrast about middle grey, or less: -100 (half) to 100 (twice)
+    /// Change the contrast about middle grey: -100 (half) to 100 (twice)
     #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     contrast: f64,
 
-    /// More colour, or less: -100 (grey) to 100 (twice), at the same hue
+    /// Change the saturation: -100 (grey) to 100 (twice)
     #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     saturation: f64,
 
-    /// Make dark places brighter, or darker: -100 to 100, which is two stops in the darkest. What is fine in them keeps its contrast
+    /// Make the shadows brighter or darker, -100 to 100
+    ///
+    /// 100 is two stops in the darkest parts. Local contrast is kept
     #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     shadows: f64,
 
-    /// Make bright places brighter, or darker: -100 (skies and windows come back) to 100
+    /// Make the highlights brighter or darker, -100 to 100
     #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     highlights: f64,
 }

@@ -1,6 +1,7 @@
 //! Arguments that the commands share.
 
 use super::choice::choice;
+use super::heading::{ALIGNMENT, INPUT, OUTPUT, RESOURCES};
 use super::memory;
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
@@ -17,60 +18,64 @@ use std::path::{Path, PathBuf};
 /// How photographs are aligned, whichever they are.
 #[derive(Debug, Args)]
 pub struct Method {
-    /// Exposures in EV, one for each photograph in the order given; they win over EXIF
-    #[arg(short, long, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
+    /// Set the exposures in EV, one for each photograph in the order given, instead of those of EXIF
+    #[arg(short, long, help_heading = INPUT, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
     /// Set the alignment method
-    #[arg(long, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
+    #[arg(long, help_heading = ALIGNMENT, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
     align: AlignMode,
 
-    /// Largest rotation that the bitmaps are searched for, in degrees to either side
-    #[arg(long, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
+    /// Set the largest rotation searched with bitmaps, in degrees to either side
+    #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
 
     /// Set the robust estimator for feature matches
-    #[arg(long, value_parser = choice::<RobustMethod>(), default_value_t, value_name = "METHOD")]
+    #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_parser = choice::<RobustMethod>(), default_value_t, value_name = "METHOD")]
     robust: RobustMethod,
 }
 
-/// What the machine may be used for, what may be replaced, and what is said.
+/// Threads, memory, and what is replaced and printed.
 #[derive(Debug, Args)]
+#[command(next_help_heading = RESOURCES)]
 pub struct Work {
-    /// Threads that compute [default: one for each core]; the results are the same
+    /// Set the number of threads [default: one for each core]; results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
 
-    /// Memory that may be used at most, as 500MB or 4GB [default: three quarters of what is free]; the results are the same. What does
-    /// not fit is on disk for as long as it is needed
+    /// Limit the memory, as 500MB or 4GB [default: three quarters of what is free]
+    ///
+    /// What does not fit is kept in a temporary file in the --scratch folder. Results do not depend on it
     #[arg(long, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 
     #[command(flatten)]
     pub largest: Largest,
 
-    /// The folder for what does not fit into memory [default: that of the first result, else the system's for temporary files]
-    #[arg(long, value_name = "FOLDER")]
+    /// Set the folder for what does not fit into memory [default: that of the first result, or the system's temporary folder]
+    #[arg(long, hide_short_help = true, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
-    /// Exit with 3 when a frame was left out or doubtful, the frames overlap by less than half, or an exposure or the response was guessed
-    #[arg(long)]
+    /// Exit with 3 when the result is doubtful
+    ///
+    /// That is: a frame was left out or is doubtful, the frames overlap by less than half, or an exposure or the response was guessed
+    #[arg(long, help_heading = OUTPUT)]
     pub strict: bool,
 
-    /// Replace files that exist
-    #[arg(short, long)]
+    /// Replace existing files
+    #[arg(short, long, help_heading = OUTPUT)]
     pub force: bool,
 
-    /// No progress, summary or warnings: errors alone on standard error; results are still listed on standard output
-    #[arg(short, long)]
+    /// No progress, summary or warnings; results are still listed on stdout
+    #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
 
 /// How large what is read may be.
 #[derive(Debug, Args)]
 pub struct Largest {
-    /// Pixels that a picture may have at most, as 800M or 2G [default: 500M]; what says to be larger is refused before it is decoded
-    #[arg(long, value_name = "N", value_parser = memory::count)]
+    /// Limit the pixels of an image, as 800M or 2G [default: 500M]; larger images are rejected before they are decoded
+    #[arg(long, help_heading = RESOURCES, hide_short_help = true, value_name = "N", value_parser = memory::count)]
     max_pixels: Option<u64>,
 }
 
@@ -92,8 +97,8 @@ pub struct Reading {
     #[command(flatten)]
     largest: Largest,
 
-    /// Memory that may be used at most, as 500MB or 4GB [default: three quarters of what is free]; what takes more is refused
-    #[arg(long, value_name = "SIZE", value_parser = memory::size)]
+    /// Limit the memory, as 500MB or 4GB [default: three quarters of what is free]; files that need more are rejected
+    #[arg(long, help_heading = RESOURCES, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 }
 
@@ -117,19 +122,19 @@ pub struct Aligned {
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
 
-    /// The photograph that the others are aligned to: its number in the order given, from 1, or its file name
-    #[arg(long, value_name = "N|FILE")]
+    /// Set the frame that the others are aligned to: its number in the order given, from 1, or its file name
+    #[arg(long, help_heading = INPUT, value_name = "N|FILE")]
     reference: Option<String>,
 
     #[command(flatten)]
     method: Method,
 
     /// Leave this photograph out; may be repeated
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = INPUT, hide_short_help = true, value_name = "FILE")]
     leave_out: Vec<PathBuf>,
 
-    /// This photograph did not move: take it as it lies; may be repeated
-    #[arg(long, value_name = "FILE")]
+    /// Do not align this photograph: it did not move; may be repeated
+    #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     unmoved: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -139,9 +144,10 @@ pub struct Aligned {
 /// Which part of the reference is shown.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// Which part of the reference the results show: what all merged photographs show, all of it, or these of its pixels. Where not all
-    /// photographs reach, those that do are merged
-    #[arg(short = 'C', long, default_value_t, value_name = "common|none|X,Y,WIDTH,HEIGHT")]
+    /// Crop the results: to the area that all frames cover, not at all, or to these pixels of the reference frame
+    ///
+    /// Where not all frames cover the area, those that do are merged
+    #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "common|none|X,Y,WIDTH,HEIGHT")]
     pub crop: Crop,
 }
 
@@ -151,23 +157,23 @@ pub struct Common {
     #[command(flatten)]
     pub aligned: Aligned,
 
-    /// Transforms as JSON: taken from FILE where it exists, else found and written to it; never replaced
-    #[arg(long, value_name = "FILE")]
+    /// Read the transforms from FILE (JSON), or write them to it where it does not exist; it is never replaced
+    #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     transforms: Option<PathBuf>,
 
     #[command(flatten)]
     cut: Cut,
 
-    /// Write a report of everything that was done; the extension picks the format: .json (programs), .html (a page to look at)
-    #[arg(long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
+    /// Write a report: .html to look at, .json for programs
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
-    /// Print the report to standard output instead of the paths written
-    #[arg(long)]
+    /// Print the report as JSON to stdout instead of the files written
+    #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 
-    /// Say more: a line for each frame, the time of each stage
-    #[arg(short, long, conflicts_with = "quiet")]
+    /// Print a line for each frame and the time of each stage
+    #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     pub verbose: bool,
 }
 

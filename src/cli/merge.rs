@@ -1,5 +1,6 @@
 //! `hdralign merge`.
 
+use super::heading::{MERGE, OUTPUT};
 use super::input::Common;
 use super::leftovers;
 use super::merging::Merging;
@@ -26,33 +27,33 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// A result; the extension picks the format: .exr .hdr .tif (radiance), .png (picture),
-    /// .jpg (picture that lights up on HDR displays). May be repeated
-    /// [default, without --picture: FIRST-LAST.exr and .png beside the photographs]
-    #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
+    /// Write a result: .exr, .hdr or .tif (radiance), .png or .jpg (picture); may be repeated
+    ///
+    /// A .jpg shows the radiance on HDR displays (gain map). Default, without --picture: FIRST-LAST.exr and .png beside the photographs
+    #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
     output: Vec<PathBuf>,
 
-    /// The picture, whatever the extension: .png, .jpg, or .tif of codes with a profile. May be repeated
-    #[arg(long, value_name = "FILE")]
+    /// Write the picture: .png, .jpg, or .tif with 8 or 16 bits; may be repeated
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     picture: Vec<PathBuf>,
 
     #[command(flatten)]
     merging: Merging,
 
-    /// Use a response saved before, instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
+    /// Read the response from a file instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
+    #[arg(long, help_heading = MERGE, hide_short_help = true, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
     response: Option<PathBuf>,
 
-    /// Save the response; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr)
-    #[arg(long, value_name = "FILE")]
+    /// Write the response: .json, .rsp (hdrgen) or .csv (luminance-hdr)
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     save_response: Option<PathBuf>,
 
-    /// Write where and how much was left out, as a grey PNG of the result's size: 0 nothing, 255 all photographs but the reference
-    #[arg(long, value_name = "FILE")]
+    /// Write the motion mask, a grey PNG of the result's size: 0 all frames merged, 255 only the reference frame
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     ghost_mask: Option<PathBuf>,
 
-    /// Write the aligned frames too, as TIFF: PREFIX and the photograph's name
-    #[arg(long, value_name = "PREFIX")]
+    /// Write the aligned frames as TIFF: PREFIX and the name of the photograph
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 }
 

@@ -1,6 +1,7 @@
 //! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
 
 use super::choice::choice;
+use super::heading::{MERGE, OUTPUT};
 use super::picture::Picture;
 use super::radiance::Radiance;
 use super::recovery::Recovery;
@@ -16,16 +17,18 @@ use hdralign::write;
 
 /// How radiance and the picture come about.
 #[derive(Debug, Args)]
+#[command(next_help_heading = MERGE)]
 pub struct Merging {
     #[command(flatten)]
     recovery: Recovery,
 
     /// Set the weighting function over the code values
-    #[arg(long, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
     weight: Weight,
 
-    /// Leave out of the other photographs what moved, and is not as the reference shows it: people, cars, leaves, water. off leaves all in; a
-    /// strength is 0 (only what is plainly different) to 1 (whatever may be), and that of auto 0.5
+    /// Remove ghosts: what moved is shown as in the reference frame
+    ///
+    /// A strength is 0 (only what differs plainly) to 1 (whatever may differ); auto is 0.5. off merges all frames everywhere
     #[arg(
         long,
         value_name = "auto|off|STRENGTH",
@@ -36,8 +39,8 @@ pub struct Merging {
     )]
     pub deghost: Deghost,
 
-    /// Take off the veil that lens and sensor scatter over the picture, where there is one
-    #[arg(long)]
+    /// Subtract lens flare, where there is some
+    #[arg(long, hide_short_help = true)]
     flare: bool,
 
     #[command(flatten)]
@@ -49,17 +52,21 @@ pub struct Merging {
     #[command(flatten)]
     radiance: Radiance,
 
-    /// Radiance in cd/m2 by the reference's exposure: its top code is 87 N^2 / (t ISO), within about half a stop
-    #[arg(long)]
+    /// Scale the radiance to cd/m2 by the exposure of the reference frame, to within about half a stop
+    ///
+    /// Its largest pixel value is 87 N^2 / (t ISO) cd/m2
+    #[arg(long, hide_short_help = true)]
     absolute: bool,
 
-    /// Multiply the radiance, which is then in cd/m2: with --absolute luminance measured over luminance reported,
-    /// near 1; alone the cd/m2 of a radiance of 1, which is what gave the reference its middle code
-    #[arg(long, value_name = "X", allow_negative_numbers = true, verbatim_doc_comment)]
+    /// Multiply the radiance by X; it is then in cd/m2
+    ///
+    /// With --absolute: measured over reported luminance, near 1. Without: the cd/m2 of radiance 1, which gave the reference frame its middle
+    /// pixel value
+    #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 
-    /// Let pictures tell where the photograph was taken, as the reference does
-    #[arg(long)]
+    /// Keep the GPS position of the reference frame in the results
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true)]
     keep_gps: bool,
 }
 

@@ -39,6 +39,16 @@ use std::io::Write;
 use std::process::ExitCode;
 use terminal::Terminal;
 
+/// Groups of options in `--help`.
+mod heading {
+    pub const INPUT: &str = "Input";
+    pub const ALIGNMENT: &str = "Alignment";
+    pub const MERGE: &str = "Response and merge";
+    pub const PICTURE: &str = "Picture";
+    pub const OUTPUT: &str = "Output";
+    pub const RESOURCES: &str = "Resources";
+}
+
 /// Aligns a bracket of exposures, recovers the camera's response, merges to linear radiance, and tone-maps.
 #[derive(Debug, Parser)]
 #[command(version, about, max_term_width = 100, after_help = AFTER_HELP)]

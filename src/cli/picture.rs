@@ -2,23 +2,26 @@
 
 use super::adjust::Adjust;
 use super::choice::choice;
+use super::heading::PICTURE;
 use clap::Args;
 use hdralign::tonemap::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
 
 /// How the picture is written.
 #[derive(Debug, Args)]
+#[command(next_help_heading = PICTURE)]
 pub struct Picture {
     /// Set the bits per channel of the picture; JPEG has 8 only
-    #[arg(long, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
     bit_depth: Depth,
 
     /// Set the colour space of the picture and the profile embedded in it. Colours outside it are desaturated
-    #[arg(long, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
+    #[arg(long, hide_short_help = true, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
     picture_colour: Colours,
 
-    /// Make the picture smaller, in linear light: the pixels of its longest side, as 2048, or 50%. It is never enlarged, and radiance is
-    /// never resized
+    /// Make the picture smaller: pixels of its longest side, as 2048, or 50%
+    ///
+    /// It is resized in linear light and never enlarged. Radiance is never resized
     #[arg(long, value_name = "PIXELS|PERCENT%")]
     resize: Option<Size>,
 

@@ -1,6 +1,7 @@
 //! Arguments on the radiance that is written: colour space and encodings.
 
 use super::choice::{Choice, choice};
+use super::heading::OUTPUT;
 use clap::Args;
 use hdralign::bracket::colour::Space;
 use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
@@ -8,34 +9,36 @@ use strum::{EnumMessage, IntoEnumIterator};
 
 /// How radiance is written.
 #[derive(Debug, Args)]
+#[command(next_help_heading = OUTPUT)]
 pub struct Radiance {
-    /// Convert the radiance to a linear colour space. White stays white; colours outside the space are desaturated. The picture
-    /// has --picture-colour
-    #[arg(long, visible_alias = "color", value_parser = spaces(), default_value = KEEP, value_name = "SPACE")]
+    /// Convert the radiance to a linear colour space
+    ///
+    /// White stays white; colours outside the space are desaturated. For the picture see --picture-colour
+    #[arg(long, hide_short_help = true, visible_alias = "color", value_parser = spaces(), default_value = KEEP, value_name = "SPACE")]
     colour: Target,
 
     /// Set the sample type of .exr
-    #[arg(long, value_parser = choice::<exr::Sample>(), default_value_t, value_name = "TYPE")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<exr::Sample>(), default_value_t, value_name = "TYPE")]
     exr_type: exr::Sample,
 
     /// Set the compression of .exr
-    #[arg(long, value_parser = choice::<exr::Compression>(), default_value_t, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<exr::Compression>(), default_value_t, value_name = "NAME")]
     exr_compression: exr::Compression,
 
     /// Set the pixel encoding of .hdr
-    #[arg(long, value_parser = choice::<hdr::Encoding>(), default_value_t, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<hdr::Encoding>(), default_value_t, value_name = "NAME")]
     hdr_encoding: hdr::Encoding,
 
     /// Set the pixel encoding of radiance in .tif
-    #[arg(long, value_parser = choice::<tiff::Encoding>(), default_value_t, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<tiff::Encoding>(), default_value_t, value_name = "NAME")]
     tiff_encoding: tiff::Encoding,
 
     /// Set the quality of .jpg
-    #[arg(long, value_name = "1..100", default_value_t = ultra_hdr::Options::default().quality)]
+    #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = ultra_hdr::Options::default().quality)]
     jpeg_quality: u8,
 
     /// Set the size of the gain map in .jpg, from which HDR displays restore the radiance
-    #[arg(long, value_parser = choice::<Resolution>(), default_value_t, value_name = "SIZE")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<Resolution>(), default_value_t, value_name = "SIZE")]
     gain_map: Resolution,
 }
 

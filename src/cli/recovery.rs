@@ -1,6 +1,7 @@
 //! Arguments of the commands that recover a response.
 
 use super::choice::choice;
+use super::heading::MERGE;
 use clap::Args;
 use hdralign::error::Error;
 use hdralign::response::ratios::Exposures;
@@ -8,17 +9,18 @@ use hdralign::response::{ResponseModel, mitsunaga_nayar};
 
 /// Response and exposures.
 #[derive(Debug, Args)]
+#[command(next_help_heading = MERGE)]
 pub struct Recovery {
     /// Set the method used to recover the camera response
-    #[arg(long, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
     response_model: ResponseModel,
 
     /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10 [default: the least that fits]
-    #[arg(long, value_name = "N")]
+    #[arg(long, hide_short_help = true, value_name = "N")]
     response_degree: Option<usize>,
 
     /// Set the exposure correction
-    #[arg(long, value_parser = choice::<Exposures>(), default_value_t, value_name = "HOW")]
+    #[arg(long, hide_short_help = true, value_parser = choice::<Exposures>(), default_value_t, value_name = "HOW")]
     pub exposures: Exposures,
 }
 

@@ -1,19 +1,21 @@
 //! Arguments of the commands that tone-map.
 
 use super::choice::Choice;
+use super::heading::PICTURE;
 use clap::{Args, FromArgMatches};
 use hdralign::error::Error;
 use hdralign::tonemap::{Operator, Rendering};
 
 /// Tone mapping.
 #[derive(Debug, Args)]
+#[command(next_help_heading = PICTURE)]
 pub struct Tone {
     /// Set the tone mapping operator
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set something of the tone mapping, as `brightness=0.5`; may be repeated. `--tmo-set help` lists what there is
-    #[arg(long, value_name = "KEY=VALUE", value_delimiter = ',')]
+    /// Set a parameter of the operator, as brightness=0.5; may be repeated. `--tmo-set help` lists them
+    #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }
 
