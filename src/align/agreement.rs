@@ -5,8 +5,8 @@
 //! cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), blind to gain and offset, within a few pixels
 //! about the place.
 
-use super::common_exposure::CommonExposure;
-use super::warp::map;
+use crate::align::common_exposure::CommonExposure;
+use crate::align::warp::map;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 /// Tiles along the long side.
 const TILES: usize = 16;
 /// Least side of a tile, in pixels: a narrower picture has none, and nothing can be said of it.
-pub(super) const LEAST_SIDE: usize = 8;
+pub(crate) const LEAST_SIDE: usize = 8;
 /// How far around its place a tile is sought, in pixels.
 const REACH: isize = 3;
 /// A tile says something where its trusted pixels' standard deviation is at least so many grey levels.

@@ -14,42 +14,42 @@
 //! Where that makes what is seen of them more likely by so much that a random walk would look like it by chance of 1 in 20 at most (20 is
 //! the Bayes factor that Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
 
-use super::place::{UNMOVED_PX, distance};
-use super::warp::Warp;
+use crate::align::place::{UNMOVED_PX, distance};
+use crate::align::warp::Warp;
 
 /// The share of assumed places that are worse than their stated error, if steps are as they are taken to be.
 const WORSE: f64 = 0.05;
 
 /// A frame whose place is known.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Known {
+pub(crate) struct Known {
     /// When it was taken: seconds, or its turn among all frames.
-    pub(super) turn: f64,
+    pub(crate) turn: f64,
     /// Its place.
-    pub(super) warp: Warp,
+    pub(crate) warp: Warp,
     /// The root mean square error of that over the picture, in pixels.
-    pub(super) error_px: f64,
+    pub(crate) error_px: f64,
 }
 
 /// Where a frame lies that was not seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Assumed {
+pub(crate) struct Assumed {
     /// Its place.
-    pub(super) warp: Warp,
+    pub(crate) warp: Warp,
     /// The root mean square distance over the picture, in pixels, that 19 of 20 such places keep.
-    pub(super) bound_px: f64,
+    pub(crate) bound_px: f64,
 }
 
 impl Assumed {
     /// The root mean square error that is expected: of a normal error in the plane a share of exp(-r^2) is farther off than r of these.
-    pub(super) fn expected_px(&self) -> f64 {
+    pub(crate) fn expected_px(&self) -> f64 {
         self.bound_px / (-libm::log(WORSE)).sqrt()
     }
 }
 
 /// Where the camera was at each turn, as far as that is known.
 #[derive(Debug, Clone)]
-pub(super) struct Track {
+pub(crate) struct Track {
     size: (usize, usize),
     /// By turn.
     known: Vec<Known>,
@@ -61,7 +61,7 @@ pub(super) struct Track {
 
 impl Track {
     /// The track through `known`, the frames of which are of `size`; none through a single place, which tells no step.
-    pub(super) fn new(mut known: Vec<Known>, size: (usize, usize)) -> Option<Self> {
+    pub(crate) fn new(mut known: Vec<Known>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.turn.total_cmp(&b.turn));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
         let mut track = Track { size, known, variance: 0.0, shaken: None };
@@ -100,12 +100,12 @@ impl Track {
     }
 
     /// Whether the camera stood still: all places are the same.
-    pub(super) fn is_still(&self) -> bool {
+    pub(crate) fn is_still(&self) -> bool {
         self.known.iter().all(|k| k.warp == self.known[0].warp)
     }
 
     /// Where the frame lies that was taken at `turn`.
-    pub(super) fn at(&self, turn: f64) -> Assumed {
+    pub(crate) fn at(&self, turn: f64) -> Assumed {
         let steps = self.known.len() - 1;
         if let Some((warp, scatter)) = self.shaken {
             let own = scatter * (1.0 + 1.0 / self.known.len() as f64);
@@ -161,8 +161,8 @@ fn between(a: &Warp, b: &Warp, part: f64, (width, height): (usize, usize)) -> Wa
 
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{rigid, shift, uniform};
     use super::*;
+    use crate::align::scene::{rigid, shift, uniform};
 
     const SIZE: (usize, usize) = (300, 200);
 

@@ -4,8 +4,8 @@
 //! their covariance means in pixels. Cost: none to speak of.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of warps.
 
-use super::Model;
-use super::warp::{Warp, centre};
+use crate::align::Model;
+use crate::align::warp::{Warp, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
@@ -18,7 +18,7 @@ const STRETCH: f64 = 0.001;
 const PERSPECTIVE: f64 = 0.005;
 
 /// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
-pub(super) struct Basis {
+pub(crate) struct Basis {
     model: Model,
     centre: (f64, f64),
     unit: f64,
@@ -29,14 +29,14 @@ pub(super) struct Basis {
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Basis {
-    pub(super) fn new(model: Model, width: usize, height: usize) -> Self {
+    pub(crate) fn new(model: Model, width: usize, height: usize) -> Self {
         let half = |n: usize| n as f64 / 2.0;
         let unit = (half(width) * half(width) + half(height) * half(height)).sqrt();
         Basis { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
     /// How many numbers the model has.
-    pub(super) fn numbers(&self) -> usize {
+    pub(crate) fn numbers(&self) -> usize {
         match self.model {
             Model::Unmoved => 0,
             Model::Shift => 2,
@@ -46,7 +46,7 @@ impl Basis {
     }
 
     /// d(place) / d(numbers) at (x, y), in pixels.
-    pub(super) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
+    pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
         match self.model {
@@ -70,14 +70,14 @@ impl Basis {
     }
 
     /// J^T g at (x, y).
-    pub(super) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
+    pub(crate) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
         let (gx, gy) = (f64::from(g[0]), f64::from(g[1]));
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
     /// Adds to A and b what is known beforehand of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise that is
     /// independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too much, and so must this.
-    pub(super) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
+    pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {
             return;
         }
@@ -125,13 +125,13 @@ impl Basis {
     }
 
     /// -A^-1 b; none where A is singular.
-    pub(super) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
+    pub(crate) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
         let step = -a.cholesky()?.solve(&b);
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
     /// The motion of the reference's pixels that the numbers `d` stand for.
-    pub(super) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
+    pub(crate) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),
             Model::Shift => Matrix3::new(1.0, 0.0, d[0], 0.0, 1.0, d[1], 0.0, 0.0, 1.0),
@@ -145,12 +145,12 @@ impl Basis {
     }
 
     /// The farthest that the motion `d` moves a corner, in pixels.
-    pub(super) fn largest_move(&self, d: &DVector<f64>) -> f64 {
+    pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
         Warp::Homography(self.matrix(d)).corner_distance(&Warp::Identity, self.size.0, self.size.1)
     }
 
     /// The root mean square over the picture of how far the motion `d` moves it, in pixels.
-    pub(super) fn mean_move(&self, d: &DVector<f64>) -> f64 {
+    pub(crate) fn mean_move(&self, d: &DVector<f64>) -> f64 {
         let sum: f64 = self
             .grid()
             .map(|(x, y)| {
@@ -163,7 +163,7 @@ impl Basis {
     }
 
     /// The root mean square over the picture of the error that A^-1, the covariance of the numbers, stands for, in pixels.
-    pub(super) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
+    pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
         let mut sum = 0.0;
         for (x, y) in self.grid() {

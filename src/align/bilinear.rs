@@ -3,25 +3,25 @@
 //! In: a grey plane and a [`Warp`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
 //! divisions and four pixels read for each. Source: any textbook's; the border pixel stands for those beyond.
 
-use super::warp::{Warp, map};
+use crate::align::warp::{Warp, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, floor64, integer64, vectorised};
 use nalgebra::Matrix3;
 
 /// A grey picture, and where the grid lies in it.
-pub(super) struct Laid<'a> {
+pub(crate) struct Laid<'a> {
     grey: &'a Plane<u8>,
     h: Matrix3<f64>,
 }
 
 impl<'a> Laid<'a> {
     /// `grey` as a grid of the same size sees it whose pixels `warp` takes into it.
-    pub(super) fn new(grey: &'a Plane<u8>, warp: &Warp) -> Self {
+    pub(crate) fn new(grey: &'a Plane<u8>, warp: &Warp) -> Self {
         Laid { grey, h: warp.matrix(grey.width(), grey.height()) }
     }
 
     /// Row `y` of the grid.
-    pub(super) fn row(&self, y: usize, out: &mut [u8]) {
+    pub(crate) fn row(&self, y: usize, out: &mut [u8]) {
         if self.grey.width() < 2 || self.grey.height() < 2 {
             out.iter_mut().enumerate().for_each(|(x, v)| *v = self.pixel(x, y));
         } else {
@@ -104,8 +104,8 @@ fn least(a: f64, b: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{Scene, Shot, perspective, rigid, shift};
     use super::*;
+    use crate::align::scene::{Scene, Shot, perspective, rigid, shift};
 
     #[test]
     fn rows_side_by_side_are_the_textbooks_pixels() {

@@ -42,12 +42,12 @@ impl Bitmap {
         self.width.div_ceil(64) + 2
     }
 
-    pub(super) fn row(&self, y: usize) -> &[u64] {
+    pub(crate) fn row(&self, y: usize) -> &[u64] {
         let stride = self.stride();
         &self.words[y * stride..(y + 1) * stride]
     }
 
-    pub(super) fn row_mut(&mut self, y: usize) -> &mut [u64] {
+    pub(crate) fn row_mut(&mut self, y: usize) -> &mut [u64] {
         let stride = self.stride();
         &mut self.words[y * stride..(y + 1) * stride]
     }
@@ -70,7 +70,7 @@ fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
 
 /// The 64 bits of a padded row that begin at pixel `bit`; zero outside the row.
 #[inline]
-pub(super) fn bits_from(row: &[u64], bit: i64) -> u64 {
+pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
     // The padding itself is zero: with less than a word and its neighbour in the row there is nothing.
     let first = usize::try_from((bit >> 6) + 1).unwrap_or(row.len());
     match row.get(first..).and_then(|r| r.first_chunk::<2>()) {
@@ -318,11 +318,11 @@ fn cross(
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// Blocks of several sizes, the same for the same seed.
-    pub(in super::super) fn scene(width: usize, height: usize, seed: usize) -> Plane<u8> {
+    pub(crate) fn scene(width: usize, height: usize, seed: usize) -> Plane<u8> {
         Plane::from_rows(width, height, |y, row| {
             for (x, v) in row.iter_mut().enumerate() {
                 let h = (x / 7 + seed).wrapping_mul(0x9E37_79B9) ^ (y / 5).wrapping_mul(0x85EB_CA6B);
@@ -331,7 +331,7 @@ pub(super) mod tests {
         })
     }
 
-    pub(in super::super) fn bitmaps(seed: usize, width: usize, height: usize) -> ThresholdBitmaps {
+    pub(crate) fn bitmaps(seed: usize, width: usize, height: usize) -> ThresholdBitmaps {
         ThresholdBitmaps::new(&scene(width, height, seed), &Zone::about(120, 4))
     }
 

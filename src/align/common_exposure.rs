@@ -2,14 +2,14 @@
 //!
 //! In: two frames, roughly aligned. Out: [`Tones`], a table of levels for each of them and what each level can be trusted; and with
 //! them the two planes ([`CommonExposure`]), smoothed. Cost: one pass over some samples; a table look-up and six multiply-adds a pixel.
-//! Source: Grossberg & Nayar 2003 (see [`intensity_map`](super::intensity_map)); Burt & Adelson, "The Laplacian Pyramid as a Compact
+//! Source: Grossberg & Nayar 2003 (see [`intensity_map`](crate::align::intensity_map)); Burt & Adelson, "The Laplacian Pyramid as a Compact
 //! Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
 //!
 //! The darker is mapped to the brighter because clipping is then the same in both; and it is mapped before it is smoothed, because
 //! the other way round the edges of clipped areas would move.
 
-use super::intensity_map::IntensityMap;
-use super::warp::map;
+use crate::align::intensity_map::IntensityMap;
+use crate::align::warp::map;
 use crate::plane::Plane;
 use crate::pyramid::binomial;
 use nalgebra::Matrix3;
@@ -118,9 +118,9 @@ fn trusts(map: &IntensityMap) -> [f32; 256] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{Scene, Shot};
-    use super::super::warp::Warp;
     use super::*;
+    use crate::align::scene::{Scene, Shot};
+    use crate::align::warp::Warp;
 
     #[test]
     fn two_exposures_become_alike_where_they_can_be_trusted() {

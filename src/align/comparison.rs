@@ -4,11 +4,11 @@
 //! is asked for, and the points of each level at which they are compared; each made once. Cost: that of [`CommonExposure`], and one pass
 //! over the reference for the points.
 
-use super::common_exposure::{CommonExposure, Tones};
-use super::cubic::BORDER;
-use super::mtb::GreyPyramid;
-use super::patch::Patches;
-use super::warp::Warp;
+use crate::align::common_exposure::{CommonExposure, Tones};
+use crate::align::cubic::BORDER;
+use crate::align::mtb::GreyPyramid;
+use crate::align::patch::Patches;
+use crate::align::warp::Warp;
 use crate::budget::Demand;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
@@ -82,7 +82,7 @@ pub struct Point {
 
 impl Point {
     /// The point at (x, y) whose surroundings in a smoothed plane are `level`, `left`, `right`, `up` and `down`.
-    pub(super) fn new((x, y): (usize, usize), level: f32, [left, right, up, down]: [f32; 4], tones: &Tones) -> Self {
+    pub(crate) fn new((x, y): (usize, usize), level: f32, [left, right, up, down]: [f32; 4], tones: &Tones) -> Self {
         let gradient = [0.5 * (right - left), 0.5 * (down - up)];
         let jitter = JITTER * JITTER * (gradient[0] * gradient[0] + gradient[1] * gradient[1]);
         let precision = 1.0 / (1.0 / tones.trust(level) + jitter).sqrt();
@@ -142,18 +142,18 @@ impl<'a> Comparison<'a> {
     }
 
     /// The points of [`finest_level`]: what `choose` gives, which is asked once.
-    pub(super) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
+    pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }
 
     /// What was read of the frame about its places of the [`fine_points`](Self::fine_points) when they were last refined; what `unread`
     /// gives, the first time. The places are much the same each time, and what is read there is.
-    pub(super) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
+    pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
         self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::anew)
     }
 
     /// Keeps what was read for the next time.
-    pub(super) fn keep_patches(&self, patches: Patches) {
+    pub(crate) fn keep_patches(&self, patches: Patches) {
         *self.patches.lock().unwrap_or_else(PoisonError::into_inner) = Some(patches);
     }
 

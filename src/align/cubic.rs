@@ -6,10 +6,10 @@
 use crate::plane::Plane;
 
 /// Pixels nearest the border that are not used: the reach of the derivative and of the interpolation.
-pub(super) const BORDER: usize = 3;
+pub(crate) const BORDER: usize = 3;
 /// Keys' cubic convolution at (u, v); none within [`BORDER`] - 1 pixels of the border.
 #[inline(always)]
-pub(super) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
+pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     let margin = (BORDER - 1) as f64;
     if !(u >= margin
         && v >= margin
@@ -30,7 +30,7 @@ pub(super) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
 
 /// Weights of the four samples about a place `t` of the way from the second to the third (Keys 1981, a = -1/2).
 #[inline(always)]
-pub(super) fn keys(t: f32) -> [f32; 4] {
+pub(crate) fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
 }

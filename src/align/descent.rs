@@ -6,14 +6,14 @@
 //! tries angle after angle (chapter 4), here the counts of each part of the picture, a pixel or two to either side, tell how far that part
 //! is displaced, and shift and rotation are the least-squares fit to all of them.
 
-use super::bitmap::{Crossings, Difference, ThresholdBitmaps, crossings, difference_shifted};
-use super::lay::{Motion, Rounding};
+use crate::align::bitmap::{Crossings, Difference, ThresholdBitmaps, crossings, difference_shifted};
+use crate::align::lay::{Motion, Rounding};
 use nalgebra::{SMatrix, SVector};
 
 /// A step by less changes nothing that matters, in pixels of the level.
 const SETTLED: f64 = 0.02;
 /// Where a smaller share of the pixels can be compared, the rate says nothing.
-pub(super) const LEAST_COMPARED: f64 = 0.1;
+pub(crate) const LEAST_COMPARED: f64 = 0.1;
 /// Parts of the picture along a side, each of which has an opinion on the motion.
 const PARTS: usize = 6;
 /// How far the motion, or a part from it, may be off before anything is known, in pixels of the level.
@@ -45,7 +45,7 @@ struct Vote {
 }
 
 /// Two frames' bitmaps at one level, and room to lay one on the other.
-pub(super) struct Descent<'a> {
+pub(crate) struct Descent<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
     laid: ThresholdBitmaps,
@@ -54,7 +54,7 @@ pub(super) struct Descent<'a> {
 
 impl<'a> Descent<'a> {
     /// For rotations of at most `max_angle` radians to either side, none where it is 0.
-    pub(super) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
+    pub(crate) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
         let laid = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
         Descent { reference, frame, laid, max_angle }
     }
@@ -68,7 +68,7 @@ impl<'a> Descent<'a> {
     }
 
     /// The root mean square distance of a pixel from the centre: what a rotation by a radian moves, in pixels.
-    pub(super) fn arm(&self) -> f64 {
+    pub(crate) fn arm(&self) -> f64 {
         let (width, height) = (self.width() as f64, self.height() as f64);
         ((width * width + height * height) / 12.0).sqrt()
     }
@@ -81,14 +81,14 @@ impl<'a> Descent<'a> {
     }
 
     /// The share that differs under `motion`; 1 where so little can be compared that it says nothing.
-    pub(super) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
+    pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
         self.frame.lay(motion, rounding, &mut self.laid);
         self.rate_beside(0, 0)
     }
 
     /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts and the angles that
     /// move a pixel by half of one and by one, in turn. For small pictures, whose parts have too little to say each.
-    pub(super) fn walk(&mut self, start: Motion) -> (f64, Motion) {
+    pub(crate) fn walk(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
         // Each round that goes on lowers the rate, so this ends; the bound is for plateaus of noise.
@@ -119,7 +119,7 @@ impl<'a> Descent<'a> {
     }
 
     /// From `start` to where the fewest pixels differ, in at most `rounds` steps.
-    pub(super) fn settle(&mut self, start: Motion, rounds: usize) -> Motion {
+    pub(crate) fn settle(&mut self, start: Motion, rounds: usize) -> Motion {
         let mut here = start;
         let height = self.height() as f64;
         for _ in 0..rounds {
@@ -141,7 +141,7 @@ impl<'a> Descent<'a> {
     /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the votes leave
     /// open of a shift and a rotation, and what they would still change about it if they could agree on any homography, less what chance
     /// makes of that.
-    pub(super) fn judge(&mut self, motion: &Motion) -> (Difference, f64) {
+    pub(crate) fn judge(&mut self, motion: &Motion) -> (Difference, f64) {
         let votes = self.votes(motion);
         let difference = difference_shifted(self.reference, &self.laid, 0, 0);
         let (rigid, homography) = (Fit::of(&votes, self.free()), Fit::of(&votes, HOMOGRAPHY));
@@ -291,10 +291,10 @@ const CAUCHY: f64 = 2.4;
 
 #[cfg(test)]
 mod tests {
-    use super::super::bitmap::Zone;
-    use super::super::scene::{Scene, Shot, photograph, rigid};
-    use super::super::warp::Warp;
     use super::*;
+    use crate::align::bitmap::Zone;
+    use crate::align::scene::{Scene, Shot, photograph, rigid};
+    use crate::align::warp::Warp;
 
     const SIZE: (usize, usize) = (384, 288);
 

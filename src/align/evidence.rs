@@ -2,22 +2,22 @@
 //!
 //! In: the grey pyramids of the reference and a frame, and the place that was found. Out: the bitmaps with the share of pixels that
 //! differ as the frame is turned and shifted; the keypoints; the matches of each kind of keypoint and whether the robust method believes them.
-//! Cost: that of both methods run to the end, some tenths of a second a frame. Nothing here decides anything: that is [`align`](super::align)'s.
+//! Cost: that of both methods run to the end, some tenths of a second a frame. Nothing here decides anything: that is [`align`](crate::align::align)'s.
 //! Source: Ward 2003, section 2; Lowe 2004, section 7.1; Tables 4.1 to 4.3 of the thesis, which hold plain, bitmap and merged keypoints
 //! against each other.
 
-use super::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
-use super::comparison::{level_to_full, measured_level};
-use super::feature_sets::{self, FeatureSets};
-use super::features::{Features, Keypoint};
-use super::homography::Pair;
-use super::lay::{Motion, Rounding};
-use super::mtb::{self, GreyPyramid};
-use super::place;
-use super::ransac::RansacOptions;
-use super::threshold::Percentile;
-use super::warp::{Warp, map};
-use super::{AlignOptions, KeypointCounts};
+use crate::align::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
+use crate::align::comparison::{level_to_full, measured_level};
+use crate::align::feature_sets::{self, FeatureSets};
+use crate::align::features::{Features, Keypoint};
+use crate::align::homography::Pair;
+use crate::align::lay::{Motion, Rounding};
+use crate::align::mtb::{self, GreyPyramid};
+use crate::align::place;
+use crate::align::ransac::RansacOptions;
+use crate::align::threshold::Percentile;
+use crate::align::warp::{Warp, map};
+use crate::align::{AlignOptions, KeypointCounts};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
@@ -247,7 +247,7 @@ impl Matching {
     }
 }
 
-/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that [`align`](super::align) gives.
+/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that [`align`](crate::align::align) gives.
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
     let of = |kind| feature_sets::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);

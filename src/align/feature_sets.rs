@@ -10,14 +10,14 @@
 //! percentiles, Ward's three among them: whatever the exposures, two frames have some in common that say something in both, and as each
 //! is matched with its like alone, no match can join two that cannot be the same.
 
-use super::features::{Features, Guide, Keypoint, match_mutual};
-use super::homography::{Pair, fit};
-use super::lmeds;
-use super::mtb::{GreyPyramid, MtbOptions};
-use super::ransac::{self, Consensus, RansacOptions, distance_squared};
-use super::sift::{self, SiftOptions};
-use super::warp::map;
-use super::{AlignOptions, KeypointCounts, RobustMethod};
+use crate::align::features::{Features, Guide, Keypoint, match_mutual};
+use crate::align::homography::{Pair, fit};
+use crate::align::lmeds;
+use crate::align::mtb::{GreyPyramid, MtbOptions};
+use crate::align::ransac::{self, Consensus, RansacOptions, distance_squared};
+use crate::align::sift::{self, SiftOptions};
+use crate::align::warp::map;
+use crate::align::{AlignOptions, KeypointCounts, RobustMethod};
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use nalgebra::Matrix3;
@@ -26,16 +26,16 @@ use std::collections::BTreeMap;
 
 /// Features of a frame: of the plain picture, and of its threshold bitmaps.
 #[derive(Debug, Clone, Default)]
-pub(super) struct FeatureSets {
-    pub(super) plain: Features,
+pub(crate) struct FeatureSets {
+    pub(crate) plain: Features,
     /// One set for each of [`PERCENTILES`].
-    pub(super) mtb: Vec<Features>,
-    pub(super) counts: KeypointCounts,
+    pub(crate) mtb: Vec<Features>,
+    pub(crate) counts: KeypointCounts,
 }
 
 impl FeatureSets {
     /// The keypoints of the bitmaps; what several have, once, as they are counted.
-    pub(super) fn of_bitmaps(&self) -> Vec<Keypoint> {
+    pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
         let mut places = Places::default();
         let mut all = Vec::with_capacity(self.counts.mtb);
         for set in &self.mtb {
@@ -47,14 +47,14 @@ impl FeatureSets {
 }
 
 /// Which of `points` are also among `others`: within a pixel, and of like scale.
-pub(super) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
+pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
     let mut places = Places::default();
     places.add(others);
     points.iter().map(|k| places.has(k)).collect()
 }
 
 /// The matches of all sets by the ratio alone, in pixels of the full size.
-pub(super) fn pairs(reference: &FeatureSets, frame: &FeatureSets, to_full: &Matrix3<f64>, ratio: f64) -> Vec<Pair> {
+pub(crate) fn pairs(reference: &FeatureSets, frame: &FeatureSets, to_full: &Matrix3<f64>, ratio: f64) -> Vec<Pair> {
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
@@ -64,7 +64,7 @@ const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 const SMOOTHING: f64 = 0.7;
 
 /// The features of a frame, on level `level` of its pyramid.
-pub(super) fn features(pyramid: &GreyPyramid, level: usize, sift: &SiftOptions, mtb: &MtbOptions) -> FeatureSets {
+pub(crate) fn features(pyramid: &GreyPyramid, level: usize, sift: &SiftOptions, mtb: &MtbOptions) -> FeatureSets {
     let grey = pyramid.level(level);
     let smooth = smoothed(grey);
     // What is finer than a pixel in a bitmap is the staircase of its edges: it is not doubled.
@@ -210,7 +210,7 @@ const ONE_PLACE: f32 = 1.5;
 
 /// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again among the matches
 /// near the places that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
-pub(super) fn by_matches(
+pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
     to_full: &Matrix3<f64>,
@@ -236,7 +236,7 @@ pub(super) fn by_matches(
 }
 
 /// The motion on which most of `pairs` agree, by `method`.
-pub(super) fn agreed(pairs: &[Pair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
+pub(crate) fn agreed(pairs: &[Pair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
     match method {
         RobustMethod::Ransac => ransac::search(pairs, options),
         RobustMethod::Lmeds => lmeds::search(pairs, options),

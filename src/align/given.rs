@@ -13,8 +13,8 @@
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
 //! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
 
-use super::warp::{Warp, corners, map};
-use super::{Alignment, KeypointCounts, Model, RejectedBy, Status, Verdict};
+use crate::align::warp::{Warp, corners, map};
+use crate::align::{Alignment, KeypointCounts, Model, RejectedBy, Status, Verdict};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;
@@ -66,7 +66,7 @@ impl Place {
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, wants the reference left out, or gives a place that is none.
-pub(super) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
+pub(crate) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
     let mut verdicts = vec![None; bracket.frames().len()];
     for Given { path, place } in given {
         let option = match place {

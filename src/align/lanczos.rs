@@ -8,15 +8,15 @@ use std::f64::consts::PI;
 use std::sync::LazyLock;
 
 /// Pixels under the kernel, along each axis.
-pub(super) const TAPS: usize = 6;
+pub(crate) const TAPS: usize = 6;
 /// Of these, how many lie before the pixel that the place falls behind.
-pub(super) const BEFORE: usize = 2;
+pub(crate) const BEFORE: usize = 2;
 /// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the steepest edge.
 const PHASES: usize = 1024;
 
 /// The first pixel under the kernel at `place`, brought into 0..=`last`, and the phase.
 #[inline(always)]
-pub(super) fn place(place: f64, last: f64) -> (i32, i32) {
+pub(crate) fn place(place: f64, last: f64) -> (i32, i32) {
     let place = if place > 0.0 { place } else { 0.0 };
     let place = if place < last { place } else { last };
     let whole = floor64(place);
@@ -25,11 +25,11 @@ pub(super) fn place(place: f64, last: f64) -> (i32, i32) {
 }
 
 /// The kernel's weights at each of its positions between two pixels.
-pub(super) struct Kernel {
+pub(crate) struct Kernel {
     pub weights: Vec<[f32; TAPS]>,
 }
 
-pub(super) static LANCZOS3: LazyLock<Kernel> = LazyLock::new(|| Kernel {
+pub(crate) static LANCZOS3: LazyLock<Kernel> = LazyLock::new(|| Kernel {
     weights: (0..=PHASES)
         .map(|phase| {
             let fraction = phase as f64 / PHASES as f64;

@@ -4,7 +4,7 @@
 //! shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each. Nothing is allocated. Source: the thesis turns the picture pixel by
 //! pixel (chapter 4); that a turned row is pieces of rows is ours.
 
-use super::bitmap::{ThresholdBitmaps, bits_from};
+use crate::align::bitmap::{ThresholdBitmaps, bits_from};
 
 /// A motion of the picture's pixels, reference -> frame: a rotation about the centre, then a shift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -144,9 +144,9 @@ impl ThresholdBitmaps {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bitmap::Bitmap;
-    use super::super::bitmap::tests::bitmaps;
     use super::*;
+    use crate::align::bitmap::Bitmap;
+    use crate::align::bitmap::tests::bitmaps;
 
     /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by `Places`.
     fn laid_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {

@@ -6,11 +6,11 @@
 //! and angle is tried a few candidates are followed by whole pixels; where the picture's parts have enough to say, the best goes down to
 //! the lowest point of the counts (`descent`).
 
-use super::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
-use super::descent::{Descent, LEAST_COMPARED};
-use super::lay::{Motion, Rounding};
-use super::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
-use super::warp::Warp;
+use crate::align::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
+use crate::align::descent::{Descent, LEAST_COMPARED};
+use crate::align::lay::{Motion, Rounding};
+use crate::align::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
+use crate::align::warp::Warp;
 use crate::budget::Demand;
 use crate::plane::Plane;
 use crate::pyramid;
@@ -34,7 +34,7 @@ impl Default for MtbOptions {
 }
 
 /// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
-pub(super) const COARSEST: usize = 32;
+pub(crate) const COARSEST: usize = 32;
 
 /// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
 #[derive(Debug, Clone)]
@@ -53,7 +53,7 @@ impl GreyPyramid {
 
     /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is searched, only two rows
     /// of it are ever there, and level 0 cannot be asked for.
-    pub(super) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
+    pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
             return Self::new(Plane::from_rows(width, height, row));
@@ -219,16 +219,16 @@ pub fn rivals(
 }
 
 /// The bitmaps of two frames at one level, cut at the same radiance.
-pub(super) struct Pair {
-    pub(super) reference: ThresholdBitmaps,
-    pub(super) frame: ThresholdBitmaps,
-    pub(super) percentile: Percentile,
+pub(crate) struct Pair {
+    pub(crate) reference: ThresholdBitmaps,
+    pub(crate) frame: ThresholdBitmaps,
+    pub(crate) percentile: Percentile,
     /// Where each was cut.
-    pub(super) zones: [Zone; 2],
+    pub(crate) zones: [Zone; 2],
 }
 
 impl Pair {
-    pub(super) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
+    pub(crate) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
         let exclusion = exclusion_at(level, exclusion);
         let histograms = (reference.histogram(level), frame.histogram(level));
         Pair::cut(reference.level(level), frame.level(level), histograms, exclusion)

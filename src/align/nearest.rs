@@ -2,11 +2,11 @@
 //!
 //! In: a bracket and where its frames lie. Out: of each frame that was placed, the codes of some rows, and where among them those of the
 //! reference's pixels are. Cost: a product of a matrix for each pixel asked for. For what bears to be moved by half a pixel: flat places,
-//! and counts over many pixels; where it does not, see [`resample`](super::resample).
+//! and counts over many pixels; where it does not, see [`resample`](crate::align::resample).
 
-use super::Alignment;
-use super::resample::rows_under;
-use super::warp::{Warp, map};
+use crate::align::Alignment;
+use crate::align::resample::rows_under;
+use crate::align::warp::{Warp, map};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use nalgebra::Matrix3;

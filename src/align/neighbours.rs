@@ -5,19 +5,19 @@
 //! places.
 //!
 //! A frame in which nearly all is black, or white, has little to be aligned by, and is often the one that matters: it holds the lamps. Where the
-//! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](super::assumed)).
+//! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::assumed)).
 
-use super::assumed::{Assumed, Known, Track};
-use super::comparison::{measured_level, on_level};
-use super::mtb::GreyPyramid;
-use super::place::{self, Candidate, tolerance_px};
-use super::search::{DECISIVE, Found, Search, placed};
-use super::seen::Shown;
-use super::warp::{Warp, map};
-use super::{Model, Status, Verdict};
+use crate::align::assumed::{Assumed, Known, Track};
+use crate::align::comparison::{measured_level, on_level};
+use crate::align::mtb::GreyPyramid;
+use crate::align::place::{self, Candidate, tolerance_px};
+use crate::align::search::{DECISIVE, Found, Search, placed};
+use crate::align::seen::Shown;
+use crate::align::warp::{Warp, map};
+use crate::align::{Model, Status, Verdict};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
-pub(super) const BY_COMPANY: f64 = 0.6;
+pub(crate) const BY_COMPANY: f64 = 0.6;
 /// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
 const COMPANY_PX: f64 = 1.0;
 /// With less confidence a frame's place tells nothing of others'.
@@ -39,7 +39,7 @@ const FEWEST: u64 = 16;
 impl Search<'_> {
     /// Frames that show little and are said to have moved though most frames stand exactly still are unmoved, unless their tiles are decidedly for the
     /// motion: what little there is, is easily led astray by a pixel.
-    pub(super) fn settle_still(&self, verdicts: &mut [Verdict]) {
+    pub(crate) fn settle_still(&self, verdicts: &mut [Verdict]) {
         let still = |v: &&Verdict| v.warp == Some(Warp::Identity) && v.confidence >= SURE;
         let sure = verdicts.iter().filter(|v| v.warp.is_some() && v.confidence >= SURE).count();
         if 2 * verdicts.iter().filter(still).count() <= sure.max(2) {
@@ -57,7 +57,7 @@ impl Search<'_> {
     }
 
     /// A frame that could not be aligned is unmoved where all the others are, or as good as, and its own tiles are for it rather than against it.
-    pub(super) fn keep_still(&self, verdicts: &mut [Verdict]) {
+    pub(crate) fn keep_still(&self, verdicts: &mut [Verdict]) {
         let (width, height) = self.size();
         let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.warp);
         let moves: Vec<f64> = others.map(|w| place::distance(&w, &Warp::Identity, width, height)).collect();
@@ -77,7 +77,7 @@ impl Search<'_> {
     }
 
     /// The frames whose place tells that of others.
-    pub(super) fn known(&self, verdicts: &[Verdict]) -> Vec<Known> {
+    pub(crate) fn known(&self, verdicts: &[Verdict]) -> Vec<Known> {
         let known = |(i, v): (usize, &Verdict)| {
             let warp = v.warp.filter(|_| v.confidence >= SURE)?;
             Some(Known { turn: self.turns[i], warp, error_px: v.error_px.unwrap_or(0.0) })
@@ -86,7 +86,7 @@ impl Search<'_> {
     }
 
     /// The frames that are nearly black or white get the places that the `known` ones let expect, where these tell them well enough to merge by.
-    pub(super) fn assume(&self, known: Vec<Known>, verdicts: &mut [Verdict]) {
+    pub(crate) fn assume(&self, known: Vec<Known>, verdicts: &mut [Verdict]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = Track::new(known, size) else { return };
         let before = verdicts.to_vec();
@@ -171,9 +171,9 @@ fn unmoved(here: &Candidate, had: &Verdict, error_px: f64) -> Verdict {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{Scene, Shot, shift};
-    use super::super::threshold::Histogram;
     use super::*;
+    use crate::align::scene::{Scene, Shot, shift};
+    use crate::align::threshold::Histogram;
 
     const SIZE: (usize, usize) = (384, 256);
 

@@ -4,7 +4,7 @@
 //! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight numbers. Source: Baker & Matthews, "Lucas-Kanade 20
 //! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
-use super::comparison::Point;
+use crate::align::comparison::Point;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, DVector};
 
@@ -13,7 +13,7 @@ const TUKEY: f32 = 4.685;
 
 /// What the points say of the first `n` numbers, in units of their `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
 /// the frame's level less the reference's, or not a number where the frame does not reach.
-pub(super) fn equations(
+pub(crate) fn equations(
     n: usize,
     points: &[Point],
     rows: &[[f64; 8]],

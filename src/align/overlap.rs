@@ -5,13 +5,13 @@
 //! logarithm of the area is concave in the other two: it has one top, found by halving. Where the height is negative it is concave itself,
 //! so that the search is led back; vertical edges bound the search.
 
-use super::Rect;
-use super::warp::Warp;
+use crate::align::Rect;
+use crate::align::warp::Warp;
 use nalgebra::Vector3;
 
 /// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
 /// have no pixel in common.
-pub(super) fn largest(warps: &[Warp], width: usize, height: usize) -> Option<Rect> {
+pub(crate) fn largest(warps: &[Warp], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is positive.
     let (upright, sloping): (Vec<_>, Vec<_>) = warps
@@ -90,8 +90,8 @@ fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::warp::map;
     use super::*;
+    use crate::align::warp::map;
     use nalgebra::Matrix3;
 
     /// Every rectangle with sides on a coarse grid: the largest that is covered.

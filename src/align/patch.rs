@@ -2,28 +2,28 @@
 //!
 //! In: a grey plane, a table of levels and a place. Out: the smoothed levels about it, and what lies between them. Cost: 12 x 12 look-ups
 //! and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in it. Source: [`binomial`](crate::pyramid::binomial)
-//! for the smoothing; Keys 1981 (see [`cubic`](super::cubic)).
+//! for the smoothing; Keys 1981 (see [`cubic`](crate::align::cubic)).
 
-use super::cubic::keys;
+use crate::align::cubic::keys;
 use crate::plane::Plane;
 
 /// Reach of the smoothing, in pixels.
 const REACH: usize = 2;
 /// Side of a patch of the frame: 4 x 4 pixels for the interpolation, and two on each side for the steps.
-pub(super) const SEEN: usize = 8;
+pub(crate) const SEEN: usize = 8;
 
 /// Column and row of a patch's first pixel, in pixels of the level.
-pub(super) type Origin = [i32; 2];
+pub(crate) type Origin = [i32; 2];
 
 /// Smoothed levels, by rows. Aligned so that two rows of eight lie in one line of the cache.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub(super) struct Patch<const N: usize>(pub(super) [[f32; N]; N]);
+pub(crate) struct Patch<const N: usize>(pub(crate) [[f32; N]; N]);
 
 impl<const N: usize> Patch<N> {
     /// Whether the smoothing of a patch of `plane` at `origin` stays within the border.
     #[inline(always)]
-    pub(super) fn fits(plane: &Plane<u8>, [left, top]: Origin) -> bool {
+    pub(crate) fn fits(plane: &Plane<u8>, [left, top]: Origin) -> bool {
         let (reach, far) = (REACH as i64, (N + REACH) as i64);
         let (left, top) = (i64::from(left), i64::from(top));
         left >= reach && top >= reach && left + far <= plane.width() as i64 && top + far <= plane.height() as i64
@@ -31,7 +31,7 @@ impl<const N: usize> Patch<N> {
 
     /// The patch of `plane` by `table` at `origin`, where it [`fits`](Self::fits), smoothed as the whole level would be.
     #[inline(always)]
-    pub(super) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
+    pub(crate) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
         let (left, top) = (left as usize, top as usize);
         let mut along = [[0.0f32; N]; 16];
         for (k, row) in along[..N + 2 * REACH].iter_mut().enumerate() {
@@ -60,7 +60,7 @@ impl Patch<SEEN> {
     /// Keys' cubic convolution at (u, v), in pixels of the level, the patch being at `origin`; none where it does not hold all sixteen
     /// samples.
     #[inline(always)]
-    pub(super) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
+    pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
         let inside = |t: f64| t >= 1.0 && t < (SEEN - 2) as f64;
         if !inside(u) || !inside(v) {
@@ -81,15 +81,15 @@ impl Patch<SEEN> {
 /// Patches of the frame, one for each of some points: where each was read last, what it holds, and whether the refinement that runs put
 /// it there. What an earlier one read is not read again at the same place, but no more is made of it.
 #[derive(Debug)]
-pub(super) struct Patches {
-    pub(super) origins: Vec<Origin>,
-    pub(super) values: Vec<Patch<SEEN>>,
-    pub(super) is_placed: Vec<bool>,
+pub(crate) struct Patches {
+    pub(crate) origins: Vec<Origin>,
+    pub(crate) values: Vec<Patch<SEEN>>,
+    pub(crate) is_placed: Vec<bool>,
 }
 
 impl Patches {
     /// None read yet, for so many points.
-    pub(super) fn unread(points: usize) -> Self {
+    pub(crate) fn unread(points: usize) -> Self {
         // No patch fits there.
         let nowhere = [-1, -1];
         Patches {
@@ -100,7 +100,7 @@ impl Patches {
     }
 
     /// The same for a refinement that begins.
-    pub(super) fn anew(mut self) -> Self {
+    pub(crate) fn anew(mut self) -> Self {
         self.is_placed.fill(false);
         self
     }

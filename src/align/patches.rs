@@ -4,9 +4,9 @@
 //! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
-use super::comparison::{Comparison, Point, finest_level, level_to_full, measured_level};
-use super::patch::{Origin, Patch, Patches, SEEN};
-use super::warp::map;
+use crate::align::comparison::{Comparison, Point, finest_level, level_to_full, measured_level};
+use crate::align::patch::{Origin, Patch, Patches, SEEN};
+use crate::align::warp::map;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
@@ -19,7 +19,7 @@ const PIECE: usize = 1024;
 
 /// Near each of the points of the level on which agreement is measured, the point of the finest level, which is larger, that says most
 /// about where it is.
-pub(super) fn points<'a>(pair: &'a Comparison) -> &'a [Point] {
+pub(crate) fn points<'a>(pair: &'a Comparison) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
         let (plane, tones) = (pair.reference().level(to), pair.tones(to));
@@ -58,7 +58,7 @@ impl Loops for Around<'_> {
 
 /// The frame's level less the reference's at every point under `h`, on the finest level; not a number where the frame does not reach. What
 /// the frame shows there is read into `seen` where it is not there yet.
-pub(super) fn residuals(pair: &Comparison, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
+pub(crate) fn residuals(pair: &Comparison, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
     let patches = seen.origins.par_chunks_mut(PIECE).zip(seen.values.par_chunks_mut(PIECE));
@@ -147,11 +147,11 @@ fn best_of(patch: &Patch<CHOICE>, trust: impl Fn(f32) -> f32) -> Option<(usize, 
 
 #[cfg(test)]
 mod tests {
-    use super::super::cubic;
-    use super::super::mtb::GreyPyramid;
-    use super::super::scene::{Scene, Shot, rigid};
-    use super::super::warp::Warp;
     use super::*;
+    use crate::align::cubic;
+    use crate::align::mtb::GreyPyramid;
+    use crate::align::scene::{Scene, Shot, rigid};
+    use crate::align::warp::Warp;
 
     /// Large enough for the finest level to be below that of agreement.
     const SIZE: (usize, usize) = (1000, 700);

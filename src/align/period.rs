@@ -4,9 +4,9 @@
 //! Source: Ward's bitmaps (2003), of the picture against itself. Away from where it lies, a picture that does not repeat differs by
 //! about half its pixels, or by less and less towards there; a facade hardly differs at its period, and much half-way.
 
-use super::bitmap::difference_shifted;
-use super::mtb::{GreyPyramid, MtbOptions};
-use super::threshold::own_percentile;
+use crate::align::bitmap::difference_shifted;
+use crate::align::mtb::{GreyPyramid, MtbOptions};
+use crate::align::threshold::own_percentile;
 use rayon::prelude::*;
 
 /// Short side of the level that is looked at: fine enough for the windows of a facade.
@@ -19,7 +19,7 @@ const LEAST: i64 = 5;
 const LEAST_DIFFERENCE: f64 = 0.03;
 
 /// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames sought.
-pub(super) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
+pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     let fits = |i: &usize| picture.size(*i).0.min(picture.size(*i).1) < SIDE;
     let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);
     let plane = picture.level(level);
@@ -49,9 +49,9 @@ pub(super) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{Scene, Shot, photograph};
-    use super::super::warp::Warp;
     use super::*;
+    use crate::align::scene::{Scene, Shot, photograph};
+    use crate::align::warp::Warp;
 
     const SIZE: (usize, usize) = (480, 320);
 

@@ -3,14 +3,14 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
-use super::Model;
-use super::agreement::{Agreement, Survey, survey};
-use super::bilinear::Laid;
-use super::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
-use super::mtb::{self, GreyPyramid, MtbOptions};
-use super::refine::{refine, restrict};
-use super::tile_fit::{self, TileFit};
-use super::warp::{Warp, corners, map};
+use crate::align::Model;
+use crate::align::agreement::{Agreement, Survey, survey};
+use crate::align::bilinear::Laid;
+use crate::align::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
+use crate::align::mtb::{self, GreyPyramid, MtbOptions};
+use crate::align::refine::{refine, restrict};
+use crate::align::tile_fit::{self, TileFit};
+use crate::align::warp::{Warp, corners, map};
 use crate::plane::Plane;
 use std::sync::Arc;
 
@@ -21,37 +21,37 @@ const SAME_PX: f64 = 0.03;
 /// A smaller model that is so many times farther off, before it is fitted, will not do.
 const HOPELESS: f64 = 5.0;
 /// A frame whose warp is no more than this is unmoved: resampling would cost more than it mends, in pixels.
-pub(super) const UNMOVED_PX: f64 = 0.2;
+pub(crate) const UNMOVED_PX: f64 = 0.2;
 
 /// A warp that was found for a frame, and what speaks for it.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate {
+pub(crate) struct Candidate {
     /// Reference pixel -> frame pixel.
-    pub(super) warp: Warp,
+    pub(crate) warp: Warp,
     /// The tiles' opinion, all together and each by itself.
-    pub(super) survey: Arc<Survey>,
+    pub(crate) survey: Arc<Survey>,
     /// What noise leaves, and what the tiles see, in pixels of the full size.
-    pub(super) error_px: f64,
+    pub(crate) error_px: f64,
     /// Of that, what the tiles see.
-    pub(super) seen_px: f64,
+    pub(crate) seen_px: f64,
     /// Whether it is where the tiles would have it, rather than the pixels.
-    pub(super) by_tiles: bool,
+    pub(crate) by_tiles: bool,
     /// How far what it was held against can itself be trusted, 0..=1.
-    pub(super) trust: f64,
+    pub(crate) trust: f64,
     /// An error at which the warp is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels across, more for a larger.
-    pub(super) tolerance_px: f64,
+    pub(crate) tolerance_px: f64,
     /// Whether features, by themselves, led to the same place.
-    pub(super) corroborated: bool,
+    pub(crate) corroborated: bool,
 }
 
 impl Candidate {
     /// The tiles' opinion, all together.
-    pub(super) fn agreement(&self) -> &Agreement {
+    pub(crate) fn agreement(&self) -> &Agreement {
         &self.survey.agreement
     }
 
     /// 0..=1: how much the tiles speak for it, less where they see it off by half a pixel or more.
-    pub(super) fn confidence(&self) -> f64 {
+    pub(crate) fn confidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().share() * self.agreement().coverage();
         let word = if self.corroborated { tiles.max(TWO_WITNESSES) } else { tiles };
@@ -59,21 +59,21 @@ impl Candidate {
     }
 
     /// How much speaks for it against others: the tiles that do, less those that speak against it.
-    pub(super) fn evidence(&self) -> f64 {
+    pub(crate) fn evidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().confirm as f64 - self.agreement().contradict as f64;
         self.trust * tiles / (1.0 + off * off)
     }
 
     /// Whether nothing more need be tried: nearly all tiles confirm, many of them, and none of them is off.
-    pub(super) fn is_settled(&self) -> bool {
+    pub(crate) fn is_settled(&self) -> bool {
         let spoke = self.agreement().confirm + self.agreement().contradict;
         self.agreement().confirm >= 12 && self.agreement().contradict * 40 <= spoke && self.error_px < 0.5
     }
 }
 
 /// The frame whose grey picture is `grey` on the reference's grid, that lies in it by `warp`; its border goes on where it does not reach.
-pub(super) fn laid_on_reference(grey: &Plane<u8>, warp: &Warp) -> GreyPyramid {
+pub(crate) fn laid_on_reference(grey: &Plane<u8>, warp: &Warp) -> GreyPyramid {
     let laid = Laid::new(grey, warp);
     GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| laid.row(y, row))
 }
@@ -82,7 +82,7 @@ pub(super) fn laid_on_reference(grey: &Plane<u8>, warp: &Warp) -> GreyPyramid {
 const TWO_WITNESSES: f64 = 0.7;
 
 /// What the bitmaps lead to, and the comparison that it was had from.
-pub(super) fn by_bitmaps<'a>(
+pub(crate) fn by_bitmaps<'a>(
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
     options: &MtbOptions,
@@ -94,7 +94,7 @@ pub(super) fn by_bitmaps<'a>(
 }
 
 /// What the bitmaps' other minima lead to: the best few refined to the end, then the others as far as they were followed.
-pub(super) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
+pub(crate) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> = mtb::rivals(pair.reference(), pair.frame(), angle, MOST_RIVALS, options)
         .into_iter()
@@ -115,7 +115,7 @@ const MOST_RIVALS: usize = 8;
 const BEST_RIVALS: usize = 2;
 
 /// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles; follows them where they see it off.
-pub(super) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Option<Candidate> {
+pub(crate) fn by_start(pair: &Comparison, start: &Warp, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
     let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
@@ -157,7 +157,7 @@ const SURE: f64 = 2.0;
 const TILES_SEE: f64 = 0.05;
 
 /// The tiles' opinion of `warp`.
-pub(super) fn judge(pair: &Comparison, warp: Warp, noise_px: f64) -> Candidate {
+pub(crate) fn judge(pair: &Comparison, warp: Warp, noise_px: f64) -> Candidate {
     judged(pair, warp, noise_px).0
 }
 
@@ -194,7 +194,7 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
 const TOLERANCE_PX: f64 = 1.5;
 
 /// [`Candidate::tolerance_px`] of pictures of this size.
-pub(super) fn tolerance_px((width, height): (usize, usize)) -> f64 {
+pub(crate) fn tolerance_px((width, height): (usize, usize)) -> f64 {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     TOLERANCE_PX * (diagonal / 2000.0).max(1.0)
 }
@@ -217,7 +217,7 @@ fn is_sane(warp: &Warp, (width, height): (usize, usize)) -> bool {
 }
 
 /// The root mean square distance over the picture of where two warps put a pixel.
-pub(super) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
+pub(crate) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
     const GRID: usize = 9;
     let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
     let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
@@ -232,7 +232,7 @@ pub(super) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
 }
 
 /// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
-pub(super) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
+pub(crate) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
     let (width, height) = pair.size();
     let level = measured_level(pair.reference());
     // Tiles cannot tell apart what lies nearer than this.

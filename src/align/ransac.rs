@@ -6,8 +6,8 @@
 //!
 //! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
 
-use super::homography::{Pair, fit};
-use super::warp::map;
+use crate::align::homography::{Pair, fit};
+use crate::align::warp::map;
 use nalgebra::Matrix3;
 
 /// When to believe a homography.
@@ -66,7 +66,7 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
 
 impl Consensus {
     /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with any.
-    pub(super) fn new(pairs: &[Pair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
+    pub(crate) fn new(pairs: &[Pair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
         let inliers = inliers(pairs, &homography, limit);
         // Four pairs always agree with themselves.
         if inliers.len() < 5 {
@@ -84,7 +84,7 @@ pub fn distance_squared(h: &Matrix3<f64>, pair: &Pair) -> f64 {
 }
 
 /// The homography of the four pairs that trial `trial` draws; none where no camera could have seen them so.
-pub(super) fn guess(pairs: &[Pair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
+pub(crate) fn guess(pairs: &[Pair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
     let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
     same_handed(&four).then(|| fit(&four, None))?
 }
@@ -93,7 +93,7 @@ fn score(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> f64 {
     pairs.iter().map(|p| distance_squared(h, p).min(limit)).sum()
 }
 
-pub(super) fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
+pub(crate) fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
@@ -121,7 +121,7 @@ fn polish(pairs: &[Pair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f6
 
 /// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) / ln(1 - q) where one trial
 /// does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most those of the options.
-pub(super) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
+pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
     let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
     // Both logarithms are negative, or 0 or infinite at the limits; the ratio that is no number is of q = 0 and p = 1.
     let trials = (libm::log1p(-options.confidence) / libm::log1p(-all_four)).ceil();
@@ -163,7 +163,7 @@ fn random(seed: u64, trial: u64, draw: u64) -> u64 {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
     pub(crate) const H: Matrix3<f64> = Matrix3::new(0.999, 0.02, -8.0, -0.021, 1.001, 15.0, 1e-6, 2e-6, 1.0);

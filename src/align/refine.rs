@@ -5,14 +5,14 @@
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
-use super::Model;
-use super::basis::Basis;
-use super::comparison::{Comparison, Point, finest_level, measured_level, off_level, on_level};
-use super::cubic::cubic;
-use super::normal;
-use super::patch::Patches;
-use super::patches;
-use super::warp::{Warp, map};
+use crate::align::Model;
+use crate::align::basis::Basis;
+use crate::align::comparison::{Comparison, Point, finest_level, measured_level, off_level, on_level};
+use crate::align::cubic::cubic;
+use crate::align::normal;
+use crate::align::patch::Patches;
+use crate::align::patches;
+use crate::align::warp::{Warp, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, Matrix3};
@@ -93,7 +93,7 @@ impl Loops for Residuals<'_> {
 }
 
 /// The warp of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
-pub(super) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
+pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
     let warp = Warp::Homography(*h);
     let (dx, dy) = warp.shift_px(width, height);
     match model {

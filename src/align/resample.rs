@@ -8,8 +8,8 @@
 //! The sum is taken down the columns first, then across them. Work goes by tiles: what a tile sees of the frame is made floats once, the
 //! border repeated beyond it, and neighbours that lie between the same rows at the same phase share the sums of their columns.
 
-use super::lanczos::{BEFORE, LANCZOS3, TAPS, place};
-use super::warp::{Warp, map};
+use crate::align::lanczos::{BEFORE, LANCZOS3, TAPS, place};
+use crate::align::warp::{Warp, map};
 use crate::bracket::{Codes, Window};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;

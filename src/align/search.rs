@@ -3,15 +3,15 @@
 //! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`place::by_bitmaps`]; for
 //! one in doubt some times as much.
 
-use super::agreement::LEAST_SIDE;
-use super::comparison::{Comparison, level_to_full, measured_level};
-use super::feature_sets::{self, FeatureSets};
-use super::mtb::{self, GreyPyramid};
-use super::period;
-use super::place::{self, Candidate};
-use super::seen::Seen;
-use super::warp::Warp;
-use super::{AlignOptions, KeypointCounts, Model, Status, Verdict};
+use crate::align::agreement::LEAST_SIDE;
+use crate::align::comparison::{Comparison, level_to_full, measured_level};
+use crate::align::feature_sets::{self, FeatureSets};
+use crate::align::mtb::{self, GreyPyramid};
+use crate::align::period;
+use crate::align::place::{self, Candidate};
+use crate::align::seen::Seen;
+use crate::align::warp::Warp;
+use crate::align::{AlignOptions, KeypointCounts, Model, Status, Verdict};
 use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 
@@ -30,30 +30,30 @@ const CORROBORATED: f64 = 2.0;
 const RIVAL_APART: f64 = 3.0;
 
 /// One run over a bracket.
-pub(super) struct Search<'a> {
+pub(crate) struct Search<'a> {
     /// The frames' grey pyramids.
-    pub(super) pyramids: &'a [GreyPyramid],
+    pub(crate) pyramids: &'a [GreyPyramid],
     /// ... and the whole pictures, which are made when they are asked for.
-    pub(super) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
+    pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// What each frame shows.
-    pub(super) seen: &'a [Seen],
+    pub(crate) seen: &'a [Seen],
     /// When each was taken: seconds, or its position in the order of all.
-    pub(super) turns: &'a [f64],
+    pub(crate) turns: &'a [f64],
     /// Whether all frames are of one tone each.
-    pub(super) is_plain: bool,
+    pub(crate) is_plain: bool,
     /// How many frames may be compared at a time.
-    pub(super) compared_at_once: usize,
+    pub(crate) compared_at_once: usize,
     /// How many frames may have their features sought at a time.
-    pub(super) detected_at_once: usize,
-    pub(super) reference: usize,
+    pub(crate) detected_at_once: usize,
+    pub(crate) reference: usize,
     /// The frames whose place is given.
-    pub(super) given: &'a [Option<Verdict>],
-    pub(super) options: &'a AlignOptions,
+    pub(crate) given: &'a [Option<Verdict>],
+    pub(crate) options: &'a AlignOptions,
 }
 
 /// What a frame is held against: the reference, or a neighbour laid on its grid.
-pub(super) struct Base<'a> {
-    pub(super) pyramid: Cow<'a, GreyPyramid>,
+pub(crate) struct Base<'a> {
+    pub(crate) pyramid: Cow<'a, GreyPyramid>,
     /// How far the neighbour itself may be off, in pixels.
     error_px: f64,
     /// How sure the neighbour's own place is.
@@ -78,14 +78,14 @@ struct Shared {
 
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Found {
-    pub(super) inliers: Option<usize>,
-    pub(super) keypoints: Option<KeypointCounts>,
+pub(crate) struct Found {
+    pub(crate) inliers: Option<usize>,
+    pub(crate) keypoints: Option<KeypointCounts>,
 }
 
 impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
-    pub(super) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
+    pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
             let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
             let seen = self.judged(i, found.warp());
@@ -95,7 +95,7 @@ impl Search<'_> {
     }
 
     /// From features alone: a homography.
-    pub(super) fn by_features_alone(&self) -> Vec<Verdict> {
+    pub(crate) fn by_features_alone(&self) -> Vec<Verdict> {
         let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
         let mut verdicts = self.each(|i| {
             let keypoints = Some(sets[i].counts);
@@ -116,7 +116,7 @@ impl Search<'_> {
     }
 
     /// By all means, as far as needed.
-    pub(super) fn auto(&self) -> Vec<Verdict> {
+    pub(crate) fn auto(&self) -> Vec<Verdict> {
         let (width, height) = self.size();
         if width.min(height) < LEAST_SIDE {
             let mut verdicts = self.each(|_| rejected(why(None), 0.0, Found::default()));
@@ -160,11 +160,11 @@ impl Search<'_> {
         }
     }
 
-    pub(super) fn base(&self) -> &GreyPyramid {
+    pub(crate) fn base(&self) -> &GreyPyramid {
         &self.pyramids[self.reference]
     }
 
-    pub(super) fn size(&self) -> (usize, usize) {
+    pub(crate) fn size(&self) -> (usize, usize) {
         self.base().size(0)
     }
 
@@ -192,7 +192,7 @@ impl Search<'_> {
     }
 
     /// Frame `i` placed by `warp`, as the tiles see it.
-    pub(super) fn judged(&self, i: usize, warp: Warp) -> Candidate {
+    pub(crate) fn judged(&self, i: usize, warp: Warp) -> Candidate {
         place::judge(&Comparison::new(self.base(), &self.pyramids[i], &warp), warp, 0.0)
     }
 
@@ -271,7 +271,7 @@ impl Search<'_> {
     }
 
     /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's pixels.
-    pub(super) fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
+    pub(crate) fn stand_in(&self, n: usize, verdict: &Verdict) -> Option<Base<'_>> {
         let warp = verdict.warp?;
         let pyramid = match warp {
             Warp::Identity => Cow::Borrowed(&self.pyramids[n]),
@@ -392,7 +392,7 @@ impl Pool {
 /// A candidate rivals another where so many times as much speaks for it.
 const RIVALRY: f64 = 0.4;
 /// Fewer nats leave it undecided which is right.
-pub(super) const DECISIVE: f64 = 2.0;
+pub(crate) const DECISIVE: f64 = 2.0;
 
 fn why(candidate: Option<&Candidate>) -> String {
     match candidate {
@@ -408,7 +408,7 @@ fn why(candidate: Option<&Candidate>) -> String {
     }
 }
 
-pub(super) fn placed(candidate: &Candidate, found: Found) -> Verdict {
+pub(crate) fn placed(candidate: &Candidate, found: Found) -> Verdict {
     let model = Model::of(&candidate.warp);
     Verdict {
         status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },

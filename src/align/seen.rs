@@ -2,15 +2,15 @@
 //!
 //! In: a bracket. Out: for each frame what is [seen](Seen) of it at a glance, its grey pyramid, and its turn. Cost: that of the pyramid.
 
-use super::mtb::GreyPyramid;
-use super::threshold::{Histogram, Percentile};
+use crate::align::mtb::GreyPyramid;
+use crate::align::threshold::{Histogram, Percentile};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 
 /// The turn of each frame of `bracket`: when it was taken, in seconds by the camera's clock, where all frames have that to fractions of a second;
 /// where the clock is coarser, its position in the order in which they were taken, names deciding between equal times; without a clock, its
 /// position by rising exposure.
-pub(super) fn turns(bracket: &Bracket) -> Vec<f64> {
+pub(crate) fn turns(bracket: &Bracket) -> Vec<f64> {
     let frames = bracket.frames();
     let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();
     let mut order: Vec<usize> = (0..frames.len()).collect();
@@ -30,17 +30,17 @@ pub(super) fn turns(bracket: &Bracket) -> Vec<f64> {
 
 /// How a frame is looked at.
 #[derive(Debug)]
-pub(super) struct Seen {
+pub(crate) struct Seen {
     /// The stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
-    pub(super) stops: Option<u32>,
+    pub(crate) stops: Option<u32>,
     /// Whether it is of one tone.
-    pub(super) is_plain: bool,
+    pub(crate) is_plain: bool,
     /// The tones beyond which it shows something, and the share of its pixels that do.
-    pub(super) shown: Shown,
+    pub(crate) shown: Shown,
 }
 
 impl Seen {
-    pub(super) fn of(whole: &Window) -> Self {
+    pub(crate) fn of(whole: &Window) -> Self {
         let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
         let (nearly_least, nearly_most) = (histogram.level(Percentile::new(1)), histogram.level(Percentile::new(99)));
         // What is brighter than nearly all may burn out: a lamp still has its edge.
@@ -55,13 +55,13 @@ impl Seen {
 
 /// What a frame shows beside the one tone that most of it may have: black or white.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Shown {
+pub(crate) struct Shown {
     /// Whether the tone is white: the rest is what is darker.
-    pub(super) is_white: bool,
+    pub(crate) is_white: bool,
     /// The level of the picture as it is [looked at](Seen::stops) from which up, or where it is white down, a pixel shows something.
-    pub(super) level: u8,
+    pub(crate) level: u8,
     /// The share of the pixels that do, 0..=1.
-    pub(super) share: f64,
+    pub(crate) share: f64,
 }
 
 impl Shown {
@@ -80,7 +80,7 @@ impl Shown {
 }
 
 /// How `frame` is looked at, and its grey pyramid but for the full size.
-pub(super) fn look(frame: &Frame) -> Result<(Seen, GreyPyramid)> {
+pub(crate) fn look(frame: &Frame) -> Result<(Seen, GreyPyramid)> {
     let whole = frame.whole()?;
     let seen = Seen::of(&whole);
     let size = (frame.width(), frame.height());

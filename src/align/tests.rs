@@ -1,7 +1,7 @@
 //! Whole brackets: every frame's verdict.
 
-use super::scene::{Scene, Shot, rigid, shift};
 use super::*;
+use crate::align::scene::{Scene, Shot, rigid, shift};
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
 use crate::plane::Plane;

@@ -5,8 +5,8 @@
 //! of their pixels tell, is ours: a zone of 4 levels is some stops in a dark frame and a fraction of one in a bright one, the median
 //! itself goes with what is in the picture, and where the picture is smooth either would move its contours.
 
-use super::bitmap::Zone;
-use super::lay::Motion;
+use crate::align::bitmap::Zone;
+use crate::align::lay::Motion;
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 

@@ -3,12 +3,12 @@
 //! In: a [`Survey`] of how the tiles lie under a warp. Out: the small motion that takes most of them where they match best, and how
 //! well they determine it. Cost: none to speak of, beside the survey.
 //! Flare, a long exposure's blur, or noise that bends the intensity map displace the level at every edge to the same side, and
-//! [`refine`](super::refine) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
+//! [`refine`](crate::align::refine) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
 //! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
 
-use super::Model;
-use super::agreement::{Displaced, Survey};
-use super::basis::Basis;
+use crate::align::Model;
+use crate::align::agreement::{Displaced, Survey};
+use crate::align::basis::Basis;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Fewer tiles say nothing.
@@ -24,19 +24,19 @@ const ROUNDS: usize = 5;
 
 /// What the tiles make of a warp.
 #[derive(Debug, Clone)]
-pub(super) struct TileFit {
+pub(crate) struct TileFit {
     /// The warp that they would have, in pixels of the planes.
-    pub(super) h: Matrix3<f64>,
+    pub(crate) h: Matrix3<f64>,
     /// How far that is from the one they were asked about, as root mean square over the picture, in pixels of the planes.
-    pub(super) moved: f64,
+    pub(crate) moved: f64,
     /// How well they know it, the same way.
-    pub(super) error: f64,
+    pub(crate) error: f64,
     /// How sure they are that it is another: the motion in units of what they can err, 1 or so where it is the same.
-    pub(super) surprise: f64,
+    pub(crate) surprise: f64,
 }
 
 /// What the tiles of `survey`, of planes of `size`, make of the warp `h` under which they were surveyed; none where they are too few.
-pub(super) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
+pub(crate) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
     let tiles = &survey.displaced;
     if tiles.len() < LEAST_TILES {
         return None;

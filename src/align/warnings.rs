@@ -3,20 +3,20 @@
 //! In: a bracket, and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all placed frames cover. Cost: that of the
 //! [overlap](overlap::largest).
 
-use super::overlap;
-use super::warp::Warp;
-use super::{Rect, Status, Verdict};
+use crate::align::overlap;
+use crate::align::warp::Warp;
+use crate::align::{Rect, Status, Verdict};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 
 /// A place with less confidence is told to the user.
 const DOUBT: f64 = 0.5;
 /// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`](super::mtb::MtbOptions::max_shift) each way along the long side) leave 0.7.
+/// ([`MtbOptions::max_shift`](crate::align::mtb::MtbOptions::max_shift) each way along the long side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// What there is to say of single frames.
-pub(super) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
+pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
     warnings
@@ -51,7 +51,7 @@ pub(super) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
 }
 
 /// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
-pub(super) fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
+pub(crate) fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
     let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
     let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();

@@ -1,9 +1,9 @@
 //! What the tiles say of warps that are right, and of such as are wrong by a known amount.
 
-use super::super::common_exposure::Tones;
-use super::super::scene::{Scene, Shot, photograph, rigid, shift};
-use super::super::warp::Warp;
 use super::*;
+use crate::align::common_exposure::Tones;
+use crate::align::scene::{Scene, Shot, photograph, rigid, shift};
+use crate::align::warp::Warp;
 
 const SIZE: (usize, usize) = (480, 320);
 

@@ -1,9 +1,9 @@
 //! What the bitmaps add: points in dark frames, the same ones in both, and each counted once.
 
-use super::super::comparison::measured_level;
-use super::super::scene::{Scene, Shot, perspective};
-use super::super::warp::Warp;
 use super::*;
+use crate::align::comparison::measured_level;
+use crate::align::scene::{Scene, Shot, perspective};
+use crate::align::warp::Warp;
 
 const SIZE: (usize, usize) = (480, 320);
 
@@ -60,7 +60,7 @@ fn noise_about_a_threshold_makes_few_points() {
     // A plain surface of noise, half above its median and half below.
     let flat = |_: f64, _: f64| 1.0;
     let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
-    let noise = super::super::scene::photograph(SIZE, &Warp::Identity, shot, flat);
+    let noise = crate::align::scene::photograph(SIZE, &Warp::Identity, shot, flat);
     let smooth = smoothed(&noise);
     let median = thresholds(&smooth)[3];
     let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };

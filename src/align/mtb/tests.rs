@@ -1,8 +1,8 @@
 //! The percentiles, and the search against motions that are known and against the textbook's loop.
 
-use super::super::scene::{Scene, Shot, photograph, rigid, shift, uniform};
-use super::super::threshold::own_percentile;
 use super::*;
+use crate::align::scene::{Scene, Shot, photograph, rigid, shift, uniform};
+use crate::align::threshold::own_percentile;
 
 fn plane(values: &[(u8, usize)]) -> Plane<u8> {
     let data: Vec<u8> = values.iter().flat_map(|&(v, n)| std::iter::repeat_n(v, n)).collect();

@@ -1,7 +1,7 @@
 //! One frame: the model that is chosen, and what holds a wrong one off.
 
-use super::super::scene::{Scene, Shot, perspective, rigid, shift};
 use super::*;
+use crate::align::scene::{Scene, Shot, perspective, rigid, shift};
 use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);

@@ -1,8 +1,8 @@
 //! Refinement against motions that are known: between exposures, with noise, clipping and things that move.
 
-use super::super::mtb::GreyPyramid;
-use super::super::scene::{Scene, Shot, perspective, photograph, rigid, shift};
 use super::*;
+use crate::align::mtb::GreyPyramid;
+use crate::align::scene::{Scene, Shot, perspective, photograph, rigid, shift};
 use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (400, 300);

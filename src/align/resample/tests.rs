@@ -1,5 +1,5 @@
-use super::super::lanczos::lanczos3;
 use super::*;
+use crate::align::lanczos::lanczos3;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, Samples};
 

@@ -10,7 +10,7 @@ mod gradient;
 mod orientation;
 mod scale_space;
 
-use super::features::{Features, Keypoint};
+use crate::align::features::{Features, Keypoint};
 use crate::plane::Plane;
 use rayon::prelude::*;
 use scale_space::ScaleSpace;
@@ -38,7 +38,7 @@ impl Default for SiftOptions {
     }
 }
 
-/// The features of `grey`, sorted by place. The options are within the ranges of [`AlignOptions::validate`](super::AlignOptions::validate).
+/// The features of `grey`, sorted by place. The options are within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     let base = Plane::from_rows(grey.width(), grey.height(), |y, row| {
         for (v, g) in row.iter_mut().zip(grey.row(y)) {
@@ -48,7 +48,7 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     let space = ScaleSpace::new(&base, options);
     let mut found = extrema::find(&space, options);
     spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| e.keypoint(&space, 0.0));
-    let described: Vec<Vec<(Keypoint, super::features::Descriptor)>> = found
+    let described: Vec<Vec<(Keypoint, crate::align::features::Descriptor)>> = found
         .par_iter()
         .map(|extremum| {
             let level = extremum.level(&space);
