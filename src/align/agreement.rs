@@ -6,7 +6,7 @@
 //! about the place.
 
 use crate::align::common_exposure::CommonExposure;
-use crate::align::warp::map;
+use crate::align::transform::map;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;

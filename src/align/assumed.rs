@@ -14,8 +14,8 @@
 //! Where that makes what is seen of them more likely by so much that a random walk would look like it by chance of 1 in 20 at most (20 is
 //! the Bayes factor that Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
 
-use crate::align::place::{UNMOVED_PX, distance};
-use crate::align::warp::Warp;
+use crate::align::place::UNMOVED_PX;
+use crate::align::transform::{Warp, distance};
 
 /// The share of assumed places that are worse than their stated error, if steps are as they are taken to be.
 const WORSE: f64 = 0.05;

@@ -3,7 +3,7 @@
 //! In: a grey plane and a [`Warp`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
 //! divisions and four pixels read for each. Source: any textbook's; the border pixel stands for those beyond.
 
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Warp, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, floor64, integer64, vectorised};
 use nalgebra::Matrix3;

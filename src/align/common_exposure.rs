@@ -9,7 +9,7 @@
 //! the other way round the edges of clipped areas would move.
 
 use crate::align::intensity_map::IntensityMap;
-use crate::align::warp::map;
+use crate::align::transform::map;
 use crate::plane::Plane;
 use crate::pyramid::binomial;
 use nalgebra::Matrix3;
@@ -120,7 +120,7 @@ fn trusts(map: &IntensityMap) -> [f32; 256] {
 mod tests {
     use super::*;
     use crate::align::scene::{Scene, Shot};
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
 
     #[test]
     fn two_exposures_become_alike_where_they_can_be_trusted() {

@@ -8,7 +8,7 @@ use crate::align::common_exposure::{CommonExposure, Tones};
 use crate::align::cubic::BORDER;
 use crate::align::mtb::GreyPyramid;
 use crate::align::patch::Patches;
-use crate::align::warp::Warp;
+use crate::align::transform::{Warp, on_level};
 use crate::budget::Demand;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
@@ -37,31 +37,6 @@ pub fn measured_level(pyramid: &GreyPyramid) -> usize {
 /// The largest level on which points are compared.
 pub fn finest_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, REFINED_PIXELS)
-}
-
-/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
-pub fn level_to_full(level: usize) -> Matrix3<f64> {
-    let scale = (1u64 << level) as f64;
-    let offset = (scale - 1.0) / 2.0;
-    Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
-}
-
-/// Pixel of level `level` from pixel of the full size.
-fn full_to_level(level: usize) -> Matrix3<f64> {
-    let scale = (1u64 << level) as f64;
-    let offset = (1.0 - scale) / (2.0 * scale);
-    Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)
-}
-
-/// `h`, between pixels of the full size, as a matrix between pixels of level `level`.
-pub fn on_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
-    full_to_level(level) * h * level_to_full(level)
-}
-
-/// `h`, between pixels of level `level`, as a matrix between pixels of the full size; its lower right number is 1.
-pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
-    let whole = level_to_full(level) * h * full_to_level(level);
-    whole / whole[(2, 2)]
 }
 
 /// A pixel of the reference that is compared.

@@ -294,7 +294,7 @@ mod tests {
     use super::*;
     use crate::align::bitmap::Zone;
     use crate::align::scene::{Scene, Shot, photograph, rigid};
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
 
     const SIZE: (usize, usize) = (384, 288);
 

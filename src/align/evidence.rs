@@ -7,16 +7,15 @@
 //! against each other.
 
 use crate::align::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
-use crate::align::comparison::{level_to_full, measured_level};
+use crate::align::comparison::measured_level;
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::features::{Features, Keypoint};
 use crate::align::homography::Pair;
 use crate::align::lay::{Motion, Rounding};
 use crate::align::mtb::{self, GreyPyramid};
-use crate::align::place;
 use crate::align::ransac::RansacOptions;
 use crate::align::threshold::Percentile;
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Warp, distance, level_to_full, map};
 use crate::align::{AlignOptions, KeypointCounts};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -265,7 +264,7 @@ pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &Ali
 
 /// The root mean square distance over a picture of `size` of where two warps put a pixel, in pixels.
 pub fn distance_px(a: &Warp, b: &Warp, size: (usize, usize)) -> f64 {
-    place::distance(a, b, size.0, size.1)
+    distance(a, b, size.0, size.1)
 }
 
 #[cfg(test)]

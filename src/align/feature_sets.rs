@@ -12,12 +12,11 @@
 
 use crate::align::features::{Features, Guide, Keypoint, match_mutual};
 use crate::align::homography::{Pair, fit};
-use crate::align::lmeds;
 use crate::align::mtb::{GreyPyramid, MtbOptions};
 use crate::align::ransac::{self, Consensus, RansacOptions, distance_squared};
 use crate::align::sift::{self, SiftOptions};
-use crate::align::warp::map;
-use crate::align::{AlignOptions, KeypointCounts, RobustMethod};
+use crate::align::transform::map;
+use crate::align::{AlignOptions, KeypointCounts, RobustMethod, lmeds};
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use nalgebra::Matrix3;

@@ -5,7 +5,7 @@
 //! and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive Image Features from
 //! Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest to the second nearest).
 
-use crate::align::warp::map;
+use crate::align::transform::map;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::f32::consts::PI;

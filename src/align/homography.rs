@@ -3,7 +3,7 @@
 //! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right number 1. Cost: 45 multiply-adds a
 //! pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.2.
 
-use crate::align::warp::map;
+use crate::align::transform::map;
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// A point of the reference and the same point of the frame, in pixels.

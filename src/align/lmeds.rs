@@ -76,7 +76,7 @@ fn median_of_squares(pairs: &[Pair], h: &Matrix3<f64>) -> f64 {
 mod tests {
     use super::*;
     use crate::align::ransac::tests::{H, pairs};
-    use crate::align::warp::map;
+    use crate::align::transform::map;
 
     #[test]
     fn finds_the_homography_where_two_fifths_are_wrong() {

@@ -12,7 +12,6 @@
 
 pub mod agreement;
 mod assumed;
-mod basis;
 mod bilinear;
 pub mod bitmap;
 pub mod common_exposure;
@@ -47,8 +46,8 @@ mod seen;
 pub mod sift;
 pub mod threshold;
 mod tile_fit;
+pub mod transform;
 mod warnings;
-pub mod warp;
 
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
@@ -60,7 +59,8 @@ use search::Search;
 use seen::{Seen, look, turns};
 use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
-use warp::Warp;
+pub use transform::Model;
+use transform::Warp;
 
 /// Which methods seek the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -199,32 +199,6 @@ impl Status {
             Status::Rejected => Some(RejectedBy::Alignment),
             Status::Excluded => Some(RejectedBy::User),
             Status::Flash => Some(RejectedBy::Flash),
-        }
-    }
-}
-
-/// What a warp is allowed to do, from the least to the most.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// Nothing.
-    Unmoved,
-    /// Shift: two numbers.
-    Shift,
-    /// Shift and rotation about the centre: three numbers.
-    Rigid,
-    /// Any view of a plane, or any turn of the camera: eight numbers.
-    Homography,
-}
-
-impl Model {
-    /// The model that `warp` is of.
-    pub fn of(warp: &Warp) -> Self {
-        match *warp {
-            Warp::Identity => Model::Unmoved,
-            Warp::Rigid { angle: 0.0, .. } => Model::Shift,
-            Warp::Rigid { .. } => Model::Rigid,
-            Warp::Homography(_) => Model::Homography,
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::align::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifte
 use crate::align::descent::{Descent, LEAST_COMPARED};
 use crate::align::lay::{Motion, Rounding};
 use crate::align::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::budget::Demand;
 use crate::plane::Plane;
 use crate::pyramid;

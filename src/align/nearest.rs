@@ -6,7 +6,7 @@
 
 use crate::align::Alignment;
 use crate::align::resample::rows_under;
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Warp, map};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use nalgebra::Matrix3;

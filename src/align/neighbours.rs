@@ -8,13 +8,13 @@
 //! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::assumed)).
 
 use crate::align::assumed::{Assumed, Known, Track};
-use crate::align::comparison::{measured_level, on_level};
+use crate::align::comparison::measured_level;
 use crate::align::mtb::GreyPyramid;
-use crate::align::place::{self, Candidate, tolerance_px};
+use crate::align::place::{Candidate, tolerance_px};
 use crate::align::search::{DECISIVE, Found, Search, placed};
 use crate::align::seen::Shown;
-use crate::align::warp::{Warp, map};
-use crate::align::{Model, Status, Verdict};
+use crate::align::transform::{Model, Warp, distance, map, on_level};
+use crate::align::{Status, Verdict};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
 pub(crate) const BY_COMPANY: f64 = 0.6;
@@ -60,7 +60,7 @@ impl Search<'_> {
     pub(crate) fn keep_still(&self, verdicts: &mut [Verdict]) {
         let (width, height) = self.size();
         let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.warp);
-        let moves: Vec<f64> = others.map(|w| place::distance(&w, &Warp::Identity, width, height)).collect();
+        let moves: Vec<f64> = others.map(|w| distance(&w, &Warp::Identity, width, height)).collect();
         let farthest = moves.iter().copied().fold(0.0, f64::max);
         if moves.is_empty() || farthest > COMPANY_PX {
             return;

@@ -6,7 +6,7 @@
 //! so that the search is led back; vertical edges bound the search.
 
 use crate::align::Rect;
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use nalgebra::Vector3;
 
 /// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
@@ -91,7 +91,7 @@ fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::map;
+    use crate::align::transform::map;
     use nalgebra::Matrix3;
 
     /// Every rectangle with sides on a coarse grid: the largest that is covered.

@@ -4,9 +4,9 @@
 //! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
-use crate::align::comparison::{Comparison, Point, finest_level, level_to_full, measured_level};
+use crate::align::comparison::{Comparison, Point, finest_level, measured_level};
 use crate::align::patch::{Origin, Patch, Patches, SEEN};
-use crate::align::warp::map;
+use crate::align::transform::{level_to_full, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
@@ -151,7 +151,7 @@ mod tests {
     use crate::align::cubic;
     use crate::align::mtb::GreyPyramid;
     use crate::align::scene::{Scene, Shot, rigid};
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
 
     /// Large enough for the finest level to be below that of agreement.
     const SIZE: (usize, usize) = (1000, 700);

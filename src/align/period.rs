@@ -51,7 +51,7 @@ pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
 mod tests {
     use super::*;
     use crate::align::scene::{Scene, Shot, photograph};
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
 
     const SIZE: (usize, usize) = (480, 320);
 

@@ -3,14 +3,13 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
-use crate::align::Model;
 use crate::align::agreement::{Agreement, Survey, survey};
 use crate::align::bilinear::Laid;
-use crate::align::comparison::{Comparison, finest_level, level_to_full, measured_level, off_level, on_level};
+use crate::align::comparison::{Comparison, finest_level, measured_level};
 use crate::align::mtb::{self, GreyPyramid, MtbOptions};
-use crate::align::refine::{refine, restrict};
+use crate::align::refine::refine;
 use crate::align::tile_fit::{self, TileFit};
-use crate::align::warp::{Warp, corners, map};
+use crate::align::transform::{Model, Warp, corners, distance, level_to_full, map, off_level, on_level, restrict};
 use crate::plane::Plane;
 use std::sync::Arc;
 
@@ -214,21 +213,6 @@ fn is_sane(warp: &Warp, (width, height): (usize, usize)) -> bool {
     };
     warp.corner_distance(&Warp::Identity, width, height) < diagonal / 3.0
         && (0..4).all(|i| (0.5..2.0).contains(&(side(&after, i) / side(&before, i).max(1.0))))
-}
-
-/// The root mean square distance over the picture of where two warps put a pixel.
-pub(crate) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
-    const GRID: usize = 9;
-    let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
-    let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
-    let sum: f64 = (0..GRID * GRID)
-        .map(|i| {
-            let (x, y) = (place(i % GRID, width), place(i / GRID, height));
-            let ((ax, ay), (bx, by)) = (map(&ha, x, y), map(&hb, x, y));
-            (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
-        })
-        .sum();
-    (sum / (GRID * GRID) as f64).sqrt()
 }
 
 /// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.

@@ -7,7 +7,7 @@
 //! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
 
 use crate::align::homography::{Pair, fit};
-use crate::align::warp::map;
+use crate::align::transform::map;
 use nalgebra::Matrix3;
 
 /// When to believe a homography.

@@ -5,14 +5,11 @@
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
-use crate::align::Model;
-use crate::align::basis::Basis;
-use crate::align::comparison::{Comparison, Point, finest_level, measured_level, off_level, on_level};
+use crate::align::comparison::{Comparison, Point, finest_level, measured_level};
 use crate::align::cubic::cubic;
-use crate::align::normal;
 use crate::align::patch::Patches;
-use crate::align::patches;
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Increment, Model, Warp, map, off_level, on_level, restrict, to_warp};
+use crate::align::{normal, patches};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, Matrix3};
@@ -92,32 +89,6 @@ impl Loops for Residuals<'_> {
     }
 }
 
-/// The warp of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
-pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
-    let warp = Warp::Homography(*h);
-    let (dx, dy) = warp.shift_px(width, height);
-    match model {
-        Model::Unmoved => Matrix3::identity(),
-        Model::Shift => Warp::Rigid { dx, dy, angle: 0.0 }.matrix(width, height),
-        Model::Rigid => {
-            let angle = warp.rotation_deg(width, height).to_radians();
-            Warp::Rigid { dx, dy, angle }.matrix(width, height)
-        }
-        Model::Homography => *h,
-    }
-}
-
-fn to_warp(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Warp {
-    let whole = Warp::Homography(h / h[(2, 2)]);
-    let (dx, dy) = whole.shift_px(width, height);
-    match model {
-        Model::Unmoved => Warp::Identity,
-        Model::Shift => Warp::Rigid { dx, dy, angle: 0.0 },
-        Model::Rigid => Warp::Rigid { dx, dy, angle: whole.rotation_deg(width, height).to_radians() },
-        Model::Homography => whole,
-    }
-}
-
 /// One level: the points, and what is small there.
 struct Stage<'a> {
     points: &'a [Point],
@@ -143,7 +114,7 @@ impl<'a> Stage<'a> {
     ) -> Option<(Matrix3<f64>, f64)> {
         let (width, height) = self.size;
         let mut h = on_level(&h_full, self.level);
-        let basis = Basis::new(model, width, height);
+        let basis = Increment::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
         let mut left = vec![0.0f32; self.points.len()];
         let mut normal = DMatrix::zeros(basis.numbers(), basis.numbers());

@@ -9,7 +9,7 @@
 //! border repeated beyond it, and neighbours that lie between the same rows at the same phase share the sums of their columns.
 
 use crate::align::lanczos::{BEFORE, LANCZOS3, TAPS, place};
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Warp, map};
 use crate::bracket::{Codes, Window};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;

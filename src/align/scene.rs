@@ -3,7 +3,7 @@
 //!
 //! In: a seed, a warp, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
 
-use crate::align::warp::{Warp, map};
+use crate::align::transform::{Warp, map};
 use crate::plane::Plane;
 
 /// What there is to see.

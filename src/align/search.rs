@@ -4,14 +4,13 @@
 //! one in doubt some times as much.
 
 use crate::align::agreement::LEAST_SIDE;
-use crate::align::comparison::{Comparison, level_to_full, measured_level};
+use crate::align::comparison::{Comparison, measured_level};
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::mtb::{self, GreyPyramid};
-use crate::align::period;
 use crate::align::place::{self, Candidate};
 use crate::align::seen::Seen;
-use crate::align::warp::Warp;
-use crate::align::{AlignOptions, KeypointCounts, Model, Status, Verdict};
+use crate::align::transform::{Model, Warp, distance, level_to_full};
+use crate::align::{AlignOptions, KeypointCounts, Status, Verdict, period};
 use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 
@@ -218,7 +217,7 @@ impl Search<'_> {
         let frame = &self.pyramids[i];
         let (width, height) = self.size();
         let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
-        let alike = |a: &Warp, b: &Warp| place::distance(a, b, width, height) <= near;
+        let alike = |a: &Warp, b: &Warp| distance(a, b, width, height) <= near;
         let reference = Base { pyramid: Cow::Borrowed(self.base()), error_px: 0.0, confidence: 1.0 };
         let mut bases = vec![reference];
         bases.extend(neighbour);
@@ -255,8 +254,7 @@ impl Search<'_> {
                 }
             }
         }
-        let same =
-            |a: &Candidate, b: &Candidate| place::distance(&a.warp, &b.warp, width, height) <= RIVAL_APART * near;
+        let same = |a: &Candidate, b: &Candidate| distance(&a.warp, &b.warp, width, height) <= RIVAL_APART * near;
         let Some((b, best)) = pool.winner(same) else {
             return rejected(why(None), 0.0, found);
         };

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::align::scene::{Scene, Shot, rigid, shift};
+use crate::align::transform::distance;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
 use crate::plane::Plane;
@@ -102,7 +103,7 @@ fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
     let (alignment, warnings) = align(&bracket(&shots), &AlignOptions::default()).unwrap();
     let verdict = &alignment.verdicts[0];
     assert_eq!(verdict.status, Status::Assumed, "{verdict:?}");
-    let error = place::distance(&verdict.warp.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
+    let error = distance(&verdict.warp.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
     assert!(error <= verdict.error_px.unwrap() && verdict.error_px.unwrap() < 3.0, "{error} {verdict:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_still: false, .. }]), "{warnings:?}");
     assert!(warnings[0].degrades());

@@ -6,9 +6,8 @@
 //! [`refine`](crate::align::refine) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
 //! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
 
-use crate::align::Model;
 use crate::align::agreement::{Displaced, Survey};
-use crate::align::basis::Basis;
+use crate::align::transform::{Increment, Model};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Fewer tiles say nothing.
@@ -41,7 +40,7 @@ pub(crate) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Op
     if tiles.len() < LEAST_TILES {
         return None;
     }
-    let basis = Basis::new(Model::Homography, size.0, size.1);
+    let basis = Increment::new(Model::Homography, size.0, size.1);
     let n = basis.numbers();
     let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
     let mut step = DVector::zeros(n);

@@ -79,7 +79,7 @@ pub(super) fn draw(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
     use crate::plane::Plane;
 
     #[test]

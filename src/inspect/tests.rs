@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::align::scene::{Scene, Shot, rigid};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::align::{self, Status};
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{ReferenceChoice, Samples};

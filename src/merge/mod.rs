@@ -138,7 +138,7 @@ pub struct MergeReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::Warp;
+    use crate::align::transform::Warp;
     use crate::align::{Alignment, Status};
     use crate::bracket::Bracket;
     use crate::response::ResponseCurve;

@@ -23,7 +23,7 @@ mod summary;
 mod viewer;
 mod words;
 
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::align::{AlignOptions, Alignment, Rect, Status};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};

@@ -7,7 +7,7 @@
 
 use crate::align::Rect;
 use crate::align::resample::{resample_rows, rows_under};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::bracket::Frame;
 use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};

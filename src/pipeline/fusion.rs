@@ -4,7 +4,7 @@
 //! for each frame towards the reference; and the fusion.
 
 use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Transfer};
 use crate::bracket::{Bracket, Frame};

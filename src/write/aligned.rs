@@ -5,7 +5,7 @@
 
 use super::{Metadata, Pending, RowWriter, Written, tiff};
 use crate::align::resample::{OUTSIDE, resample_rows};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Window};
 use crate::error::{Error, Result};

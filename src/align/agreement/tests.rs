@@ -3,7 +3,7 @@
 use super::*;
 use crate::align::common_exposure::Tones;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 
 const SIZE: (usize, usize) = (480, 320);
 

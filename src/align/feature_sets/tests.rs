@@ -3,7 +3,7 @@
 use super::*;
 use crate::align::comparison::measured_level;
 use crate::align::scene::{Scene, Shot, perspective};
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 
 const SIZE: (usize, usize) = (480, 320);
 

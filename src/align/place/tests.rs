@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::align::scene::{Scene, Shot, perspective, rigid, shift};
+use crate::align::transform::distance;
 use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);

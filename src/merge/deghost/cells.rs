@@ -7,7 +7,7 @@
 //! mean is a lower bound, of one with a black code an upper one.
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
-use crate::align::warp::map;
+use crate::align::transform::map;
 use crate::bracket::Codes;
 use crate::error::Result;
 

@@ -28,7 +28,7 @@ mod region;
 mod structure;
 mod usual;
 
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::align::{Alignment, Rect, Status};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::align::warp::Warp;
+use crate::align::transform::Warp;
 use crate::bracket::Samples;
 use crate::bracket::exposure::Exposure;
 use crate::merge::weight::Weight;

@@ -3,6 +3,13 @@
 //! In: a motion. Out: its 3x3 matrix on pixel coordinates, and what people ask of it: shift, rotation, distance. Cost: none to speak of.
 //! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
+mod increment;
+mod model;
+
+pub(crate) use increment::Increment;
+pub use model::Model;
+pub(crate) use model::{restrict, to_warp};
+
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
 
@@ -76,6 +83,46 @@ pub fn centre(width: usize, height: usize) -> (f64, f64) {
 pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
     let (r, b) = (width as f64 - 1.0, height as f64 - 1.0);
     [(0.0, 0.0), (r, 0.0), (r, b), (0.0, b)]
+}
+
+/// The root mean square distance over the picture of where two warps put a pixel.
+pub(crate) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
+    const GRID: usize = 9;
+    let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
+    let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+    let sum: f64 = (0..GRID * GRID)
+        .map(|i| {
+            let (x, y) = (place(i % GRID, width), place(i / GRID, height));
+            let ((ax, ay), (bx, by)) = (map(&ha, x, y), map(&hb, x, y));
+            (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
+        })
+        .sum();
+    (sum / (GRID * GRID) as f64).sqrt()
+}
+
+/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
+pub fn level_to_full(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (scale - 1.0) / 2.0;
+    Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// Pixel of level `level` from pixel of the full size.
+fn full_to_level(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (1.0 - scale) / (2.0 * scale);
+    Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// `h`, between pixels of the full size, as a matrix between pixels of level `level`.
+pub fn on_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    full_to_level(level) * h * level_to_full(level)
+}
+
+/// `h`, between pixels of level `level`, as a matrix between pixels of the full size; its lower right number is 1.
+pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    let whole = level_to_full(level) * h * full_to_level(level);
+    whole / whole[(2, 2)]
 }
 
 /// x' ~ H x. Not finite on the line that H sends to infinity.

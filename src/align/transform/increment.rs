@@ -4,8 +4,7 @@
 //! their covariance means in pixels. Cost: none to speak of.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of warps.
 
-use crate::align::Model;
-use crate::align::warp::{Warp, centre};
+use crate::align::transform::{Model, Warp, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
@@ -18,7 +17,7 @@ const STRETCH: f64 = 0.001;
 const PERSPECTIVE: f64 = 0.005;
 
 /// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
-pub(crate) struct Basis {
+pub(crate) struct Increment {
     model: Model,
     centre: (f64, f64),
     unit: f64,
@@ -28,11 +27,11 @@ pub(crate) struct Basis {
 /// A number of a motion, the standard deviation it is known to have beforehand, and how it changes with the numbers of a step.
 type Known = (f64, f64, &'static [(usize, f64)]);
 
-impl Basis {
+impl Increment {
     pub(crate) fn new(model: Model, width: usize, height: usize) -> Self {
         let half = |n: usize| n as f64 / 2.0;
         let unit = (half(width) * half(width) + half(height) * half(height)).sqrt();
-        Basis { model, centre: centre(width, height), unit, size: (width, height) }
+        Increment { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
     /// How many numbers the model has.
@@ -112,7 +111,7 @@ impl Basis {
         }
     }
 
-    /// From pixels to the coordinates of [`Basis`].
+    /// From pixels to the coordinates of [`Increment`].
     fn to_units(&self) -> Matrix3<f64> {
         let (cx, cy) = self.centre;
         Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0)
