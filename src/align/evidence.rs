@@ -6,6 +6,7 @@
 //! Source: Ward 2003, section 2; Lowe 2004, section 7.1; Tables 4.1 to 4.3 of the thesis, which hold plain, bitmap and merged keypoints
 //! against each other.
 
+use crate::align::AlignOptions;
 use crate::align::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::comparison::measured_level;
 use crate::align::feature_sets::{self, FeatureSets};
@@ -14,9 +15,9 @@ use crate::align::homography::Pair;
 use crate::align::lay::{Motion, Rounding};
 use crate::align::mtb::{self, GreyPyramid};
 use crate::align::ransac::RansacOptions;
+use crate::align::result::KeypointCounts;
 use crate::align::threshold::Percentile;
 use crate::align::transform::{Warp, distance, level_to_full, map};
-use crate::align::{AlignOptions, KeypointCounts};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 

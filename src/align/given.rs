@@ -13,8 +13,8 @@
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
 //! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
 
+use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
 use crate::align::transform::{Model, Warp, corners, map};
-use crate::align::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;

@@ -31,7 +31,6 @@ pub mod mtb;
 pub mod nearest;
 mod neighbours;
 mod normal;
-mod overlap;
 mod patch;
 pub mod patches;
 mod period;
@@ -39,6 +38,7 @@ mod place;
 pub mod ransac;
 pub mod refine;
 pub mod resample;
+pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;
 mod search;
@@ -47,7 +47,6 @@ pub mod sift;
 pub mod threshold;
 mod tile_fit;
 pub mod transform;
-mod warnings;
 
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
@@ -55,12 +54,13 @@ use crate::plane::Plane;
 use given::Given;
 use mtb::{GreyPyramid, MtbOptions};
 use ransac::RansacOptions;
+pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
+use result::{unmoved_but, warnings};
 use search::Search;
 use seen::{Seen, look, turns};
 use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
-pub use transform::Model;
-use transform::Warp;
+pub use transform::{Model, Warp};
 
 /// Which methods seek the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -153,161 +153,6 @@ impl AlignOptions {
         }
         Ok(())
     }
-}
-
-/// What became of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Status {
-    /// The frame that the others are aligned to.
-    Reference,
-    /// Moved, and placed by a warp.
-    Aligned,
-    /// Found not to have moved: its warp is exactly the identity.
-    Unmoved,
-    /// Too dark or too bright to be aligned, and taken to lie where the other frames let expect; it is merged only where all of them clip, or are
-    /// black. Its error is one that 19 of 20 such places keep.
-    Assumed,
-    /// Could not be placed; it takes no part in what follows.
-    Rejected,
-    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
-    /// ([`RejectedBy`]).
-    #[serde(rename = "rejected", skip_deserializing)]
-    Excluded,
-    /// Excluded because the flash fired in it, unlike in the others; by the same name in files.
-    #[serde(rename = "rejected", skip_deserializing)]
-    Flash,
-}
-
-/// Who took a frame out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RejectedBy {
-    /// The alignment, which could not place it.
-    Alignment,
-    /// The user.
-    User,
-    /// The flash, which fired in this frame alone.
-    Flash,
-}
-
-impl Status {
-    /// Who took the frame out; none where it takes part.
-    pub fn rejected_by(self) -> Option<RejectedBy> {
-        match self {
-            Status::Reference | Status::Aligned | Status::Unmoved | Status::Assumed => None,
-            Status::Rejected => Some(RejectedBy::Alignment),
-            Status::Excluded => Some(RejectedBy::User),
-            Status::Flash => Some(RejectedBy::Flash),
-        }
-    }
-}
-
-/// Keypoints found in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub struct KeypointCounts {
-    /// In the plain picture.
-    pub plain: usize,
-    /// In its median threshold bitmap.
-    pub mtb: usize,
-    /// In both together, points found twice counted once.
-    pub merged: usize,
-}
-
-/// A rectangle of pixels: columns `x0..x1`, rows `y0..y1` of the reference.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct Rect {
-    /// First column.
-    pub x0: usize,
-    /// First row.
-    pub y0: usize,
-    /// Column after the last.
-    pub x1: usize,
-    /// Row after the last.
-    pub y1: usize,
-}
-
-impl Rect {
-    /// Width in pixels.
-    pub fn width(&self) -> usize {
-        self.x1 - self.x0
-    }
-
-    /// Height in pixels.
-    pub fn height(&self) -> usize {
-        self.y1 - self.y0
-    }
-}
-
-/// What is known of one frame's place.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Verdict {
-    /// What became of the frame.
-    pub status: Status,
-    /// The smallest model that explains its motion; none where it takes no part.
-    pub model: Option<Model>,
-    /// Its warp, reference pixel -> frame pixel; none where it takes no part.
-    pub warp: Option<Warp>,
-    /// Matches that RANSAC agreed on; none where features were not needed.
-    pub inliers: Option<usize>,
-    /// Keypoints in this frame; none where features were not needed.
-    pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error of the warp over the picture, in pixels; none where nothing can be said. Of a place that is
-    /// [assumed](Status::Assumed) the error that 19 of 20 such places keep.
-    pub error_px: Option<f64>,
-    /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
-    pub confidence: f64,
-    /// Why it was rejected, or taken as it lies although nothing shows that it lies so, or what its place is assumed from.
-    pub reason: Option<String>,
-}
-
-impl Verdict {
-    /// A frame that lies as the reference does, because it is the reference or because the user says so.
-    fn by_definition(status: Status) -> Self {
-        Verdict {
-            status,
-            model: Some(Model::Unmoved),
-            warp: Some(Warp::Identity),
-            inliers: None,
-            keypoints: None,
-            error_px: (status == Status::Reference).then_some(0.0),
-            confidence: 1.0,
-            reason: None,
-        }
-    }
-}
-
-/// The place of every frame of a bracket.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Alignment {
-    /// One verdict per frame, in the order of [`Bracket::frames`].
-    pub verdicts: Vec<Verdict>,
-    /// The largest rectangle of the reference that all placed frames cover.
-    pub overlap: Rect,
-}
-
-impl Alignment {
-    /// Every frame of `bracket` as it lies, unseen: for a tripod that can be trusted.
-    pub fn unmoved(bracket: &Bracket) -> Self {
-        Alignment {
-            verdicts: unmoved_but(bracket, &vec![None; bracket.frames().len()]),
-            overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
-        }
-    }
-
-    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
-    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
-        let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
-        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
-    }
-}
-
-/// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
-fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
-    let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
-    let verdict =
-        |(i, given): (usize, &Option<Verdict>)| given.clone().unwrap_or_else(|| Verdict::by_definition(status(i)));
-    given.iter().enumerate().map(verdict).collect()
 }
 
 /// Places every frame of `bracket`.

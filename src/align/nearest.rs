@@ -4,8 +4,8 @@
 //! reference's pixels are. Cost: a product of a matrix for each pixel asked for. For what bears to be moved by half a pixel: flat places,
 //! and counts over many pixels; where it does not, see [`resample`](crate::align::resample).
 
-use crate::align::Alignment;
 use crate::align::resample::rows_under;
+use crate::align::result::Alignment;
 use crate::align::transform::{Warp, map};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;

@@ -11,10 +11,10 @@ use crate::align::assumed::{Assumed, Known, Track};
 use crate::align::comparison::measured_level;
 use crate::align::mtb::GreyPyramid;
 use crate::align::place::{Candidate, tolerance_px};
+use crate::align::result::{Status, Verdict};
 use crate::align::search::{DECISIVE, Found, Search, placed};
 use crate::align::seen::Shown;
 use crate::align::transform::{Model, Warp, distance, map, on_level};
-use crate::align::{Status, Verdict};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
 pub(crate) const BY_COMPANY: f64 = 0.6;

@@ -8,9 +8,10 @@ use crate::align::comparison::{Comparison, measured_level};
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::mtb::{self, GreyPyramid};
 use crate::align::place::{self, Candidate};
+use crate::align::result::{KeypointCounts, Status, Verdict};
 use crate::align::seen::Seen;
 use crate::align::transform::{Model, Warp, distance, level_to_full};
-use crate::align::{AlignOptions, KeypointCounts, Status, Verdict, period};
+use crate::align::{AlignOptions, period};
 use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 

@@ -3,8 +3,8 @@
 //! In: a bracket, and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all placed frames cover. Cost: that of the
 //! [overlap](overlap::largest).
 
+use crate::align::result::{Rect, Status, Verdict, overlap};
 use crate::align::transform::Warp;
-use crate::align::{Rect, Status, Verdict, overlap};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 

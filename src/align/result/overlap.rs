@@ -5,9 +5,33 @@
 //! logarithm of the area is concave in the other two: it has one top, found by halving. Where the height is negative it is concave itself,
 //! so that the search is led back; vertical edges bound the search.
 
-use crate::align::Rect;
 use crate::align::transform::Warp;
 use nalgebra::Vector3;
+
+/// A rectangle of pixels: columns `x0..x1`, rows `y0..y1` of the reference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct Rect {
+    /// First column.
+    pub x0: usize,
+    /// First row.
+    pub y0: usize,
+    /// Column after the last.
+    pub x1: usize,
+    /// Row after the last.
+    pub y1: usize,
+}
+
+impl Rect {
+    /// Width in pixels.
+    pub fn width(&self) -> usize {
+        self.x1 - self.x0
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> usize {
+        self.y1 - self.y0
+    }
+}
 
 /// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
 /// have no pixel in common.
