@@ -16,6 +16,28 @@
 
 use crate::align::place::UNMOVED_PX;
 use crate::align::transform::{Warp, distance};
+use crate::bracket::Bracket;
+
+/// The turn of each frame of `bracket`: when it was taken, in seconds by the camera's clock, where all frames have that to fractions of a second;
+/// where the clock is coarser, its position in the order in which they were taken, names deciding between equal times; without a clock, its
+/// position by rising exposure.
+pub(crate) fn turns(bracket: &Bracket) -> Vec<f64> {
+    let frames = bracket.frames();
+    let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();
+    let mut order: Vec<usize> = (0..frames.len()).collect();
+    let mut turns: Vec<f64> = (0..frames.len()).map(|turn| turn as f64).collect();
+    let Some(taken) = taken else { return turns };
+    order.sort_by_key(|&i| (taken[i], frames[i].path().file_name()));
+    let tick = taken.iter().map(|moment| moment.resolution_s()).fold(0.0, f64::max);
+    let mut last = None;
+    for (turn, &i) in order.iter().enumerate() {
+        let seconds = taken[i].since(&taken[order[0]]);
+        // No two were taken at once.
+        turns[i] = if tick < 1.0 { last.map_or(seconds, |last: f64| seconds.max(last + tick)) } else { turn as f64 };
+        last = Some(turns[i]);
+    }
+    turns
+}
 
 /// The share of assumed places that are worse than their stated error, if steps are as they are taken to be.
 const WORSE: f64 = 0.05;

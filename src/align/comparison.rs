@@ -6,38 +6,17 @@
 
 use crate::align::common_exposure::{CommonExposure, Tones};
 use crate::align::cubic::BORDER;
-use crate::align::mtb::GreyPyramid;
+use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::patch::Patches;
 use crate::align::transform::{Warp, on_level};
-use crate::budget::Demand;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features are sought.
-const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
-/// ... and the largest on which single points are compared: more add nothing but time.
-const REFINED_PIXELS: usize = 4_000_000;
 /// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which only lead to it.
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
 /// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one of the frames.
 const JITTER: f32 = 0.15;
-
-/// The first level of `pyramid` with at most `pixels` pixels.
-fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
-    let area = |(width, height): (usize, usize)| width * height;
-    (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)
-}
-
-/// The level on which agreement is measured, and features are sought.
-pub fn measured_level(pyramid: &GreyPyramid) -> usize {
-    level_within(pyramid, MEASURED_PIXELS)
-}
-
-/// The largest level on which points are compared.
-pub fn finest_level(pyramid: &GreyPyramid) -> usize {
-    level_within(pyramid, REFINED_PIXELS)
-}
 
 /// A pixel of the reference that is compared.
 #[derive(Debug, Clone, Copy, PartialEq)]

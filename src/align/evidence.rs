@@ -8,15 +8,14 @@
 
 use crate::align::AlignOptions;
 use crate::align::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
-use crate::align::comparison::measured_level;
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::features::{Features, Keypoint};
+use crate::align::grey::{GreyPyramid, Percentile, measured_level};
 use crate::align::homography::Pair;
 use crate::align::lay::{Motion, Rounding};
-use crate::align::mtb::{self, GreyPyramid};
+use crate::align::mtb;
 use crate::align::ransac::RansacOptions;
 use crate::align::result::KeypointCounts;
-use crate::align::threshold::Percentile;
 use crate::align::transform::{Warp, distance, level_to_full, map};
 use nalgebra::Matrix3;
 use rayon::prelude::*;

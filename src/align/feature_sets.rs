@@ -11,13 +11,15 @@
 //! is matched with its like alone, no match can join two that cannot be the same.
 
 use crate::align::features::{Features, Guide, Keypoint, match_mutual};
+use crate::align::grey::GreyPyramid;
 use crate::align::homography::{Pair, fit};
-use crate::align::mtb::{GreyPyramid, MtbOptions};
+use crate::align::lmeds;
+use crate::align::mtb::MtbOptions;
 use crate::align::ransac::{self, Consensus, RansacOptions, distance_squared};
 use crate::align::result::KeypointCounts;
 use crate::align::sift::{self, SiftOptions};
 use crate::align::transform::map;
-use crate::align::{AlignOptions, RobustMethod, lmeds};
+use crate::align::{AlignOptions, RobustMethod};
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use nalgebra::Matrix3;

@@ -22,6 +22,7 @@ pub mod evidence;
 mod feature_sets;
 pub mod features;
 pub mod given;
+pub mod grey;
 pub mod homography;
 pub mod intensity_map;
 pub(crate) mod lanczos;
@@ -42,22 +43,23 @@ pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;
 mod search;
-mod seen;
 pub mod sift;
 pub mod threshold;
 mod tile_fit;
 pub mod transform;
 
-use crate::bracket::{Bracket, Frame};
+use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 use crate::plane::Plane;
+use assumed::turns;
 use given::Given;
-use mtb::{GreyPyramid, MtbOptions};
+use grey::look;
+pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
+use mtb::MtbOptions;
 use ransac::RansacOptions;
 pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
 use search::Search;
-use seen::{Seen, look, turns};
 use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
 pub use transform::{Model, Warp};
@@ -210,23 +212,6 @@ fn search(
         None => Ok(found),
         Some(error) => Err(error),
     }
-}
-
-/// The grey pyramid in which the motion of `frame` is sought, with all its levels.
-///
-/// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
-pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    let stops = Seen::of(&frame.whole()?).stops;
-    Ok(GreyPyramid::new(frame.greys(stops)?))
-}
-
-/// The same as the search has it: of a large frame without the full size, which takes most of the memory.
-///
-/// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
-pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    Ok(look(frame)?.1)
 }
 
 #[cfg(test)]

@@ -8,13 +8,11 @@
 
 use crate::align::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::descent::{Descent, LEAST_COMPARED};
+use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile};
 use crate::align::lay::{Motion, Rounding};
-use crate::align::threshold::{Histogram, Percentile, common_histograms, common_percentile, matched_zones};
+use crate::align::threshold::{common_histograms, common_percentile, matched_zones};
 use crate::align::transform::Warp;
-use crate::budget::Demand;
 use crate::plane::Plane;
-use crate::pyramid;
-use std::sync::OnceLock;
 
 /// How the bitmaps are made and searched.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,83 +31,7 @@ impl Default for MtbOptions {
     }
 }
 
-/// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
-pub(crate) const COARSEST: usize = 32;
-
-/// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
-#[derive(Debug, Clone)]
-pub struct GreyPyramid {
-    size: (usize, usize),
-    /// How many of the largest levels are not kept.
-    passed: usize,
-    levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
-}
-
 impl GreyPyramid {
-    /// The pyramid of `grey`, down to a short side of about 32 pixels.
-    pub fn new(grey: Plane<u8>) -> Self {
-        Self::kept((grey.width(), grey.height()), 0, grey)
-    }
-
-    /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is searched, only two rows
-    /// of it are ever there, and level 0 cannot be asked for.
-    pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
-        let (width, height) = size;
-        if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
-            return Self::new(Plane::from_rows(width, height, row));
-        }
-        let mut half = Plane::filled(width / 2, height / 2, 0u8);
-        half.fill_bands(|rows, band| {
-            let (mut upper, mut lower) = (vec![0; width], vec![0; width]);
-            for (y, out) in rows.zip(band.chunks_exact_mut(width / 2)) {
-                row(2 * y, &mut upper);
-                row(2 * y + 1, &mut lower);
-                pyramid::halve_rows(&upper, &lower, out);
-            }
-        });
-        Self::kept(size, 1, half)
-    }
-
-    /// The levels from that on which `first` is.
-    fn kept(size: (usize, usize), passed: usize, first: Plane<u8>) -> Self {
-        let levels = pyramid::halves(first, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect();
-        GreyPyramid { size, passed, levels }
-    }
-
-    /// Level `i`, 0 the largest.
-    ///
-    /// # Panics
-    /// When there is none, or it was not kept.
-    pub fn level(&self, i: usize) -> &Plane<u8> {
-        &self.levels[i - self.passed].0
-    }
-
-    /// The largest level that was kept.
-    pub fn largest(&self) -> &Plane<u8> {
-        &self.levels[0].0
-    }
-
-    /// Width and height of level `i`, kept or not.
-    pub fn size(&self, i: usize) -> (usize, usize) {
-        (self.size.0 >> i, self.size.1 >> i)
-    }
-
-    /// How many levels there are.
-    pub fn len(&self) -> usize {
-        self.passed + self.levels.len()
-    }
-
-    /// Never: there is always the full size.
-    pub fn is_empty(&self) -> bool {
-        self.levels.is_empty()
-    }
-
-    /// The histogram of level `i`.
-    pub fn histogram(&self, i: usize) -> &Histogram {
-        let (plane, histogram) = &self.levels[i - self.passed];
-        histogram.get_or_init(|| Histogram::of(plane))
-    }
-
     /// The bitmaps of level `i` at `percentile`.
     pub fn bitmaps(&self, i: usize, percentile: Percentile, exclusion: u8) -> ThresholdBitmaps {
         ThresholdBitmaps::new(self.level(i), &Zone::about(self.histogram(i).level(percentile), exclusion))
@@ -324,10 +246,6 @@ fn exclusion_at(level: usize, exclusion: u8) -> u8 {
 
 /// A motion of no more than so many times its error is none.
 const SIGNIFICANT: f64 = 2.0;
-
-/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the full size, which takes
-/// four times as long.
-pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
 /// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
 const RIVALS_SIDE: usize = 128;

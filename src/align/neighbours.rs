@@ -8,12 +8,10 @@
 //! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::assumed)).
 
 use crate::align::assumed::{Assumed, Known, Track};
-use crate::align::comparison::measured_level;
-use crate::align::mtb::GreyPyramid;
+use crate::align::grey::{GreyPyramid, Shown, measured_level};
 use crate::align::place::{Candidate, tolerance_px};
 use crate::align::result::{Status, Verdict};
 use crate::align::search::{DECISIVE, Found, Search, placed};
-use crate::align::seen::Shown;
 use crate::align::transform::{Model, Warp, distance, map, on_level};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
@@ -172,8 +170,8 @@ fn unmoved(here: &Candidate, had: &Verdict, error_px: f64) -> Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::grey::Histogram;
     use crate::align::scene::{Scene, Shot, shift};
-    use crate::align::threshold::Histogram;
 
     const SIZE: (usize, usize) = (384, 256);
 

@@ -4,7 +4,8 @@
 //! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
-use crate::align::comparison::{Comparison, Point, finest_level, measured_level};
+use crate::align::comparison::{Comparison, Point};
+use crate::align::grey::{finest_level, measured_level};
 use crate::align::patch::{Origin, Patch, Patches, SEEN};
 use crate::align::transform::{level_to_full, map};
 use crate::plane::Plane;
@@ -149,7 +150,7 @@ fn best_of(patch: &Patch<CHOICE>, trust: impl Fn(f32) -> f32) -> Option<(usize, 
 mod tests {
     use super::*;
     use crate::align::cubic;
-    use crate::align::mtb::GreyPyramid;
+    use crate::align::grey::GreyPyramid;
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::align::transform::Warp;
 

@@ -5,7 +5,8 @@
 //! about half its pixels, or by less and less towards there; a facade hardly differs at its period, and much half-way.
 
 use crate::align::bitmap::difference_shifted;
-use crate::align::mtb::{GreyPyramid, MtbOptions};
+use crate::align::grey::GreyPyramid;
+use crate::align::mtb::MtbOptions;
 use crate::align::threshold::own_percentile;
 use rayon::prelude::*;
 

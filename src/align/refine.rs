@@ -5,11 +5,13 @@
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
-use crate::align::comparison::{Comparison, Point, finest_level, measured_level};
+use crate::align::comparison::{Comparison, Point};
 use crate::align::cubic::cubic;
+use crate::align::grey::{finest_level, measured_level};
+use crate::align::normal;
 use crate::align::patch::Patches;
+use crate::align::patches;
 use crate::align::transform::{Increment, Model, Warp, map, off_level, on_level, restrict, to_warp};
-use crate::align::{normal, patches};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, Matrix3};

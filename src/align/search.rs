@@ -3,15 +3,16 @@
 //! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`place::by_bitmaps`]; for
 //! one in doubt some times as much.
 
+use crate::align::AlignOptions;
 use crate::align::agreement::LEAST_SIDE;
-use crate::align::comparison::{Comparison, measured_level};
+use crate::align::comparison::Comparison;
 use crate::align::feature_sets::{self, FeatureSets};
-use crate::align::mtb::{self, GreyPyramid};
+use crate::align::grey::{COARSEST, GreyPyramid, Seen, measured_level};
+use crate::align::mtb;
+use crate::align::period;
 use crate::align::place::{self, Candidate};
 use crate::align::result::{KeypointCounts, Status, Verdict};
-use crate::align::seen::Seen;
 use crate::align::transform::{Model, Warp, distance, level_to_full};
-use crate::align::{AlignOptions, period};
 use crate::plane::{Plane, map_at_once};
 use std::borrow::Cow;
 
@@ -289,7 +290,7 @@ impl Search<'_> {
             return;
         }
         let (width, height) = self.size();
-        let reason = match (self.is_plain, width.min(height) < mtb::COARSEST) {
+        let reason = match (self.is_plain, width.min(height) < COARSEST) {
             (true, _) => "each of them is of one tone all over".to_owned(),
             (_, true) => format!("{width}x{height} pixels are too few"),
             _ => return,

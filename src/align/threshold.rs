@@ -6,142 +6,14 @@
 //! itself goes with what is in the picture, and where the picture is smooth either would move its contours.
 
 use crate::align::bitmap::Zone;
+use crate::align::grey::{Histogram, Percentile};
 use crate::align::lay::Motion;
 use crate::plane::Plane;
-use std::ops::RangeInclusive;
 
-/// The percentile of the grey levels that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct Percentile(u8);
-
-impl Percentile {
-    /// The median.
-    pub const MEDIAN: Percentile = Percentile(50);
-
-    /// The one that `percent` of the pixels do not exceed, 1..=99.
-    pub const fn new(percent: u8) -> Self {
-        Percentile(match percent {
-            0 => 1,
-            1..=99 => percent,
-            _ => 99,
-        })
-    }
-
-    /// The percent, 1..=99.
-    pub fn percent(self) -> u8 {
-        self.0
-    }
-
-    /// Those that may part two frames in one of which the median is black or burnt out.
-    fn others() -> impl Iterator<Item = Percentile> {
-        (1..=19).map(|i| Percentile(5 * i))
-    }
+/// Of the pixels that count at this zone, the share on the side that has fewer: 0 where the bitmap is blank.
+fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
+    histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
-
-/// How many pixels have each grey level.
-#[derive(Debug, Clone)]
-pub struct Histogram([u64; 256]);
-
-impl Histogram {
-    /// The histogram of `plane`; of a large one that of every so many rows, about `COUNTED` pixels.
-    pub fn of(plane: &Plane<u8>) -> Self {
-        let mut counts = Counts::default();
-        counted_rows((plane.width(), plane.height())).for_each(|y| counts.add(plane.row(y)));
-        counts.sum()
-    }
-
-    /// The same of a picture of `size` that is not there: `fill` computes a row.
-    pub fn of_rows((width, height): (usize, usize), fill: impl Fn(usize, &mut [u8])) -> Self {
-        let (mut counts, mut row) = (Counts::default(), vec![0; width]);
-        for y in counted_rows((width, height)) {
-            fill(y, &mut row);
-            counts.add(&row);
-        }
-        counts.sum()
-    }
-
-    fn total(&self) -> u64 {
-        self.0.iter().sum()
-    }
-
-    /// The least level that at least `percentile` of the pixels do not exceed.
-    pub fn level(&self, percentile: Percentile) -> u8 {
-        let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
-        let mut below = 0;
-        for (v, n) in self.0.iter().enumerate() {
-            below += n;
-            if below >= wanted {
-                return v as u8;
-            }
-        }
-        u8::MAX
-    }
-
-    /// The share of the pixels below `level`, which may be 256.
-    fn share_below(&self, level: usize) -> f64 {
-        self.0[..level].iter().sum::<u64>() as f64 / self.total().max(1) as f64
-    }
-
-    /// The share of the pixels at `levels`.
-    pub fn share(&self, levels: RangeInclusive<u8>) -> f64 {
-        levels.map(|level| self.0[usize::from(level)]).sum::<u64>() as f64 / self.total().max(1) as f64
-    }
-
-    /// The level, up to 256, below which the share is nearest to `share`; the lowest of several.
-    fn level_of_share(&self, share: f64) -> usize {
-        let wanted = share * self.total() as f64;
-        let mut below = 0u64;
-        let mut best = (wanted, 0);
-        for (v, n) in self.0.iter().enumerate() {
-            below += n;
-            let off = (below as f64 - wanted).abs();
-            if off < best.0 {
-                best = (off, v + 1);
-            }
-        }
-        best.1
-    }
-
-    /// Of the pixels that count at this zone, the share on the side that has fewer: 0 where the bitmap is blank.
-    fn balance(&self, zone: &Zone) -> f64 {
-        self.share_below(zone.low.into()).min(1.0 - self.share_below(usize::from(zone.high) + 1))
-    }
-}
-
-/// The rows of a picture of this size that are counted.
-fn counted_rows((width, height): (usize, usize)) -> impl Iterator<Item = usize> {
-    (0..height).step_by((width * height / COUNTED).max(1))
-}
-
-/// Four tables, so that equal neighbours do not wait for each other.
-struct Counts([[u32; 256]; 4]);
-
-impl Default for Counts {
-    fn default() -> Self {
-        Counts([[0; 256]; 4])
-    }
-}
-
-impl Counts {
-    fn add(&mut self, row: &[u8]) {
-        let (fours, rest) = row.as_chunks::<4>();
-        for four in fours {
-            for (table, &v) in self.0.iter_mut().zip(four) {
-                table[usize::from(v)] += 1;
-            }
-        }
-        for &v in rest {
-            self.0[0][usize::from(v)] += 1;
-        }
-    }
-
-    fn sum(&self) -> Histogram {
-        Histogram(std::array::from_fn(|v| self.0.iter().map(|c| u64::from(c[v])).sum()))
-    }
-}
-
-/// Pixels that are counted for a histogram: a percentile of so many is off by less than a tenth of a percent.
-const COUNTED: usize = 1 << 20;
 
 /// A bitmap with a smaller share of its pixels on one side says too little: half of what Ward's outer percentiles can give.
 const LEAST_BALANCE: f64 = 0.085;
@@ -151,7 +23,7 @@ const LEAST_BALANCE: f64 = 0.085;
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
-        a.balance(&zone_a).min(b.balance(&zone_b))
+        balance_at(a, &zone_a).min(balance_at(b, &zone_b))
     };
     if balance(Percentile::MEDIAN) >= LEAST_BALANCE {
         return Percentile::MEDIAN;
@@ -256,18 +128,6 @@ mod tests {
         let snow =
             Histogram::of(&plane(100, 100, |x, y| if x < 93 { 255 - (y % 3) as u8 } else { 20 * (x as u8 - 93) }));
         assert_eq!(own_percentile(&snow, 4), Percentile::new(5));
-    }
-
-    #[test]
-    fn a_large_plane_is_counted_by_some_of_its_rows() {
-        let picture = plane(2048, 1600, |x, y| ((x + 31 * y) % 251) as u8);
-        let large = Histogram::of(&picture);
-        assert_eq!(Histogram::of_rows((2048, 1600), |y, row| row.copy_from_slice(picture.row(y))).0, large.0);
-        assert_eq!(large.total(), 2048 * 1600_u64.div_ceil(3));
-        for percentile in SEVEN {
-            let expected = 251.0 * f64::from(percentile.0) / 100.0;
-            assert!((f64::from(large.level(percentile)) - expected).abs() <= 1.0, "{percentile:?}");
-        }
     }
 
     #[test]

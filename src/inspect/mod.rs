@@ -20,8 +20,7 @@ pub mod tables;
 pub(crate) mod text;
 
 use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
-use crate::align::mtb::GreyPyramid;
-use crate::align::{AlignOptions, Alignment, grey_pyramid, searched_pyramid};
+use crate::align::{AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
 use crate::plane::{Plane, map_at_once};

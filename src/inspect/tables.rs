@@ -4,7 +4,7 @@
 
 use crate::align::Status;
 use crate::align::evidence::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
-use crate::align::threshold::Percentile;
+use crate::align::grey::Percentile;
 use crate::align::transform::Warp;
 use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! What the bitmaps add: points in dark frames, the same ones in both, and each counted once.
 
 use super::*;
-use crate::align::comparison::measured_level;
+use crate::align::grey::measured_level;
 use crate::align::scene::{Scene, Shot, perspective};
 use crate::align::transform::Warp;
 

@@ -1,6 +1,7 @@
 //! The percentiles, and the search against motions that are known and against the textbook's loop.
 
 use super::*;
+use crate::align::grey::GreyPyramid;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift, uniform};
 use crate::align::threshold::own_percentile;
 
@@ -228,25 +229,6 @@ fn rivals_are_the_periods_of_a_facade() {
     }
     for (i, a) in found.iter().enumerate() {
         assert!(found[..i].iter().all(|b| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5));
-    }
-}
-
-#[test]
-fn a_pyramid_by_rows_has_the_same_levels_but_for_a_largest_that_no_search_uses() {
-    for (size, is_kept) in [((2401, 1803), false), ((2000, 1500), true), ((90_000, 50), true)] {
-        let grey = Plane::from_rows(size.0, size.1, |y, row| {
-            row.iter_mut().enumerate().for_each(|(x, v)| *v = ((x * x / 7 + 31 * y) % 251) as u8);
-        });
-        let by_rows = GreyPyramid::of_rows(size, |y, row| row.copy_from_slice(grey.row(y)));
-        assert_eq!(by_rows.passed == 0, is_kept);
-        let whole = GreyPyramid::new(grey);
-        assert_eq!(by_rows.len(), whole.len());
-        for i in by_rows.passed..whole.len() {
-            assert_eq!(by_rows.level(i), whole.level(i));
-        }
-        for i in 0..whole.len() {
-            assert_eq!(by_rows.size(i), (whole.level(i).width(), whole.level(i).height()));
-        }
     }
 }
 

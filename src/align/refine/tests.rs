@@ -1,7 +1,7 @@
 //! Refinement against motions that are known: between exposures, with noise, clipping and things that move.
 
 use super::*;
-use crate::align::mtb::GreyPyramid;
+use crate::align::grey::GreyPyramid;
 use crate::align::scene::{Scene, Shot, perspective, photograph, rigid, shift};
 use crate::plane::Plane;
 

@@ -1,0 +1,32 @@
+//! Grey pictures of the frames, as the methods of this stage compare them.
+//!
+//! In: a frame. Out: its [`GreyPyramid`], and how much of it is neither black nor white. Cost: one pass over the frame.
+
+mod content;
+mod histogram;
+mod pyramid;
+
+pub(crate) use content::{Seen, Shown, look};
+pub use histogram::{Histogram, Percentile};
+pub(crate) use pyramid::COARSEST;
+pub use pyramid::{ENOUGH_PIXELS, GreyPyramid, finest_level, measured_level};
+
+use crate::bracket::Frame;
+use crate::error::Result;
+
+/// The grey pyramid in which the motion of `frame` is sought, with all its levels.
+///
+/// # Errors
+/// [`Error::Scratch`], where the frame is on disk.
+pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
+    let stops = Seen::of(&frame.whole()?).stops;
+    Ok(GreyPyramid::new(frame.greys(stops)?))
+}
+
+/// The same as the search has it: of a large frame without the full size, which takes most of the memory.
+///
+/// # Errors
+/// [`Error::Scratch`], where the frame is on disk.
+pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
+    Ok(look(frame)?.1)
+}
