@@ -12,7 +12,7 @@ use hdralign::align::homography::Pair;
 use hdralign::align::mtb::{self, MtbOptions};
 use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
-use hdralign::align::resample::resample_rows;
+use hdralign::align::resampling::resample_rows;
 use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::transform::Model;
 use hdralign::align::{AlignOptions, Alignment, align, grey_pyramid, lmeds};

@@ -5,9 +5,9 @@
 //! over the reference for the points.
 
 use crate::align::common_exposure::{CommonExposure, Tones};
-use crate::align::cubic::BORDER;
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::patch::Patches;
+use crate::align::resampling::cubic::BORDER;
 use crate::align::transform::{Warp, on_level};
 use crate::plane::Plane;
 use nalgebra::Matrix3;

@@ -12,11 +12,9 @@
 
 pub mod agreement;
 mod assumed;
-mod bilinear;
 pub mod bitmap;
 pub mod common_exposure;
 pub mod comparison;
-mod cubic;
 mod descent;
 pub mod evidence;
 mod feature_sets;
@@ -25,11 +23,9 @@ pub mod given;
 pub mod grey;
 pub mod homography;
 pub mod intensity_map;
-pub(crate) mod lanczos;
 pub mod lay;
 pub mod lmeds;
 pub mod mtb;
-pub mod nearest;
 mod neighbours;
 mod normal;
 mod patch;
@@ -38,7 +34,7 @@ mod period;
 mod place;
 pub mod ransac;
 pub mod refine;
-pub mod resample;
+pub mod resampling;
 pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;

@@ -2,9 +2,9 @@
 //!
 //! In: a grey plane, a table of levels and a place. Out: the smoothed levels about it, and what lies between them. Cost: 12 x 12 look-ups
 //! and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in it. Source: [`binomial`](crate::pyramid::binomial)
-//! for the smoothing; Keys 1981 (see [`cubic`](crate::align::cubic)).
+//! for the smoothing; Keys 1981 (see [`cubic`](crate::align::resampling::cubic)).
 
-use crate::align::cubic::keys;
+use crate::align::resampling::cubic::keys;
 use crate::plane::Plane;
 
 /// Reach of the smoothing, in pixels.

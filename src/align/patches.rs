@@ -149,8 +149,8 @@ fn best_of(patch: &Patch<CHOICE>, trust: impl Fn(f32) -> f32) -> Option<(usize, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::cubic;
     use crate::align::grey::GreyPyramid;
+    use crate::align::resampling::cubic;
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::align::transform::Warp;
 

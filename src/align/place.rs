@@ -4,11 +4,11 @@
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
 use crate::align::agreement::{Agreement, Survey, survey};
-use crate::align::bilinear::Laid;
 use crate::align::comparison::Comparison;
 use crate::align::grey::{GreyPyramid, finest_level, measured_level};
 use crate::align::mtb::{self, MtbOptions};
 use crate::align::refine::refine;
+use crate::align::resampling::bilinear::Laid;
 use crate::align::tile_fit::{self, TileFit};
 use crate::align::transform::{Model, Warp, corners, distance, level_to_full, map, off_level, on_level, restrict};
 use crate::plane::Plane;

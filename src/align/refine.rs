@@ -6,11 +6,11 @@
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
 use crate::align::comparison::{Comparison, Point};
-use crate::align::cubic::cubic;
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::normal;
 use crate::align::patch::Patches;
 use crate::align::patches;
+use crate::align::resampling::cubic::cubic;
 use crate::align::transform::{Increment, Model, Warp, map, off_level, on_level, restrict, to_warp};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};

@@ -7,7 +7,7 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::{png_rgb, reduce};
-use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
+use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::align::transform::{Warp, map};
 use crate::bracket::Frame;
 use crate::plane::Plane;

@@ -5,7 +5,7 @@
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::resample::{resample_rows, rows_under};
+use crate::align::resampling::{resample_rows, rows_under};
 use crate::align::transform::Warp;
 use crate::align::{Alignment, Status};
 use crate::bracket::{Bracket, Frame, Window};

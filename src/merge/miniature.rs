@@ -9,7 +9,7 @@
 use super::gamut::weights;
 use super::weight::Weight;
 use super::{MergeOptions, merge};
-use crate::align::nearest::{Placed, placed};
+use crate::align::resampling::nearest::{Placed, placed};
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Frame, ReferenceChoice, Samples};
 use crate::error::Result;

@@ -6,7 +6,7 @@
 //! patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
 
 use crate::align::Rect;
-use crate::align::resample::{resample_rows, rows_under};
+use crate::align::resampling::{resample_rows, rows_under};
 use crate::align::transform::Warp;
 use crate::bracket::Frame;
 use crate::error::Result;

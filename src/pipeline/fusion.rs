@@ -3,7 +3,7 @@
 //! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
-use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
+use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::align::transform::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Transfer};

@@ -4,7 +4,7 @@
 //! one resampling of every frame, by bands.
 
 use super::{Metadata, Pending, RowWriter, Written, tiff};
-use crate::align::resample::{OUTSIDE, resample_rows};
+use crate::align::resampling::{OUTSIDE, resample_rows};
 use crate::align::transform::Warp;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Window};

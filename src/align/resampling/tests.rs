@@ -1,7 +1,9 @@
 use super::*;
-use crate::align::lanczos::lanczos3;
+use crate::align::resampling::lanczos::lanczos3;
+use crate::align::resampling::tile::Source;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, Samples};
+use nalgebra::Matrix3;
 
 fn frame(width: usize, height: usize, f: impl Fn(f64, f64) -> f64) -> Frame {
     let codes = (0..width * height)

@@ -2,9 +2,9 @@
 //!
 //! In: a bracket and where its frames lie. Out: of each frame that was placed, the codes of some rows, and where among them those of the
 //! reference's pixels are. Cost: a product of a matrix for each pixel asked for. For what bears to be moved by half a pixel: flat places,
-//! and counts over many pixels; where it does not, see [`resample`](crate::align::resample).
+//! and counts over many pixels; where it does not, see [`resample`](crate::align::resampling).
 
-use crate::align::resample::rows_under;
+use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;
 use crate::align::transform::{Warp, map};
 use crate::bracket::{Bracket, Frame, Window};
