@@ -4,12 +4,12 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
-use hdralign::align::common_exposure::{CommonExposure, Tones};
 use hdralign::align::comparison::Comparison;
 use hdralign::align::features::{Features, Guide, match_mutual};
 use hdralign::align::grey::{GreyPyramid, Percentile};
 use hdralign::align::homography::Pair;
 use hdralign::align::mtb::{self, MtbOptions};
+use hdralign::align::photometric::{CommonExposure, Tones};
 use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
 use hdralign::align::resampling::resample_rows;

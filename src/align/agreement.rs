@@ -5,7 +5,7 @@
 //! cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), blind to gain and offset, within a few pixels
 //! about the place.
 
-use crate::align::common_exposure::CommonExposure;
+use crate::align::photometric::CommonExposure;
 use crate::align::transform::map;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};

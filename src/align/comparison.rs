@@ -4,9 +4,9 @@
 //! is asked for, and the points of each level at which they are compared; each made once. Cost: that of [`CommonExposure`], and one pass
 //! over the reference for the points.
 
-use crate::align::common_exposure::{CommonExposure, Tones};
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::patch::Patches;
+use crate::align::photometric::{CommonExposure, Tones};
 use crate::align::resampling::cubic::BORDER;
 use crate::align::transform::{Warp, on_level};
 use crate::plane::Plane;

@@ -1,7 +1,7 @@
 //! What the tiles say of warps that are right, and of such as are wrong by a known amount.
 
 use super::*;
-use crate::align::common_exposure::Tones;
+use crate::align::photometric::Tones;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift};
 use crate::align::transform::Warp;
 

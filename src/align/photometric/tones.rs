@@ -1,23 +1,18 @@
-//! Two frames as the brighter of them would show them, so that their pixels can be compared.
+//! Tables that bring two frames to a common exposure, and how far each grey value can be trusted.
 //!
-//! In: two frames, roughly aligned. Out: [`Tones`], a table of levels for each of them and what each level can be trusted; and with
-//! them the two planes ([`CommonExposure`]), smoothed. Cost: one pass over some samples; a table look-up and six multiply-adds a pixel.
-//! Source: Grossberg & Nayar 2003 (see [`intensity_map`](crate::align::intensity_map)); Burt & Adelson, "The Laplacian Pyramid as a Compact
-//! Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
-//!
-//! The darker is mapped to the brighter because clipping is then the same in both; and it is mapped before it is smoothed, because
-//! the other way round the edges of clipped areas would move.
+//! In: two frames, roughly aligned. Out: [`Tones`]. Cost: one pass over some samples.
 
-use crate::align::intensity_map::IntensityMap;
+use crate::align::photometric::intensity_map::IntensityMap;
 use crate::align::transform::map;
 use crate::plane::Plane;
-use crate::pyramid::binomial;
 use nalgebra::Matrix3;
 
 /// About so many places at which the two frames' levels are taken.
 const SAMPLES: f64 = 40_000.0;
+
 /// Grey levels nearer than this to either end of the brighter frame's range may be clipped.
 const CLIP_MARGIN: f32 = 5.0;
+
 /// Levels of the darker frame below this are as much noise as light.
 const DARKEST: f32 = 2.0;
 
@@ -52,28 +47,6 @@ impl Tones {
     #[inline]
     pub fn trust(&self, v: f32) -> f32 {
         self.trusts[usize::from(v as u8)]
-    }
-}
-
-/// Two frames at a common exposure, smoothed by one pixel.
-#[derive(Debug, Clone)]
-pub struct CommonExposure {
-    /// The reference.
-    pub reference: Plane<f32>,
-    /// The frame, on its own grid.
-    pub frame: Plane<f32>,
-    /// What brought them here.
-    pub tones: Tones,
-}
-
-impl CommonExposure {
-    /// `reference` and `frame` by `tones`.
-    pub fn new(reference: &Plane<u8>, frame: &Plane<u8>, tones: &Tones) -> Self {
-        CommonExposure {
-            reference: binomial(reference, &tones.reference),
-            frame: binomial(frame, &tones.frame),
-            tones: tones.clone(),
-        }
     }
 }
 
@@ -119,6 +92,7 @@ fn trusts(map: &IntensityMap) -> [f32; 256] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::photometric::CommonExposure;
     use crate::align::scene::{Scene, Shot};
     use crate::align::transform::Warp;
 
