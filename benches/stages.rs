@@ -4,11 +4,13 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
+use hdralign::align::bitmaps;
+use hdralign::align::bitmaps::MtbOptions;
+use hdralign::align::bitmaps::ThresholdBitmaps;
 use hdralign::align::comparison::Comparison;
 use hdralign::align::features::{Features, Guide, match_mutual};
 use hdralign::align::grey::{GreyPyramid, Percentile};
 use hdralign::align::homography::Pair;
-use hdralign::align::mtb::{self, MtbOptions};
 use hdralign::align::photometric::{CommonExposure, Tones};
 use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
@@ -95,13 +97,13 @@ fn bitmaps(c: &mut Criterion) {
         });
         let both = planes.clone().map(pyramid);
         group.bench_function(format!("bitmaps {name}"), |b| {
-            b.iter(|| black_box(&both[0]).bitmaps(0, Percentile::MEDIAN, 4));
+            b.iter(|| ThresholdBitmaps::of_level(black_box(&both[0]), 0, Percentile::MEDIAN, 4));
         });
         for (what, max_rotation_deg) in [("shift", 0.0), ("shift and rotation", 5.0)] {
             let options = MtbOptions { max_rotation_deg, ..MtbOptions::default() };
             let search = |planes: [Plane<u8>; 2]| {
                 let [a, b] = planes.map(pyramid);
-                mtb::search(&a, &b, 0, &options)
+                bitmaps::search(&a, &b, 0, &options)
             };
             group.bench_function(format!("{what} {name}"), |b| b.iter_batched(fresh, search, BatchSize::LargeInput));
         }
@@ -122,7 +124,7 @@ fn alignment(c: &mut Criterion) {
         b.iter(|| gaussian(black_box(&levels), 1.6));
     });
     let options = MtbOptions::default();
-    let start = mtb::search(&reference, &frame, 0, &options).warp();
+    let start = bitmaps::search(&reference, &frame, 0, &options).warp();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
         group.bench_function(name, |b| {
             b.iter(|| {

@@ -7,13 +7,12 @@
 //! against each other.
 
 use crate::align::AlignOptions;
-use crate::align::bitmap::{ThresholdBitmaps, Zone, difference_shifted};
+use crate::align::bitmaps;
+use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::features::{Features, Keypoint};
 use crate::align::grey::{GreyPyramid, Percentile, measured_level};
 use crate::align::homography::Pair;
-use crate::align::lay::{Motion, Rounding};
-use crate::align::mtb;
 use crate::align::ransac::RansacOptions;
 use crate::align::result::KeypointCounts;
 use crate::align::transform::{Warp, distance, level_to_full, map};
@@ -43,7 +42,7 @@ impl FrameBitmaps {
     /// The bitmaps of both, as the search has them on the level on which frames are compared.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
-        let pair = mtb::Pair::new(reference, frame, level, options.mtb.exclusion);
+        let pair = bitmaps::Pair::new(reference, frame, level, options.mtb.exclusion);
         let [a, b] = pair.zones;
         [(pair.reference, a), (pair.frame, b)].map(|(bitmaps, zone)| FrameBitmaps {
             percentile: pair.percentile,
@@ -113,7 +112,7 @@ pub fn xor_curves(
 ) -> XorCurves {
     let level = measured_level(reference);
     let (width, height) = reference.size(0);
-    let own = || mtb::search(reference, frame, level, &options.mtb).warp();
+    let own = || bitmaps::search(reference, frame, level, &options.mtb).warp();
     let warp = warp.copied().unwrap_or_else(own);
     let [against, bitmaps] = FrameBitmaps::pair(reference, frame, options);
     let scale = bitmaps.scale;

@@ -10,11 +10,11 @@
 //! percentiles, Ward's three among them: whatever the exposures, two frames have some in common that say something in both, and as each
 //! is matched with its like alone, no match can join two that cannot be the same.
 
+use crate::align::bitmaps::MtbOptions;
 use crate::align::features::{Features, Guide, Keypoint, match_mutual};
 use crate::align::grey::GreyPyramid;
 use crate::align::homography::{Pair, fit};
 use crate::align::lmeds;
-use crate::align::mtb::MtbOptions;
 use crate::align::ransac::{self, Consensus, RansacOptions, distance_squared};
 use crate::align::result::KeypointCounts;
 use crate::align::sift::{self, SiftOptions};

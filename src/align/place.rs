@@ -4,9 +4,10 @@
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
 use crate::align::agreement::{Agreement, Survey, survey};
+use crate::align::bitmaps;
+use crate::align::bitmaps::MtbOptions;
 use crate::align::comparison::Comparison;
 use crate::align::grey::{GreyPyramid, finest_level, measured_level};
-use crate::align::mtb::{self, MtbOptions};
 use crate::align::refine::refine;
 use crate::align::resampling::bilinear::Laid;
 use crate::align::tile_fit::{self, TileFit};
@@ -87,7 +88,7 @@ pub(crate) fn by_bitmaps<'a>(
     frame: &'a GreyPyramid,
     options: &MtbOptions,
 ) -> (Comparison<'a>, Option<Candidate>) {
-    let start = mtb::search(reference, frame, measured_level(reference), options).warp();
+    let start = bitmaps::search(reference, frame, measured_level(reference), options).warp();
     let pair = Comparison::new(reference, frame, &start);
     let candidate = by_start(&pair, &start, CAPTURE_LEVELS);
     (pair, candidate)
@@ -96,7 +97,7 @@ pub(crate) fn by_bitmaps<'a>(
 /// What the bitmaps' other minima lead to: the best few refined to the end, then the others as far as they were followed.
 pub(crate) fn by_rivals(pair: &Comparison, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
-    let mut rough: Vec<Candidate> = mtb::rivals(pair.reference(), pair.frame(), angle, MOST_RIVALS, options)
+    let mut rough: Vec<Candidate> = bitmaps::rivals(pair.reference(), pair.frame(), angle, MOST_RIVALS, options)
         .into_iter()
         .filter_map(|m| {
             let start = Warp::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };

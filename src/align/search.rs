@@ -5,11 +5,10 @@
 
 use crate::align::AlignOptions;
 use crate::align::agreement::LEAST_SIDE;
+use crate::align::bitmaps;
 use crate::align::comparison::Comparison;
 use crate::align::feature_sets::{self, FeatureSets};
 use crate::align::grey::{COARSEST, GreyPyramid, Seen, measured_level};
-use crate::align::mtb;
-use crate::align::period;
 use crate::align::place::{self, Candidate};
 use crate::align::result::{KeypointCounts, Status, Verdict};
 use crate::align::transform::{Model, Warp, distance, level_to_full};
@@ -88,7 +87,7 @@ impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
     pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
-            let found = mtb::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
+            let found = bitmaps::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
             let seen = self.judged(i, found.warp());
             // Each sees errors that the other does not.
             placed(&Candidate { error_px: seen.error_px.max(found.error_px), ..seen }, Found::default())
@@ -124,7 +123,7 @@ impl Search<'_> {
             self.take_as_they_lie(&mut verdicts);
             return verdicts;
         }
-        let repeats = period::repeats(self.base(), &self.options.mtb);
+        let repeats = bitmaps::repeats(self.base(), &self.options.mtb);
         let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));

@@ -3,8 +3,8 @@
 use super::memory;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
+use hdralign::align::bitmaps::MtbOptions;
 use hdralign::align::given::{Given, Place};
-use hdralign::align::mtb::MtbOptions;
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::limits::Limits;

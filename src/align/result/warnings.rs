@@ -11,7 +11,7 @@ use crate::error::{Error, Result, Warning};
 /// A place with less confidence is told to the user.
 const DOUBT: f64 = 0.5;
 /// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`](crate::align::mtb::MtbOptions::max_shift) each way along the long side) leave 0.7.
+/// ([`MtbOptions::max_shift`](crate::align::bitmaps::search::MtbOptions::max_shift) each way along the long side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// What there is to say of single frames.

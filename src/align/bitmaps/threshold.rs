@@ -5,9 +5,8 @@
 //! of their pixels tell, is ours: a zone of 4 levels is some stops in a dark frame and a fraction of one in a bright one, the median
 //! itself goes with what is in the picture, and where the picture is smooth either would move its contours.
 
-use crate::align::bitmap::Zone;
+use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
-use crate::align::lay::Motion;
 use crate::plane::Plane;
 
 /// Of the pixels that count at this zone, the share on the side that has fewer: 0 where the bitmap is blank.
@@ -110,7 +109,7 @@ mod tests {
         let (a, b) = (Histogram::of(&bright), Histogram::of(&dark));
         for percentile in SEVEN {
             let (zone_bright, zone_dark) = matched_zones(&a, &b, percentile, 4);
-            let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmap::ThresholdBitmaps::new(p, z);
+            let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmaps::bitmap::ThresholdBitmaps::new(p, z);
             assert_eq!(cut(&bright, &zone_bright), cut(&dark, &zone_dark), "{percentile:?}");
             let level = b.level(percentile);
             // The dark frame's zone is the wider one, and as it would be by itself.

@@ -6,8 +6,8 @@
 //! tries angle after angle (chapter 4), here the counts of each part of the picture, a pixel or two to either side, tell how far that part
 //! is displaced, and shift and rotation are the least-squares fit to all of them.
 
-use crate::align::bitmap::{Crossings, Difference, ThresholdBitmaps, crossings, difference_shifted};
-use crate::align::lay::{Motion, Rounding};
+use crate::align::bitmaps::difference::{Crossings, Difference, crossings, difference_shifted};
+use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
 use nalgebra::{SMatrix, SVector};
 
 /// A step by less changes nothing that matters, in pixels of the level.
@@ -292,7 +292,7 @@ const CAUCHY: f64 = 2.4;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::bitmap::Zone;
+    use crate::align::bitmaps::Zone;
     use crate::align::scene::{Scene, Shot, photograph, rigid};
     use crate::align::transform::Warp;
 

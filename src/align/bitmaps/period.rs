@@ -4,10 +4,10 @@
 //! Source: Ward's bitmaps (2003), of the picture against itself. Away from where it lies, a picture that does not repeat differs by
 //! about half its pixels, or by less and less towards there; a facade hardly differs at its period, and much half-way.
 
-use crate::align::bitmap::difference_shifted;
+use crate::align::bitmaps::difference::difference_shifted;
+use crate::align::bitmaps::threshold::own_percentile;
+use crate::align::bitmaps::{MtbOptions, ThresholdBitmaps};
 use crate::align::grey::GreyPyramid;
-use crate::align::mtb::MtbOptions;
-use crate::align::threshold::own_percentile;
 use rayon::prelude::*;
 
 /// Short side of the level that is looked at: fine enough for the windows of a facade.
@@ -24,8 +24,12 @@ pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     let fits = |i: &usize| picture.size(*i).0.min(picture.size(*i).1) < SIDE;
     let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);
     let plane = picture.level(level);
-    let bitmaps =
-        picture.bitmaps(level, own_percentile(picture.histogram(level), options.exclusion), options.exclusion);
+    let bitmaps = ThresholdBitmaps::of_level(
+        picture,
+        level,
+        own_percentile(picture.histogram(level), options.exclusion),
+        options.exclusion,
+    );
     let reach = (options.max_shift * plane.width().max(plane.height()) as f64) as i64;
     // Shifts by d and by -d compare the same pixels.
     let side = (2 * reach + 1) as usize;

@@ -1,9 +1,11 @@
 //! The percentiles, and the search against motions that are known and against the textbook's loop.
 
 use super::*;
+use crate::align::bitmaps::MtbOptions;
+use crate::align::bitmaps::threshold::own_percentile;
 use crate::align::grey::GreyPyramid;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift, uniform};
-use crate::align::threshold::own_percentile;
+use crate::align::transform::Warp;
 
 fn plane(values: &[(u8, usize)]) -> Plane<u8> {
     let data: Vec<u8> = values.iter().flat_map(|&(v, n)| std::iter::repeat_n(v, n)).collect();
@@ -195,7 +197,7 @@ fn the_packed_search_is_the_textbooks() {
         let (a, b) = (take(&Warp::Identity, 0.0), take(&shift(dx, dy), 1.0));
         let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
         assert_eq!(pa.len(), 1);
-        let bitmaps = |p: &GreyPyramid| p.bitmaps(0, Percentile::MEDIAN, 4);
+        let bitmaps = |p: &GreyPyramid| ThresholdBitmaps::of_level(p, 0, Percentile::MEDIAN, 4);
         let zones = [&pa, &pb].map(|p| Zone::about(p.histogram(0).level(Percentile::MEDIAN), 4));
         let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN, zones };
         let reach = packed.reach(0.15);

@@ -1,68 +1,14 @@
-//! Median threshold bitmaps: the shift and the rotation between two exposures, from where they are brighter than their medians.
+//! The search for the motion under which two bitmaps differ least, from the coarsest level down.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, how far it may
-//! be off, and the share of pixels that still differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes
-//! on. Source: Ward 2003, section 2; a rotation beside the shift is the thesis's (chapter 4). From a coarsest level on which every shift
-//! and angle is tried a few candidates are followed by whole pixels; where the picture's parts have enough to say, the best goes down to
-//! the lowest point of the counts (`descent`).
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]; other motions under which the bitmaps nearly agree. Cost: see
+//! [`bitmaps`](crate::align::bitmaps).
 
-use crate::align::bitmap::{Difference, ThresholdBitmaps, Zone, difference_shifted};
-use crate::align::descent::{Descent, LEAST_COMPARED};
+use crate::align::bitmaps::descent::{Descent, LEAST_COMPARED};
+use crate::align::bitmaps::difference::difference_shifted;
+use crate::align::bitmaps::threshold::{common_histograms, common_percentile, matched_zones};
+use crate::align::bitmaps::{Motion, MtbMatch, MtbOptions, Rounding, ThresholdBitmaps, Zone};
 use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile};
-use crate::align::lay::{Motion, Rounding};
-use crate::align::threshold::{common_histograms, common_percentile, matched_zones};
-use crate::align::transform::Warp;
 use crate::plane::Plane;
-
-/// How the bitmaps are made and searched.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MtbOptions {
-    /// The largest rotation sought, in degrees to either side.
-    pub max_rotation_deg: f64,
-    /// The largest shift sought at the coarsest level, as a share of the long side.
-    pub max_shift: f64,
-    /// Grey levels on either side of the threshold in which pixels do not count (Ward: 4).
-    pub exclusion: u8,
-}
-
-impl Default for MtbOptions {
-    fn default() -> Self {
-        MtbOptions { max_rotation_deg: 5.0, max_shift: 0.15, exclusion: 4 }
-    }
-}
-
-impl GreyPyramid {
-    /// The bitmaps of level `i` at `percentile`.
-    pub fn bitmaps(&self, i: usize, percentile: Percentile, exclusion: u8) -> ThresholdBitmaps {
-        ThresholdBitmaps::new(self.level(i), &Zone::about(self.histogram(i).level(percentile), exclusion))
-    }
-}
-
-/// What the bitmaps say of two frames.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MtbMatch {
-    /// The motion reference -> frame, in pixels of the full size.
-    pub motion: Motion,
-    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by what no shift and
-    /// rotation can follow.
-    pub error_px: f64,
-    /// The threshold used in both.
-    pub percentile: Percentile,
-    /// Over the whole overlap, how many pixels differ, at the finest level searched.
-    pub difference: Difference,
-    /// The same where nothing moves.
-    pub difference_unmoved: Difference,
-}
-
-impl MtbMatch {
-    /// The motion as a warp: the identity where there is none.
-    pub fn warp(&self) -> Warp {
-        if self.motion == Motion::default() {
-            return Warp::Identity;
-        }
-        Warp::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
-    }
-}
 
 /// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched: 0 for the full
 /// size, or for the largest of at most [`ENOUGH_PIXELS`].

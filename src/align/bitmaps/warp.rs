@@ -4,7 +4,8 @@
 //! shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each. Nothing is allocated. Source: the thesis turns the picture pixel by
 //! pixel (chapter 4); that a turned row is pieces of rows is ours.
 
-use crate::align::bitmap::{ThresholdBitmaps, bits_from};
+use crate::align::bitmaps::ThresholdBitmaps;
+use crate::align::bitmaps::bitmap::bits_from;
 
 /// A motion of the picture's pixels, reference -> frame: a rotation about the centre, then a shift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -145,8 +146,8 @@ impl ThresholdBitmaps {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::bitmap::Bitmap;
-    use crate::align::bitmap::tests::bitmaps;
+    use crate::align::bitmaps::Bitmap;
+    use crate::align::bitmaps::bitmap::tests::bitmaps;
 
     /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by `Places`.
     fn laid_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
