@@ -4,20 +4,19 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
-use hdralign::align::bitmaps;
-use hdralign::align::bitmaps::MtbOptions;
-use hdralign::align::bitmaps::ThresholdBitmaps;
+use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
 use hdralign::align::comparison::Comparison;
-use hdralign::align::features::{Features, Guide, match_mutual};
+use hdralign::align::features::homography::Pair;
+use hdralign::align::features::lmeds;
+use hdralign::align::features::ransac;
+use hdralign::align::features::sift::{SiftOptions, detect};
+use hdralign::align::features::{Features, Guide, RansacOptions, match_mutual};
 use hdralign::align::grey::{GreyPyramid, Percentile};
-use hdralign::align::homography::Pair;
 use hdralign::align::photometric::{CommonExposure, Tones};
-use hdralign::align::ransac::{self, RansacOptions};
 use hdralign::align::refine::refine;
 use hdralign::align::resampling::resample_rows;
-use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::align::transform::Model;
-use hdralign::align::{AlignOptions, Alignment, align, grey_pyramid, lmeds};
+use hdralign::align::{AlignOptions, Alignment, align, bitmaps, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::calibration::Unit;
 use hdralign::merge::statistics::Statistics;

@@ -9,11 +9,10 @@
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
-use crate::align::feature_sets::{self, FeatureSets};
-use crate::align::features::{Features, Keypoint};
+use crate::align::features;
+use crate::align::features::homography::Pair;
+use crate::align::features::{FeatureSets, Features, Keypoint, RansacOptions};
 use crate::align::grey::{GreyPyramid, Percentile, measured_level};
-use crate::align::homography::Pair;
-use crate::align::ransac::RansacOptions;
 use crate::align::result::KeypointCounts;
 use crate::align::transform::{Warp, distance, level_to_full, map};
 use nalgebra::Matrix3;
@@ -177,7 +176,7 @@ impl FrameFeatures {
     pub fn new(frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let level = measured_level(frame);
         FrameFeatures {
-            sets: feature_sets::features(frame, level, &options.sift, &options.mtb),
+            sets: features::features(frame, level, &options.sift, options.mtb.exclusion),
             to_full: level_to_full(level),
             size: (frame.level(level).width(), frame.level(level).height()),
         }
@@ -213,7 +212,7 @@ impl FrameFeatures {
     /// scale, as they are counted.
     pub fn found_twice(&self) -> [Vec<bool>; 2] {
         let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
-        [feature_sets::found_among(plain, &bitmaps), feature_sets::found_among(&bitmaps, plain)]
+        [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
     }
 
     /// Those of one kind, the others left out.
@@ -248,11 +247,11 @@ impl Matching {
 /// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that [`align`](crate::align::align) gives.
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
-    let of = |kind| feature_sets::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
+    let of = |kind| features::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
     let pairs = [FeatureKind::Plain, FeatureKind::Mtb, FeatureKind::Merged].map(of);
     let in_full = RansacOptions { threshold: options.ransac.threshold * to_full[(0, 0)], ..options.ransac.clone() };
     pairs.map(|pairs| {
-        let found = feature_sets::agreed(&pairs, &in_full, options.robust);
+        let found = features::agreed(&pairs, &in_full, options.robust);
         let mut inlier = vec![false; pairs.len()];
         for &i in found.iter().flat_map(|f| &f.inliers) {
             inlier[i] = true;
@@ -269,7 +268,7 @@ pub fn distance_px(a: &Warp, b: &Warp, size: (usize, usize)) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::ransac::distance_squared;
+    use crate::align::features::distance_squared;
     use crate::align::scene::{Scene, Shot, rigid};
 
     const SIZE: (usize, usize) = (420, 300);

@@ -15,26 +15,21 @@ mod assumed;
 pub mod bitmaps;
 pub mod comparison;
 pub mod evidence;
-mod feature_sets;
 pub mod features;
 pub mod given;
 pub mod grey;
-pub mod homography;
-pub mod lmeds;
 mod neighbours;
 mod normal;
 mod patch;
 pub mod patches;
 pub mod photometric;
 mod place;
-pub mod ransac;
 pub mod refine;
 pub mod resampling;
 pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;
 mod search;
-pub mod sift;
 mod tile_fit;
 pub mod transform;
 
@@ -43,14 +38,14 @@ use crate::error::{Error, Result, Warning};
 use crate::plane::Plane;
 use assumed::turns;
 use bitmaps::MtbOptions;
+pub use features::RobustMethod;
+use features::{RansacOptions, SiftOptions};
 use given::Given;
 use grey::look;
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
-use ransac::RansacOptions;
 pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
 use search::Search;
-use sift::SiftOptions;
 use std::sync::{Mutex, PoisonError};
 pub use transform::{Model, Warp};
 
@@ -67,17 +62,6 @@ pub enum AlignMode {
     Sift,
     /// None: the frames are taken as they lie.
     None,
-}
-
-/// How the matches that agree on a motion are told from the wrong ones.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RobustMethod {
-    /// [`ransac`]: the motion with which most agree, to within a threshold; four fifths may be wrong.
-    #[default]
-    Ransac,
-    /// [`lmeds`]: the motion that half of them fit best, with no threshold; fewer than half may be wrong.
-    Lmeds,
 }
 
 /// How frames are aligned.

@@ -7,7 +7,8 @@ use crate::align::AlignOptions;
 use crate::align::agreement::LEAST_SIDE;
 use crate::align::bitmaps;
 use crate::align::comparison::Comparison;
-use crate::align::feature_sets::{self, FeatureSets};
+use crate::align::features;
+use crate::align::features::FeatureSets;
 use crate::align::grey::{COARSEST, GreyPyramid, Seen, measured_level};
 use crate::align::place::{self, Candidate};
 use crate::align::result::{KeypointCounts, Status, Verdict};
@@ -181,13 +182,13 @@ impl Search<'_> {
 
     fn features(&self, i: usize) -> FeatureSets {
         let level = measured_level(self.base());
-        feature_sets::features(&self.pyramids[i], level, &self.options.sift, &self.options.mtb)
+        features::features(&self.pyramids[i], level, &self.options.sift, self.options.mtb.exclusion)
     }
 
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
         let to_full = level_to_full(measured_level(self.base()));
-        let found = feature_sets::by_matches(reference, frame, &to_full, self.options)?;
+        let found = features::by_matches(reference, frame, &to_full, self.options)?;
         Some((Warp::Homography(found.homography), found.inliers.len()))
     }
 

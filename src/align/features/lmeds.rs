@@ -5,10 +5,11 @@
 //! 1984; the scale from the median and the refit are Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987, chapter 5).
 //!
 //! Beside RANSAC it needs no threshold to tell right from wrong, as the median itself says how far right ones scatter; but where more
-//! than half are wrong it has nothing to say. The draws are those of [`ransac`](crate::align::ransac).
+//! than half are wrong it has nothing to say. The draws are those of [`ransac`](crate::align::features::ransac).
 
-use crate::align::homography::{Pair, fit};
-use crate::align::ransac::{Consensus, RansacOptions, distance_squared, guess, inliers, trials_for};
+use crate::align::features::consensus::{guess, inliers, trials_for};
+use crate::align::features::homography::{Pair, fit};
+use crate::align::features::{Consensus, RansacOptions, distance_squared};
 use nalgebra::Matrix3;
 
 /// Standard deviations, by the median, within which a pair is right.
@@ -75,7 +76,7 @@ fn median_of_squares(pairs: &[Pair], h: &Matrix3<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::ransac::tests::{H, pairs};
+    use crate::align::features::consensus::tests::{H, pairs};
     use crate::align::transform::map;
 
     #[test]

@@ -1,15 +1,21 @@
 //! What the bitmaps add: points in dark frames, the same ones in both, and each counted once.
 
 use super::*;
-use crate::align::grey::measured_level;
+use crate::align::AlignOptions;
+use crate::align::bitmaps::MtbOptions;
+use crate::align::features::estimation::Matches;
+use crate::align::features::extraction::{PERCENTILES, bitmap, count, smoothed, thresholds};
+use crate::align::grey::{GreyPyramid, measured_level};
+use crate::align::result::KeypointCounts;
 use crate::align::scene::{Scene, Shot, perspective};
-use crate::align::transform::Warp;
+use crate::align::transform::{Warp, map};
+use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);
 
 fn sets(seed: u64, warp: &Warp, ev: f64) -> FeatureSets {
     let pyramid = GreyPyramid::new(Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)));
-    features(&pyramid, measured_level(&pyramid), &SiftOptions::default(), &MtbOptions::default())
+    features(&pyramid, measured_level(&pyramid), &SiftOptions::default(), MtbOptions::default().exclusion)
 }
 
 fn by_plain_alone(sets: &FeatureSets) -> FeatureSets {
