@@ -5,15 +5,12 @@
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::survey;
 use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
-use hdralign::align::comparison::Comparison;
 use hdralign::align::features::homography::Pair;
-use hdralign::align::features::lmeds;
-use hdralign::align::features::ransac;
 use hdralign::align::features::sift::{SiftOptions, detect};
-use hdralign::align::features::{Features, Guide, RansacOptions, match_mutual};
+use hdralign::align::features::{Features, Guide, RansacOptions, lmeds, match_mutual, ransac};
 use hdralign::align::grey::{GreyPyramid, Percentile};
 use hdralign::align::photometric::{CommonExposure, Tones};
-use hdralign::align::refine::refine;
+use hdralign::align::refinement::{Comparison, refine};
 use hdralign::align::resampling::resample_rows;
 use hdralign::align::transform::Model;
 use hdralign::align::{AlignOptions, Alignment, align, bitmaps, grey_pyramid};

@@ -13,18 +13,14 @@
 pub mod agreement;
 mod assumed;
 pub mod bitmaps;
-pub mod comparison;
 pub mod evidence;
 pub mod features;
 pub mod given;
 pub mod grey;
 mod neighbours;
-mod normal;
-mod patch;
-pub mod patches;
 pub mod photometric;
 mod place;
-pub mod refine;
+pub mod refinement;
 pub mod resampling;
 pub mod result;
 #[cfg(test)]

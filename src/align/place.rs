@@ -6,9 +6,8 @@
 use crate::align::agreement::{Agreement, Survey, survey};
 use crate::align::bitmaps;
 use crate::align::bitmaps::MtbOptions;
-use crate::align::comparison::Comparison;
 use crate::align::grey::{GreyPyramid, finest_level, measured_level};
-use crate::align::refine::refine;
+use crate::align::refinement::{Comparison, refine};
 use crate::align::resampling::bilinear::Laid;
 use crate::align::tile_fit::{self, TileFit};
 use crate::align::transform::{Model, Warp, corners, distance, level_to_full, map, off_level, on_level, restrict};

@@ -6,11 +6,11 @@
 use crate::align::AlignOptions;
 use crate::align::agreement::LEAST_SIDE;
 use crate::align::bitmaps;
-use crate::align::comparison::Comparison;
 use crate::align::features;
 use crate::align::features::FeatureSets;
 use crate::align::grey::{COARSEST, GreyPyramid, Seen, measured_level};
 use crate::align::place::{self, Candidate};
+use crate::align::refinement::Comparison;
 use crate::align::result::{KeypointCounts, Status, Verdict};
 use crate::align::transform::{Model, Warp, distance, level_to_full};
 use crate::plane::{Plane, map_at_once};

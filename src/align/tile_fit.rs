@@ -3,7 +3,7 @@
 //! In: a [`Survey`] of how the tiles lie under a warp. Out: the small motion that takes most of them where they match best, and how
 //! well they determine it. Cost: none to speak of, beside the survey.
 //! Flare, a long exposure's blur, or noise that bends the intensity map displace the level at every edge to the same side, and
-//! [`refine`](crate::align::refine) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
+//! [`refine`](crate::align::refinement) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
 //! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
 
 use crate::align::agreement::{Displaced, Survey};

@@ -5,11 +5,16 @@
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
-use crate::align::comparison::{Comparison, Point};
+pub mod fine_level;
+pub mod frame_pair;
+mod normal_equations;
+mod patch;
+
+pub use frame_pair::Comparison;
+
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::normal;
-use crate::align::patch::Patches;
-use crate::align::patches;
+use crate::align::refinement::frame_pair::Point;
+use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::cubic;
 use crate::align::transform::{Increment, Model, Warp, map, off_level, on_level, restrict, to_warp};
 use crate::plane::Plane;
@@ -56,9 +61,9 @@ pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usi
         (state, last) = (h, Some(error_px));
     }
     if finest < measured {
-        let points = patches::points(pair);
+        let points = fine_level::points(pair);
         let mut seen = pair.patches(|| Patches::unread(points.len()));
-        let residuals = |h: &Matrix3<f64>, out: &mut [f32]| patches::residuals(pair, &mut seen, h, out);
+        let residuals = |h: &Matrix3<f64>, out: &mut [f32]| fine_level::residuals(pair, &mut seen, h, out);
         let stage = Stage::new(pair, finest_level(pair.reference()), true, points)?;
         let solved = stage.solve(state, model, residuals);
         pair.keep_patches(seen);
@@ -123,7 +128,7 @@ impl<'a> Stage<'a> {
         for _ in 0..MOST_STEPS {
             residuals(&h, &mut left);
             let noise = spread(self.points, &left)?;
-            let (mut a, mut b) = normal::equations(basis.numbers(), self.points, &rows, &left, noise);
+            let (mut a, mut b) = normal_equations::equations(basis.numbers(), self.points, &rows, &left, noise);
             basis.add_prior(&h, NOISE_FACTOR, &mut a, &mut b);
             normal = a.clone();
             let step = basis.solve(a, b)?;

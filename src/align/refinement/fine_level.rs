@@ -4,9 +4,10 @@
 //! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
-use crate::align::comparison::{Comparison, Point};
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::patch::{Origin, Patch, Patches, SEEN};
+use crate::align::refinement::Comparison;
+use crate::align::refinement::frame_pair::Point;
+use crate::align::refinement::patch::{Origin, Patch, Patches, SEEN};
 use crate::align::transform::{level_to_full, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};

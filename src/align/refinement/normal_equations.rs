@@ -4,7 +4,7 @@
 //! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight numbers. Source: Baker & Matthews, "Lucas-Kanade 20
 //! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
-use crate::align::comparison::Point;
+use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, DVector};
 

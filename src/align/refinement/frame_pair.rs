@@ -5,8 +5,8 @@
 //! over the reference for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
-use crate::align::patch::Patches;
 use crate::align::photometric::{CommonExposure, Tones};
+use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::BORDER;
 use crate::align::transform::{Warp, on_level};
 use crate::plane::Plane;
