@@ -26,7 +26,6 @@ pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;
 mod search;
-mod tile_fit;
 pub mod transform;
 
 use crate::bracket::Bracket;

@@ -3,13 +3,13 @@
 //! In: the grey pyramids of the reference and a frame, and warps to start from. Out: a [`Candidate`] with its agreement, or none; then
 //! the smallest [`Model`] that explains it as well. Cost: that of [`refine`] and [`survey`] for each start.
 
-use crate::align::agreement::{Agreement, Survey, survey};
+use crate::align::agreement;
+use crate::align::agreement::{Agreement, Survey, TileFit, survey};
 use crate::align::bitmaps;
 use crate::align::bitmaps::MtbOptions;
 use crate::align::grey::{GreyPyramid, finest_level, measured_level};
 use crate::align::refinement::{Comparison, refine};
 use crate::align::resampling::bilinear::Laid;
-use crate::align::tile_fit::{self, TileFit};
 use crate::align::transform::{Model, Warp, corners, distance, level_to_full, map, off_level, on_level, restrict};
 use crate::plane::Plane;
 use std::sync::Arc;
@@ -168,7 +168,7 @@ fn judged(pair: &Comparison, warp: Warp, noise_px: f64) -> (Candidate, Option<Ti
     let h = on_level(&warp.matrix(width, height), level);
     let both = &pair.level(level).both;
     let survey = survey(both, &h);
-    let fit = tile_fit::fit(&survey, &h, (both.reference.width(), both.reference.height()));
+    let fit = agreement::fit(&survey, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
     // What is beyond the tiles' own error is the warp's.
     let seen = match &fit {

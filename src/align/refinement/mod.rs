@@ -5,8 +5,8 @@
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
-pub mod fine_level;
-pub mod frame_pair;
+mod fine_level;
+mod frame_pair;
 mod normal_equations;
 mod patch;
 
