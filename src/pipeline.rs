@@ -17,7 +17,7 @@ mod results;
 mod slabs;
 mod tonemapping;
 
-use crate::align::given::SavedAlignment;
+use crate::align::transforms_file::SavedAlignment;
 use crate::align::{AlignMode, AlignOptions, Alignment};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};

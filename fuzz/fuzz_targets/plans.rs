@@ -4,7 +4,8 @@
 //! bracket with finite radiance or an error; a step's brackets have its inputs; a name stays below its folder.
 #![no_main]
 
-use hdralign::align::given::{Given, SavedAlignment};
+use hdralign::align::preset::Given;
+use hdralign::align::transforms_file::SavedAlignment;
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::batch::name::{Template, Values, plain};
 use hdralign::batch::plan::Step;

@@ -15,11 +15,11 @@ mod assumed;
 pub mod bitmaps;
 pub mod evidence;
 pub mod features;
-pub mod given;
 pub mod grey;
 mod neighbours;
 pub mod photometric;
 mod place;
+pub mod preset;
 pub mod refinement;
 pub mod resampling;
 pub mod result;
@@ -27,6 +27,7 @@ pub mod result;
 pub(crate) mod scene;
 mod search;
 pub mod transform;
+pub mod transforms_file;
 
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
@@ -35,9 +36,9 @@ use assumed::turns;
 use bitmaps::MtbOptions;
 pub use features::RobustMethod;
 use features::{RansacOptions, SiftOptions};
-use given::Given;
 use grey::look;
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
+use preset::Given;
 pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
 use search::Search;
@@ -133,7 +134,7 @@ impl AlignOptions {
 /// That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
-    let given = given::verdicts(bracket, &options.given)?;
+    let given = preset::verdicts(bracket, &options.given)?;
     let verdicts = match options.mode {
         AlignMode::None => unmoved_but(bracket, &given),
         AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,

@@ -187,7 +187,7 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
         (Verdict { status: Status::Rejected, ..by_user.clone() }, "has a place"),
         (Verdict { confidence: f64::NAN, ..by_user.clone() }, "confidence"),
     ] {
-        let given = vec![Given { path: "1".into(), place: given::Place::Found(verdict) }];
+        let given = vec![Given { path: "1".into(), place: preset::Place::Found(verdict) }];
         let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
         assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
         assert!(error.to_string().contains(says), "{error}");
@@ -198,8 +198,9 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
 fn small_overlap_is_warned_of_and_none_is_an_error() {
     let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, 2.0)]);
     let align = |shifts: [f64; 2]| {
-        let place =
-            |dx| given::Place::Found(Verdict { warp: Some(shift(dx, 0.0)), ..Verdict::by_definition(Status::Aligned) });
+        let place = |dx| {
+            preset::Place::Found(Verdict { warp: Some(shift(dx, 0.0)), ..Verdict::by_definition(Status::Aligned) })
+        };
         let given = [1, 2].map(|i| Given { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };

@@ -4,7 +4,7 @@ use super::memory;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use hdralign::align::bitmaps::MtbOptions;
-use hdralign::align::given::{Given, Place};
+use hdralign::align::preset::{Given, Place};
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::limits::Limits;

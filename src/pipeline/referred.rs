@@ -8,8 +8,9 @@
 //! beside it the one that sees the most is tried, and taken where more are surely placed beside that. A reference of the user's choice stays.
 
 use super::Options;
-use crate::align::given::Place;
-use crate::align::{self, AlignMode, Alignment};
+use crate::align;
+use crate::align::preset::Place;
+use crate::align::{AlignMode, Alignment};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
 

@@ -3,12 +3,11 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
-use super::super::curves;
 use super::super::doubts::processing;
 use super::super::line::Line;
-use super::super::{check_placed, in_pool};
+use super::super::{check_placed, curves, in_pool};
 use super::{BracketReport, Options, PATCHES};
-use crate::align::given::Given;
+use crate::align::preset::Given;
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use crate::merge::miniature::Miniature;

@@ -13,8 +13,9 @@
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
 //! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
 
+use crate::align::preset::{Given, Place, check};
 use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
-use crate::align::transform::{Model, Warp, corners, map};
+use crate::align::transform::{Model, Warp};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;
@@ -24,85 +25,6 @@ use std::path::{Path, PathBuf};
 
 /// The version of the format; a reader refuses any other.
 pub const SCHEMA: &str = "hdralign-transforms/1";
-
-/// A frame whose place is given.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Given {
-    /// Its file, or the name of it.
-    pub path: PathBuf,
-    /// Its place.
-    pub place: Place,
-}
-
-/// See [`Given`].
-#[derive(Debug, Clone, PartialEq)]
-pub enum Place {
-    /// None: the user wants it left out.
-    LeftOut,
-    /// That of the reference: the user says that it did not move.
-    Unmoved,
-    /// As it was found before.
-    Found(Verdict),
-}
-
-impl Place {
-    /// The verdict that this place is.
-    fn verdict(&self) -> Verdict {
-        match self {
-            Place::Unmoved => Verdict::by_definition(Status::Unmoved),
-            Place::Found(verdict) => verdict.clone(),
-            Place::LeftOut => Verdict {
-                model: None,
-                warp: None,
-                reason: Some("left out, as was asked".into()),
-                ..Verdict::by_definition(Status::Excluded)
-            },
-        }
-    }
-}
-
-/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that of a frame that is
-/// excluded by itself.
-///
-/// # Errors
-/// [`Error::Option`] where the user names a file that is no frame, wants the reference left out, or gives a place that is none.
-pub(crate) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
-    let mut verdicts = vec![None; bracket.frames().len()];
-    for Given { path, place } in given {
-        let option = match place {
-            Place::LeftOut => "--leave-out",
-            Place::Unmoved => "--unmoved",
-            Place::Found(_) => "--transforms",
-        };
-        let wrong = |reason: String| Error::Option { option, reason };
-        let Some(i) = bracket.named(path) else {
-            // A file of transforms may speak of more frames than are merged now.
-            if matches!(place, Place::Found(_)) {
-                continue;
-            }
-            return Err(wrong(format!("{} is not among the photographs; name one of them", path.display())));
-        };
-        if let Place::Found(verdict) = place {
-            check(verdict, (bracket.width(), bracket.height()))
-                .map_err(|reason| wrong(format!("{}: {reason}", path.display())))?;
-        }
-        if i == bracket.reference_index() {
-            if *place == Place::LeftOut {
-                let reason = format!("{} is the reference; choose another with --reference", path.display());
-                return Err(wrong(reason));
-            }
-            continue;
-        }
-        verdicts[i].get_or_insert_with(|| place.verdict());
-    }
-    for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
-        if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
-            let verdict = Place::LeftOut.verdict();
-            verdicts[i] = Some(Verdict { status: Status::Flash, reason: Some(reason.clone()), ..verdict });
-        }
-    }
-    Ok(verdicts)
-}
 
 /// The verdicts of a bracket, to be saved and used again.
 #[derive(Debug, Clone, PartialEq)]
@@ -306,29 +228,6 @@ fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Ve
     };
     check(&verdict, size)?;
     Ok(verdict)
-}
-
-/// Whether `verdict` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing mirrored.
-fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::result::Result<(), String> {
-    if !(0.0..=1.0).contains(&verdict.confidence) {
-        return Err(format!("its confidence is {}, and not within 0..1", verdict.confidence));
-    }
-    let takes_part = verdict.status.rejected_by().is_none();
-    let Some(warp) = verdict.warp else {
-        return if takes_part { Err("it is to be merged, but has no homography".into()) } else { Ok(()) };
-    };
-    let h = warp.matrix(width, height);
-    let is_seen = |&(x, y): &(f64, f64)| {
-        let (u, v) = map(&h, x, y);
-        h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0 && u.is_finite() && v.is_finite()
-    };
-    let is_sane =
-        h.iter().all(|v| v.is_finite()) && h.determinant() > 0.0 && corners(width, height).iter().all(is_seen);
-    match (takes_part, is_sane) {
-        (true, true) => Ok(()),
-        (true, false) => Err("its homography is none: nine finite numbers that keep the picture in front of the camera and do not mirror it".into()),
-        (false, _) => Err("it is rejected, but has a place".into()),
-    }
 }
 
 #[cfg(test)]
