@@ -11,38 +11,31 @@
 //! repeats itself all are asked for.
 
 pub mod agreement;
-mod assumed;
 pub mod bitmaps;
-pub mod evidence;
+pub mod diagnostics;
 pub mod features;
 pub mod grey;
-mod neighbours;
+mod ladder;
 pub mod photometric;
-mod place;
 pub mod preset;
 pub mod refinement;
 pub mod resampling;
 pub mod result;
 #[cfg(test)]
 pub(crate) mod scene;
-mod search;
 pub mod transform;
 pub mod transforms_file;
 
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
-use crate::plane::Plane;
-use assumed::turns;
 use bitmaps::MtbOptions;
 pub use features::RobustMethod;
 use features::{RansacOptions, SiftOptions};
-use grey::look;
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
+use ladder::search;
 use preset::Given;
 pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
-use search::Search;
-use std::sync::{Mutex, PoisonError};
 pub use transform::{Model, Warp};
 
 /// Which methods seek the motion.
@@ -145,43 +138,6 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let (overlap, small) = warnings::common_overlap(bracket, &verdicts)?;
     warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
-}
-
-/// What `find` makes of the bracket, where nothing is `given`.
-fn search(
-    bracket: &Bracket,
-    options: &AlignOptions,
-    given: &[Option<Verdict>],
-    find: fn(&Search) -> Vec<Verdict>,
-) -> Result<Vec<Verdict>> {
-    let looked = bracket.map_whole(look);
-    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let turns = turns(bracket);
-    let is_plain = seen.iter().all(|s| s.is_plain);
-    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
-    let failed = Mutex::new(None);
-    let grey = |i: usize| {
-        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
-            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-            Plane::filled(bracket.width(), bracket.height(), 0)
-        })
-    };
-    let found = find(&Search {
-        pyramids: &pyramids,
-        grey: &grey,
-        seen: &seen,
-        turns: &turns,
-        is_plain,
-        compared_at_once: bracket.at_once(),
-        detected_at_once: bracket.detected_at_once(),
-        reference: bracket.reference_index(),
-        given,
-        options,
-    });
-    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        None => Ok(found),
-        Some(error) => Err(error),
-    }
 }
 
 #[cfg(test)]

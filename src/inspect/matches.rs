@@ -5,7 +5,7 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::Photograph;
-use crate::align::evidence::Matching;
+use crate::align::diagnostics::Matching;
 
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);

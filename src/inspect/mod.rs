@@ -19,7 +19,7 @@ pub mod response_plot;
 pub mod tables;
 pub(crate) mod text;
 
-use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
+use crate::align::diagnostics::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::{AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};

@@ -3,7 +3,7 @@
 //! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
 
 use crate::align::Status;
-use crate::align::evidence::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
+use crate::align::diagnostics::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
 use crate::align::grey::Percentile;
 use crate::align::transform::Warp;
 use crate::report::{FrameReport, Report, WarningReport};

@@ -9,7 +9,7 @@ use super::is_sought;
 use super::markup::escape;
 use super::plot::{Axis, Plot};
 use super::{COARSE, DRAWING};
-use crate::align::evidence::{Curve, FrameBitmaps, Matching, XorCurves};
+use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::{Alignment, Status};
 use crate::bracket::Bracket;
 use crate::inspect::Inspection;

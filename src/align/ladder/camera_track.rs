@@ -14,7 +14,7 @@
 //! Where that makes what is seen of them more likely by so much that a random walk would look like it by chance of 1 in 20 at most (20 is
 //! the Bayes factor that Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
 
-use crate::align::place::UNMOVED_PX;
+use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Warp, distance};
 use crate::bracket::Bracket;
 

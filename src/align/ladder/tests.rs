@@ -1,8 +1,11 @@
 //! One frame: the model that is chosen, and what holds a wrong one off.
 
 use super::*;
+use crate::align::bitmaps::MtbOptions;
+use crate::align::ladder::reduction::reduce;
+use crate::align::ladder::starts::{by_bitmaps, by_start, is_sane};
 use crate::align::scene::{Scene, Shot, perspective, rigid, shift};
-use crate::align::transform::distance;
+use crate::align::transform::{Model, distance, map};
 use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);

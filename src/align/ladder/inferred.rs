@@ -5,13 +5,14 @@
 //! places.
 //!
 //! A frame in which nearly all is black, or white, has little to be aligned by, and is often the one that matters: it holds the lamps. Where the
-//! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::assumed)).
+//! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::ladder::camera_track)).
 
-use crate::align::assumed::{Assumed, Known, Track};
 use crate::align::grey::{GreyPyramid, Shown, measured_level};
-use crate::align::place::{Candidate, tolerance_px};
+use crate::align::ladder::Search;
+use crate::align::ladder::camera_track::{Assumed, Known, Track};
+use crate::align::ladder::candidate::{Candidate, tolerance_px};
+use crate::align::ladder::selection::{DECISIVE, Found, placed};
 use crate::align::result::{Status, Verdict};
-use crate::align::search::{DECISIVE, Found, Search, placed};
 use crate::align::transform::{Model, Warp, distance, map, on_level};
 
 /// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.

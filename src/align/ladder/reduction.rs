@@ -1,0 +1,72 @@
+//! Model selection: the smallest model that explains a motion as well as the homography that was found.
+//!
+//! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement on the finest level
+//! for each smaller model that is near.
+
+use crate::align::grey::{finest_level, measured_level};
+use crate::align::ladder::candidate::Candidate;
+use crate::align::ladder::candidate::judge;
+use crate::align::refinement::{Comparison, refine};
+use crate::align::transform::{Model, Warp, distance, level_to_full, restrict};
+
+/// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
+const SAME_PX: f64 = 0.03;
+
+/// A smaller model that is so many times farther off, before it is fitted, will not do.
+const HOPELESS: f64 = 5.0;
+
+/// A frame whose warp is no more than this is unmoved: resampling would cost more than it mends, in pixels.
+pub(crate) const UNMOVED_PX: f64 = 0.2;
+
+/// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
+pub(crate) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
+    let (width, height) = pair.size();
+    let level = measured_level(pair.reference());
+    // Tiles cannot tell apart what lies nearer than this.
+    let alike_px = ALIKE * level_to_full(level)[(0, 0)];
+    let opinion = |warp: Warp, noise_px: f64, apart: f64| {
+        if apart > alike_px {
+            return Candidate { corroborated: whole.corroborated, ..judge(pair, warp, noise_px) };
+        }
+        let error_px = (noise_px * noise_px + whole.seen_px * whole.seen_px).sqrt();
+        Candidate { warp, error_px, ..whole.clone() }
+    };
+    let still = distance(&whole.warp, &Warp::Identity, width, height);
+    if still <= UNMOVED_PX.max(whole.error_px) {
+        let unmoved = opinion(Warp::Identity, 0.0, still);
+        if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
+            let error_px = unmoved.error_px.min(still.max(SAME_PX));
+            return Candidate { error_px, ..unmoved };
+        }
+    }
+    if whole.by_tiles {
+        // The pixels would take it back to where the tiles do not want it.
+        return whole;
+    }
+    let finest = finest_level(pair.reference());
+    for model in [Model::Shift, Model::Rigid] {
+        // The nearest by far is cheap to tell; the best is what counts.
+        let near = Warp::Homography(restrict(&whole.warp.matrix(width, height), model, width, height));
+        if distance(&whole.warp, &near, width, height) > HOPELESS * SAME_PX.max(whole.error_px) {
+            continue;
+        }
+        let Some(smaller) = refine(pair, &whole.warp, model, (finest, finest)) else {
+            continue;
+        };
+        let apart = distance(&whole.warp, &smaller.warp, width, height);
+        if apart <= SAME_PX.max(whole.error_px) {
+            // What the whole could not tell from this, this cannot either.
+            let noise_px = smaller.error_px.max(0.5 * whole.error_px);
+            let candidate = opinion(smaller.warp, noise_px, apart);
+            if candidate.agreement().share() >= whole.agreement().share() - 0.02
+                && candidate.agreement().offset <= whole.agreement().offset + 0.01
+            {
+                return candidate;
+            }
+        }
+    }
+    whole
+}
+
+/// What tiles can tell apart, in pixels of the level on which they are measured.
+const ALIKE: f64 = 0.1;

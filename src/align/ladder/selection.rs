@@ -1,0 +1,141 @@
+//! Selection among the candidates of a frame, and the verdict that follows.
+//!
+//! In: [`Candidate`]s. Out: the winner with its confidence, or none; the [`Verdict`]. Cost: negligible. A pure function of the candidates.
+
+use crate::align::ladder::candidate::Candidate;
+use crate::align::result::{KeypointCounts, Status, Verdict};
+use crate::align::transform::Model;
+
+/// A candidate with less confidence is no place at all, unless nearly all that speaks speaks for it.
+const LEAST_CONFIDENCE: f64 = 0.35;
+
+/// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
+const LEAST_VOICES: usize = 3;
+
+/// With less trust in a place no number of tiles makes it one.
+const LEAST_TRUST: f64 = 0.25;
+
+/// What features found for a frame.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Found {
+    pub(crate) inliers: Option<usize>,
+    pub(crate) keypoints: Option<KeypointCounts>,
+}
+
+/// Whether a candidate is good enough to merge by.
+pub(super) fn is_a_place(candidate: &Candidate) -> bool {
+    let agreement = candidate.agreement();
+    let unopposed = agreement.confirm >= LEAST_VOICES && agreement.contradict * 8 <= agreement.confirm;
+    candidate.confidence() >= LEAST_CONFIDENCE
+        || (unopposed && candidate.trust >= LEAST_TRUST && candidate.error_px < candidate.tolerance_px)
+}
+
+/// The places that were found for a frame, and the base against which each was.
+#[derive(Default)]
+pub(super) struct Pool(Vec<(usize, Candidate)>);
+
+impl Pool {
+    pub(super) fn add(&mut self, base: usize, candidate: Option<Candidate>) {
+        self.0.extend(candidate.map(|c| (base, c)));
+    }
+
+    /// The one for which most speaks; of nearly equals the first, which was had more directly.
+    pub(super) fn best(&self) -> Option<(usize, &Candidate)> {
+        self.0
+            .iter()
+            .map(|(b, c)| (*b, c))
+            .reduce(|best, other| if other.1.evidence() > best.1.evidence() * 1.01 + 0.5 { other } else { best })
+    }
+
+    /// Marks the best as led to by features as well, if it is what they `found`.
+    pub(super) fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
+        let best = self.best().map(|(_, c)| c.warp);
+        let mut any = false;
+        for (_, candidate) in self.0.iter_mut().filter(|(_, c)| best == Some(c.warp)) {
+            candidate.corroborated = found(candidate);
+            any |= candidate.corroborated;
+        }
+        any
+    }
+
+    /// The best; or, where another held against the same base, for which nearly as much speaks, has decidedly more of the tiles on its
+    /// side that speak under both, the one that comes off best against all others. (Under a shift by a facade's period other tiles lie
+    /// outside the frame, and say nothing.)
+    pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
+        let (base, best) = self.best()?;
+        let contenders = self.rivals(base, best, |_| true);
+        let worst_lead = |c: &Candidate| {
+            let others = contenders.iter().filter(|o| !alike(o, c));
+            others.map(|o| c.survey.against(&o.survey)).fold(f64::INFINITY, f64::min)
+        };
+        if worst_lead(best) >= -DECISIVE {
+            return Some((base, best));
+        }
+        let leads = contenders.iter().map(|c| (worst_lead(c), *c));
+        let winner = leads.reduce(|w, c| if c.0 > w.0 { c } else { w })?;
+        Some((base, winner.1))
+    }
+
+    /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for; `best` itself
+    /// may be.
+    fn rivals(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
+        let least = RIVALRY * best.evidence();
+        let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
+        same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
+    }
+
+    /// 1 where nothing rivals `best`; half where one of the `others` does so that the tiles that speak under both are for `best` by no
+    /// more than [`DECISIVE`].
+    pub(super) fn doubt(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
+        let leads = self.rivals(base, best, others).into_iter().map(|c| best.survey.against(&c.survey));
+        let lead = leads.fold(f64::INFINITY, f64::min);
+        if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
+    }
+}
+
+/// A candidate rivals another where so many times as much speaks for it.
+const RIVALRY: f64 = 0.4;
+
+/// Fewer nats leave it undecided which is right.
+pub(crate) const DECISIVE: f64 = 2.0;
+
+pub(super) fn why(candidate: Option<&Candidate>) -> String {
+    match candidate {
+        None => "it has too little in common with the reference to tell how it moved".into(),
+        Some(c) if c.agreement().confirm + c.agreement().contradict < 8 => {
+            "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
+        }
+        Some(c) => format!(
+            "no motion makes it agree with the reference: {} of {} parts contradict the best one",
+            c.agreement().contradict,
+            c.agreement().confirm + c.agreement().contradict
+        ),
+    }
+}
+
+pub(crate) fn placed(candidate: &Candidate, found: Found) -> Verdict {
+    let model = Model::of(&candidate.warp);
+    Verdict {
+        status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
+        model: Some(model),
+        warp: Some(candidate.warp),
+        inliers: found.inliers,
+        keypoints: found.keypoints,
+        error_px: (candidate.agreement().confirm > 0).then_some(candidate.error_px),
+        confidence: candidate.confidence(),
+        reason: None,
+    }
+}
+
+pub(super) fn rejected(reason: String, confidence: f64, found: Found) -> Verdict {
+    Verdict {
+        status: Status::Rejected,
+        model: None,
+        warp: None,
+        inliers: found.inliers,
+        keypoints: found.keypoints,
+        error_px: None,
+        confidence: confidence.min(LEAST_CONFIDENCE),
+        reason: Some(reason),
+    }
+}
