@@ -3,14 +3,14 @@
 //! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use hdralign::align::agreement::survey;
+use hdralign::align::agreement::check_tiles;
 use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
-use hdralign::align::features::homography::Pair;
+use hdralign::align::features::homography::PointPair;
 use hdralign::align::features::sift::{SiftOptions, detect};
 use hdralign::align::features::{Features, Guide, RansacOptions, lmeds, match_mutual, ransac};
 use hdralign::align::grey::{GreyPyramid, Percentile};
-use hdralign::align::photometric::{CommonExposure, Tones};
-use hdralign::align::refinement::{Comparison, refine};
+use hdralign::align::photometric::{CommonExposure, ToneTables};
+use hdralign::align::refinement::{FramePair, refine};
 use hdralign::align::resampling::resample_rows;
 use hdralign::align::transform::Model;
 use hdralign::align::{AlignOptions, Alignment, align, bitmaps, grey_pyramid};
@@ -120,11 +120,11 @@ fn alignment(c: &mut Criterion) {
         b.iter(|| gaussian(black_box(&levels), 1.6));
     });
     let options = MtbOptions::default();
-    let start = bitmaps::search(&reference, &frame, 0, &options).warp();
+    let start = bitmaps::search(&reference, &frame, 0, &options).transform();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
         group.bench_function(name, |b| {
             b.iter(|| {
-                let pair = Comparison::new(&reference, &frame, black_box(&start));
+                let pair = FramePair::new(&reference, &frame, black_box(&start));
                 refine(&pair, &start, model, (3, 0))
             })
         });
@@ -132,13 +132,13 @@ fn alignment(c: &mut Criterion) {
     let h = start.matrix(bracket.width(), bracket.height());
     group.bench_function("common exposure", |b| {
         b.iter(|| {
-            let tones = Tones::between(reference.level(0), frame.level(0), black_box(&h));
+            let tones = ToneTables::between(reference.level(0), frame.level(0), black_box(&h));
             CommonExposure::new(reference.level(0), frame.level(0), &tones)
         });
     });
-    let tones = Tones::between(reference.level(0), frame.level(0), &h);
+    let tones = ToneTables::between(reference.level(0), frame.level(0), &h);
     let both = CommonExposure::new(reference.level(0), frame.level(0), &tones);
-    group.bench_function("agreement", |b| b.iter(|| survey(&both, black_box(&h))));
+    group.bench_function("agreement", |b| b.iter(|| check_tiles(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
     let window = bracket.frames()[3].whole().expect("in memory");
     group.bench_function("resample", |b| {
@@ -170,7 +170,7 @@ fn features(c: &mut Criterion) {
     group.throughput(Throughput::Elements(sets[0].len() as u64));
     group.bench_function("match", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, None)));
     let place = |set: &Features, i: usize| [f64::from(set.keypoints[i].x), f64::from(set.keypoints[i].y)];
-    let pairs: Vec<Pair> = match_mutual(&sets[0], &sets[1], 0.8, None)
+    let pairs: Vec<PointPair> = match_mutual(&sets[0], &sets[1], 0.8, None)
         .iter()
         .map(|m| (place(&sets[0], m.reference), place(&sets[1], m.frame)))
         .collect();

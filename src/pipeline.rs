@@ -457,7 +457,7 @@ fn check_taken(taken: &Taken, bracket: &Bracket) -> Result<()> {
 
 /// Whether there is more to merge than the reference.
 fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
-    if alignment.verdicts.iter().filter(|v| v.warp.is_some()).count() > 1 {
+    if alignment.verdicts.iter().filter(|v| v.transform.is_some()).count() > 1 {
         return Ok(());
     }
     let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();

@@ -10,11 +10,11 @@ use crate::align::AlignOptions;
 use crate::align::bitmaps;
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::features;
-use crate::align::features::homography::Pair;
+use crate::align::features::homography::PointPair;
 use crate::align::features::{FeatureSets, Features, Keypoint, RansacOptions};
 use crate::align::grey::{GreyPyramid, Percentile, measured_level};
 use crate::align::result::KeypointCounts;
-use crate::align::transform::{Warp, distance, level_to_full, map};
+use crate::align::transform::{Transform, distance, level_to_full, map};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
@@ -41,7 +41,7 @@ impl FrameBitmaps {
     /// The bitmaps of both, as the search has them on the level on which frames are compared.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
-        let pair = bitmaps::Pair::new(reference, frame, level, options.mtb.exclusion);
+        let pair = bitmaps::BitmapPair::new(reference, frame, level, options.mtb.exclusion);
         let [a, b] = pair.zones;
         [(pair.reference, a), (pair.frame, b)].map(|(bitmaps, zone)| FrameBitmaps {
             percentile: pair.percentile,
@@ -101,28 +101,28 @@ const FINE_REACH: f64 = 0.4;
 /// How far shifts are tried, in pixels of the level.
 const SHIFT_REACH: i64 = 40;
 
-/// The share of pixels that differ when `frame` is turned and shifted about the motion of `warp`, or about what its bitmaps
+/// The share of pixels that differ when `frame` is turned and shifted about the motion of `transform`, or about what its bitmaps
 /// say by themselves where there is none.
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
-    warp: Option<&Warp>,
+    transform: Option<&Transform>,
     options: &AlignOptions,
 ) -> XorCurves {
     let level = measured_level(reference);
     let (width, height) = reference.size(0);
-    let own = || bitmaps::search(reference, frame, level, &options.mtb).warp();
-    let warp = warp.copied().unwrap_or_else(own);
+    let own = || bitmaps::search(reference, frame, level, &options.mtb).transform();
+    let transform = transform.copied().unwrap_or_else(own);
     let [against, bitmaps] = FrameBitmaps::pair(reference, frame, options);
     let scale = bitmaps.scale;
-    let (dx, dy) = warp.shift_px(width, height);
-    let angle = warp.rotation_deg(width, height);
+    let (dx, dy) = transform.shift_px(width, height);
+    let angle = transform.rotation_deg(width, height);
     let share = |m: [f64; 3]| {
         let motion = Motion { dx: m[0] / scale, dy: m[1] / scale, angle: m[2].to_radians() };
         let threshold = &against.bitmaps.threshold;
-        let mut laid = ThresholdBitmaps::blank(threshold.width(), threshold.height());
-        bitmaps.bitmaps.lay(&motion, Rounding::Nearest, &mut laid);
-        difference_shifted(&against.bitmaps, &laid, 0, 0).rate()
+        let mut warped = ThresholdBitmaps::blank(threshold.width(), threshold.height());
+        bitmaps.bitmaps.warp_onto(&motion, Rounding::Nearest, &mut warped);
+        difference_shifted(&against.bitmaps, &warped, 0, 0).rate()
     };
     let curve = |at: Vec<f64>, motion: &(dyn Fn(f64) -> [f64; 3] + Sync)| {
         let share = at.par_iter().map(|&t| share(motion(t))).collect();
@@ -230,11 +230,11 @@ impl FrameFeatures {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matching {
     /// The reference's place and the frame's, in pixels of the full size.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<PointPair>,
     /// Whether the robust method believes each.
     pub inlier: Vec<bool>,
     /// The motion that those agree on.
-    pub warp: Option<Warp>,
+    pub transform: Option<Transform>,
 }
 
 impl Matching {
@@ -256,12 +256,12 @@ pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &Ali
         for &i in found.iter().flat_map(|f| &f.inliers) {
             inlier[i] = true;
         }
-        Matching { pairs, inlier, warp: found.map(|f| Warp::Homography(f.homography)) }
+        Matching { pairs, inlier, transform: found.map(|f| Transform::Homography(f.homography)) }
     })
 }
 
-/// The root mean square distance over a picture of `size` of where two warps put a pixel, in pixels.
-pub fn distance_px(a: &Warp, b: &Warp, size: (usize, usize)) -> f64 {
+/// The root mean square distance over a picture of `size` of where two transforms put a pixel, in pixels.
+pub fn distance_px(a: &Transform, b: &Transform, size: (usize, usize)) -> f64 {
     distance(a, b, size.0, size.1)
 }
 
@@ -273,9 +273,10 @@ mod tests {
 
     const SIZE: (usize, usize) = (420, 300);
 
-    fn pair(warp: &Warp) -> [GreyPyramid; 2] {
+    fn pair(transform: &Transform) -> [GreyPyramid; 2] {
         let scene = Scene::new(5);
-        [(Warp::Identity, 0.0), (*warp, 2.0)].map(|(w, ev)| GreyPyramid::new(scene.photograph(SIZE, &w, Shot::at(ev))))
+        [(Transform::Identity, 0.0), (*transform, 2.0)]
+            .map(|(w, ev)| GreyPyramid::new(scene.photograph(SIZE, &w, Shot::at(ev))))
     }
 
     #[test]
@@ -304,7 +305,7 @@ mod tests {
 
     #[test]
     fn bitmaps_tell_what_they_leave_out() {
-        let [reference, frame] = pair(&Warp::Identity);
+        let [reference, frame] = pair(&Transform::Identity);
         let options = AlignOptions::default();
         let bitmaps = FrameBitmaps::new(&reference, &frame, &options);
         let zone = bitmaps.zone;
@@ -323,12 +324,12 @@ mod tests {
         let inliers = [&plain, &mtb, &merged].map(Matching::inliers);
         assert!(inliers[0] >= 10 && inliers[1] >= 10 && inliers[2] >= inliers[0], "{inliers:?}");
         let h = truth.matrix(SIZE.0, SIZE.1);
-        let off = |p: &Pair| distance_squared(&h, p).sqrt();
+        let off = |p: &PointPair| distance_squared(&h, p).sqrt();
         for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {
             // Within the threshold of the motion found, which is itself off by less than a pixel.
             assert!(!inlier || off(pair) < options.ransac.threshold + 1.0);
         }
-        assert!(distance_px(&truth, &merged.warp.unwrap(), SIZE) < 1.0);
+        assert!(distance_px(&truth, &merged.transform.unwrap(), SIZE) < 1.0);
         let counts = frame.counts();
         assert_eq!(frame.keypoints().map(|k| k.len()), [counts.plain, counts.mtb]);
         let twice = frame.found_twice().map(|t| t.iter().filter(|t| **t).count());

@@ -33,10 +33,10 @@ pub use features::RobustMethod;
 use features::{RansacOptions, SiftOptions};
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
-use preset::Given;
+use preset::Preset;
 pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
-pub use transform::{Model, Warp};
+pub use transform::{Model, Transform};
 
 /// Which methods seek the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -65,7 +65,7 @@ pub struct AlignOptions {
     /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
     /// Frames whose place is not sought but given; the first word on a frame counts.
-    pub given: Vec<Given>,
+    pub given: Vec<Preset>,
     /// The method of the robust fit.
     pub robust: RobustMethod,
     /// The robust fit; its threshold is in pixels of the level on which features are sought.

@@ -1,6 +1,6 @@
 //! Transforms that the user presets, so that they are not estimated: for single frames, or from a file of transforms.
 //!
-//! In: [`Given`] places. Out: the verdicts on the frames of a bracket that they are of. Cost: negligible.
+//! In: [`Preset`] places. Out: the verdicts on the frames of a bracket that they are of. Cost: negligible.
 
 use crate::align::result::{Status, Verdict};
 use crate::align::transform::{corners, map};
@@ -10,35 +10,35 @@ use std::path::PathBuf;
 
 /// A frame whose place is given.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Given {
+pub struct Preset {
     /// Its file, or the name of it.
     pub path: PathBuf,
     /// Its place.
-    pub place: Place,
+    pub place: PresetTransform,
 }
 
-/// See [`Given`].
+/// See [`Preset`].
 #[derive(Debug, Clone, PartialEq)]
-pub enum Place {
+pub enum PresetTransform {
     /// None: the user wants it left out.
-    LeftOut,
+    Excluded,
     /// That of the reference: the user says that it did not move.
     Unmoved,
     /// As it was found before.
-    Found(Verdict),
+    Known(Verdict),
 }
 
-impl Place {
+impl PresetTransform {
     /// The verdict that this place is.
     pub(crate) fn verdict(&self) -> Verdict {
         match self {
-            Place::Unmoved => Verdict::by_definition(Status::Unmoved),
-            Place::Found(verdict) => verdict.clone(),
-            Place::LeftOut => Verdict {
+            PresetTransform::Unmoved => Verdict::with_identity(Status::Unmoved),
+            PresetTransform::Known(verdict) => verdict.clone(),
+            PresetTransform::Excluded => Verdict {
                 model: None,
-                warp: None,
+                transform: None,
                 reason: Some("left out, as was asked".into()),
-                ..Verdict::by_definition(Status::Excluded)
+                ..Verdict::with_identity(Status::Excluded)
             },
         }
     }
@@ -49,28 +49,28 @@ impl Place {
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, wants the reference left out, or gives a place that is none.
-pub(crate) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<Verdict>>> {
+pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Verdict>>> {
     let mut verdicts = vec![None; bracket.frames().len()];
-    for Given { path, place } in given {
+    for Preset { path, place } in given {
         let option = match place {
-            Place::LeftOut => "--leave-out",
-            Place::Unmoved => "--unmoved",
-            Place::Found(_) => "--transforms",
+            PresetTransform::Excluded => "--leave-out",
+            PresetTransform::Unmoved => "--unmoved",
+            PresetTransform::Known(_) => "--transforms",
         };
         let wrong = |reason: String| Error::Option { option, reason };
         let Some(i) = bracket.named(path) else {
             // A file of transforms may speak of more frames than are merged now.
-            if matches!(place, Place::Found(_)) {
+            if matches!(place, PresetTransform::Known(_)) {
                 continue;
             }
             return Err(wrong(format!("{} is not among the photographs; name one of them", path.display())));
         };
-        if let Place::Found(verdict) = place {
+        if let PresetTransform::Known(verdict) = place {
             check(verdict, (bracket.width(), bracket.height()))
                 .map_err(|reason| wrong(format!("{}: {reason}", path.display())))?;
         }
         if i == bracket.reference_index() {
-            if *place == Place::LeftOut {
+            if *place == PresetTransform::Excluded {
                 let reason = format!("{} is the reference; choose another with --reference", path.display());
                 return Err(wrong(reason));
             }
@@ -80,7 +80,7 @@ pub(crate) fn verdicts(bracket: &Bracket, given: &[Given]) -> Result<Vec<Option<
     }
     for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
         if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
-            let verdict = Place::LeftOut.verdict();
+            let verdict = PresetTransform::Excluded.verdict();
             verdicts[i] = Some(Verdict { status: Status::Flash, reason: Some(reason.clone()), ..verdict });
         }
     }
@@ -93,10 +93,10 @@ pub(crate) fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::
         return Err(format!("its confidence is {}, and not within 0..1", verdict.confidence));
     }
     let takes_part = verdict.status.rejected_by().is_none();
-    let Some(warp) = verdict.warp else {
+    let Some(transform) = verdict.transform else {
         return if takes_part { Err("it is to be merged, but has no homography".into()) } else { Ok(()) };
     };
-    let h = warp.matrix(width, height);
+    let h = transform.matrix(width, height);
     let is_seen = |&(x, y): &(f64, f64)| {
         let (u, v) = map(&h, x, y);
         h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0 && u.is_finite() && v.is_finite()

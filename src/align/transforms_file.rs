@@ -1,7 +1,7 @@
 //! Places that are given rather than found: by the user's word for one frame, or by a file of transforms.
 //!
 //! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every number comes back as
-//! it was. In: [`Given`] places. Out: the frames of a bracket that they are of. Cost: none.
+//! it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
 //!
 //! ```json
 //! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
@@ -13,9 +13,9 @@
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
 //! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
 
-use crate::align::preset::{Given, Place, check};
+use crate::align::preset::{Preset, PresetTransform, check};
 use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
-use crate::align::transform::{Model, Warp};
+use crate::align::transform::{Model, Transform};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
 use crate::intake;
@@ -34,7 +34,7 @@ pub struct SavedAlignment {
     /// The name of the reference's file.
     pub reference: PathBuf,
     /// The other frames.
-    pub frames: Vec<Given>,
+    pub frames: Vec<Preset>,
 }
 
 /// The file, as it is written.
@@ -83,7 +83,7 @@ impl SavedAlignment {
             size: (bracket.width(), bracket.height()),
             reference: name(bracket.reference_index()),
             frames: others
-                .map(|i| Given { path: name(i), place: Place::Found(alignment.verdicts[i].clone()) })
+                .map(|i| Preset { path: name(i), place: PresetTransform::Known(alignment.verdicts[i].clone()) })
                 .collect(),
         }
     }
@@ -91,9 +91,9 @@ impl SavedAlignment {
     /// The text of the file.
     pub fn to_json(&self) -> String {
         let text = |path: &Path| path.to_string_lossy().into_owned();
-        let frame = |given: &Given| {
+        let frame = |given: &Preset| {
             let verdict = given.place.verdict();
-            let matrix = verdict.warp.map(|w| w.matrix(self.size.0, self.size.1));
+            let matrix = verdict.transform.map(|w| w.matrix(self.size.0, self.size.1));
             FrameDocument {
                 file: text(&given.path),
                 status: verdict.status,
@@ -143,7 +143,7 @@ impl SavedAlignment {
         let frames = document.frames.into_iter().map(|frame| {
             let file = frame.file.clone();
             let verdict = verdict(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
-            Ok(Given { path: file.into(), place: Place::Found(verdict) })
+            Ok(Preset { path: file.into(), place: PresetTransform::Known(verdict) })
         });
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
     }
@@ -192,7 +192,7 @@ impl SavedAlignment {
 
 /// The verdict that `frame` stands for, or what is wrong with it.
 fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Verdict, String> {
-    let (status, warp) = match (frame.status, frame.homography) {
+    let (status, transform) = match (frame.status, frame.homography) {
         (Status::Rejected | Status::Excluded | Status::Flash, _) => {
             let by = match frame.rejected_by {
                 None if frame.confidence == Some(1.0) => RejectedBy::User,
@@ -206,20 +206,22 @@ fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Ve
             };
             (status, None)
         }
-        (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Warp::Identity)),
-        (Status::Assumed, Some(_)) if frame.model == Some(Model::Unmoved) => (Status::Assumed, Some(Warp::Identity)),
+        (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Transform::Identity)),
+        (Status::Assumed, Some(_)) if frame.model == Some(Model::Unmoved) => {
+            (Status::Assumed, Some(Transform::Identity))
+        }
         (status @ (Status::Aligned | Status::Assumed), Some(h)) => {
             let h = Matrix3::from_row_slice(&h);
             let last = h[(2, 2)];
-            (status, Some(Warp::Homography(if last == 1.0 { h } else { h / last })))
+            (status, Some(Transform::Homography(if last == 1.0 { h } else { h / last })))
         }
         (Status::Unmoved | Status::Reference | Status::Aligned | Status::Assumed, None) => (frame.status, None),
     };
     let by_default = if status == Status::Rejected { 0.0 } else { 1.0 };
     let verdict = Verdict {
         status,
-        model: warp.map(|w| frame.model.unwrap_or(Model::of(&w))),
-        warp,
+        model: transform.map(|w| frame.model.unwrap_or(Model::of(&w))),
+        transform,
         inliers: frame.inliers,
         keypoints: frame.keypoints,
         error_px: frame.error_px,
@@ -235,22 +237,28 @@ mod tests {
     use super::*;
 
     fn saved() -> SavedAlignment {
-        let found = |status, warp: Option<Warp>| {
-            let model = warp.as_ref().map(Model::of);
-            Place::Found(Verdict { status, model, warp, confidence: 0.75, ..Verdict::by_definition(status) })
+        let found = |status, transform: Option<Transform>| {
+            let model = transform.as_ref().map(Model::of);
+            PresetTransform::Known(Verdict {
+                status,
+                model,
+                transform,
+                confidence: 0.75,
+                ..Verdict::with_identity(status)
+            })
         };
         let h = Matrix3::new(1.0 + 1e-9, 0.1 / 3.0, -7.25, -0.03, 0.999, 1.0 / 7.0, 1e-7, -2e-8, 1.0);
-        let given = |name: &str, place| Given { path: name.into(), place };
+        let given = |name: &str, place| Preset { path: name.into(), place };
         SavedAlignment {
             size: (400, 300),
             reference: "b.jpg".into(),
             frames: vec![
-                given("a.jpg", found(Status::Aligned, Some(Warp::Homography(h)))),
-                given("c.jpg", found(Status::Unmoved, Some(Warp::Identity))),
+                given("a.jpg", found(Status::Aligned, Some(Transform::Homography(h)))),
+                given("c.jpg", found(Status::Unmoved, Some(Transform::Identity))),
                 given("d.jpg", found(Status::Rejected, None)),
                 given("e.jpg", found(Status::Excluded, None)),
-                given("f.jpg", found(Status::Assumed, Some(Warp::Identity))),
-                given("g.jpg", found(Status::Assumed, Some(Warp::Homography(h)))),
+                given("f.jpg", found(Status::Assumed, Some(Transform::Identity))),
+                given("g.jpg", found(Status::Assumed, Some(Transform::Homography(h)))),
             ],
         }
     }

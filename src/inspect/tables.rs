@@ -5,7 +5,7 @@
 use crate::align::Status;
 use crate::align::diagnostics::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
 use crate::align::grey::Percentile;
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -154,7 +154,7 @@ pub(super) struct Found<'a> {
     pub(super) features: &'a FrameFeatures,
     pub(super) xor: Option<&'a XorCurves>,
     pub(super) matchings: Option<&'a [Matching; 3]>,
-    pub(super) warp: Option<&'a Warp>,
+    pub(super) warp: Option<&'a Transform>,
 }
 
 impl Tables {
@@ -223,7 +223,7 @@ fn feature_table(found: &Found, size: (usize, usize)) -> FeatureTable {
         let Some(matchings) = found.matchings else { return blank };
         let matching = &matchings[kind as usize];
         let inliers = matching.inliers();
-        let motion = matching.warp.filter(|_| inliers >= LEAST_INLIERS);
+        let motion = matching.transform.filter(|_| inliers >= LEAST_INLIERS);
         let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, place, size));
         let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
         let verdict = match (motion, off_px) {

@@ -7,7 +7,7 @@
 
 use crate::align::Rect;
 use crate::align::resampling::{resample_rows, rows_under};
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 use crate::bracket::Frame;
 use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};
@@ -112,7 +112,7 @@ impl Reduced {
 /// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it
 /// does not reach. Read in bands,
 /// so that a frame on disk need not fit into memory.
-pub(super) fn frame(frame: &Frame, warp: &Warp, region: Rect, size: (usize, usize)) -> Result<Plane<[u8; 3]>> {
+pub(super) fn frame(frame: &Frame, warp: &Transform, region: Rect, size: (usize, usize)) -> Result<Plane<[u8; 3]>> {
     let (width, height) = (region.width(), region.height());
     let mut reduced = Reduced::new((width, height), size);
     let mut rows = vec![[0u8; 3]; width * height.min(AT_ONCE * BAND_ROWS)];

@@ -4,7 +4,7 @@
 //! for each frame towards the reference; and the fusion.
 
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 use crate::align::{Alignment, Rect};
 use crate::bracket::colour::{Conversion, Transfer};
 use crate::bracket::{Bracket, Frame};
@@ -106,7 +106,7 @@ impl Aligned<'_> {
 }
 
 /// A placed frame: its number in the bracket, itself, and where it lies.
-type Placed<'a> = (usize, &'a Frame, Warp);
+type Placed<'a> = (usize, &'a Frame, Transform);
 
 /// The way from the codes of a frame to those of the picture, both 0 to 1: the measures of fusion are made for what a display shows.
 struct ToShown {

@@ -1,6 +1,6 @@
-//! Agreement: whether a warp is right, tile by tile, by a measure that no stage before has optimised.
+//! Agreement: whether a transform is right, tile by tile, by a measure that no stage before has optimised.
 //!
-//! In: two frames at a common exposure and a warp. Out: how many tiles of the picture bear it out, how many contradict it, and by how much
+//! In: two frames at a common exposure and a transform. Out: how many tiles of the picture bear it out, how many contradict it, and by how much
 //! those that bear it out are off. Cost: some twenty correlations of each tile, of three multiply-adds a pixel. Source: normalised
 //! cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), blind to gain and offset, within a few pixels
 //! about the place.
@@ -10,7 +10,7 @@ mod tile_fit;
 
 pub(crate) use tile_fit::{TileFit, fit};
 
-use crate::align::agreement::tile::{Tile, judge};
+use crate::align::agreement::tile::{Tile, check_tile};
 use crate::align::photometric::CommonExposure;
 use crate::align::transform::map;
 use crate::plane::Plane;
@@ -24,15 +24,15 @@ pub(crate) const LEAST_SIDE: usize = 8;
 /// How far around its place a tile is sought, in pixels.
 const REACH: isize = 3;
 
-/// What the tiles say of a warp.
+/// What the tiles say of a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
-    /// Tiles whose best match is where the warp puts it.
-    pub confirm: usize,
+    /// Tiles whose best match is where the transform puts it.
+    pub agreeing: usize,
     /// Tiles with as much structure that match elsewhere, or nowhere.
-    pub contradict: usize,
+    pub disagreeing: usize,
     /// Tiles too plain, too dark, too bright, or outside the frame.
-    pub silent: usize,
+    pub undecided: usize,
     /// Of the nine parts of the picture (three by three), those in which a tile confirms.
     pub parts: usize,
     /// The median distance by which the confirming tiles are off, in pixels of the planes.
@@ -44,7 +44,7 @@ pub struct Agreement {
 impl Agreement {
     /// The share of the outspoken tiles that confirm, as if five more had spoken of which one and a half confirm: few voices are little.
     pub fn share(&self) -> f64 {
-        (self.confirm as f64 + 1.5) / ((self.confirm + self.contradict) as f64 + 5.0)
+        (self.agreeing as f64 + 1.5) / ((self.agreeing + self.disagreeing) as f64 + 5.0)
     }
 
     /// How far the confirming tiles stand for the whole picture, 1/2..=1.
@@ -56,10 +56,10 @@ impl Agreement {
 /// Where tiles confirm in fewer parts of the picture than this, what lies in the others is only inferred.
 const ENOUGH_PARTS: usize = 4;
 
-impl Survey {
+impl TileCheck {
     /// How much more the tiles that speak in both speak for this than for `other`, in nats: each gives the logarithm of the ratio of what
     /// the two leave unexplained of its pattern. Positive for this, negative for the other.
-    pub fn against(&self, other: &Survey) -> f64 {
+    pub fn evidence_over(&self, other: &TileCheck) -> f64 {
         let left = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
         both.map(|(a, b)| libm::log(left(b) / left(a))).sum()
@@ -71,58 +71,58 @@ const UNEXPLAINED: f64 = 0.05;
 
 /// A tile that says where it lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Displaced {
+pub struct TileDisplacement {
     /// Its centre in the reference, in pixels of the planes.
     pub centre: [f64; 2],
     /// Minus the second derivatives of its correlation about the best match, [xx, xy, yy], per pixel^2: how sharply it is placed, each way.
     pub sharpness: [f64; 3],
-    /// `sharpness` times how far it lies from where the warp puts it, in the reference's directions. (Along an edge neither is known.)
+    /// `sharpness` times how far it lies from where the transform puts it, in the reference's directions. (Along an edge neither is known.)
     pub pull: [f64; 2],
 }
 
-/// What the tiles say of a warp, all together and each by itself.
+/// What the tiles say of a transform, all together and each by itself.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Survey {
+pub struct TileCheck {
     /// All together.
     pub agreement: Agreement,
-    /// The correlation of each, as the warp puts it; none where it is silent.
+    /// The correlation of each, as the transform puts it; none where it is silent.
     pub correlations: Vec<Option<f32>>,
     /// Of those that confirm, all whose best match does not lie at the rim of what was tried.
-    pub displaced: Vec<Displaced>,
+    pub displacements: Vec<TileDisplacement>,
 }
 
 /// How far the two frames agree under `h`, reference -> frame, in pixels of the planes.
-pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
+pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     let (width, height) = (both.reference.width(), both.reference.height());
-    let warped = laid_on_reference(&both.frame, h, (width, height));
+    let warped = warped_to_reference(&both.frame, h, (width, height));
     // Of a strip that is longer than so many squares the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
-    let judged = |i| judge(both, &warped, i % columns * side, i / columns * side, side);
-    let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(judged).collect();
+    let checked = |i| check_tile(both, &warped, i % columns * side, i / columns * side, side);
+    let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(checked).collect();
     let mut sum = Agreement::default();
-    let mut displaced = Vec::new();
+    let mut displacements = Vec::new();
     let mut each = Vec::with_capacity(tiles.len());
     let mut offsets = Vec::new();
     let mut correlations = 0.0;
     let mut parts = [false; 9];
     for (i, tile) in tiles.iter().enumerate() {
         each.push(match *tile {
-            Tile::Silent => None,
-            Tile::Confirms { correlation, .. } | Tile::Contradicts { correlation } => Some(correlation),
+            Tile::Undecided => None,
+            Tile::Agrees { correlation, .. } | Tile::Disagrees { correlation } => Some(correlation),
         });
         match *tile {
-            Tile::Silent => sum.silent += 1,
-            Tile::Confirms { offset, correlation, peak } => {
-                sum.confirm += 1;
+            Tile::Undecided => sum.undecided += 1,
+            Tile::Agrees { offset, correlation, peak } => {
+                sum.agreeing += 1;
                 let middle = |at: usize| (at * side) as f64 + (side as f64 - 1.0) / 2.0;
-                displaced.extend(peak.map(|p| p.about([middle(i % columns), middle(i / columns)])));
+                displacements.extend(peak.map(|p| p.about([middle(i % columns), middle(i / columns)])));
                 parts[i / columns * 3 / rows * 3 + i % columns * 3 / columns] = true;
                 offsets.push(offset);
                 correlations += f64::from(correlation);
             }
-            Tile::Contradicts { correlation } => {
-                sum.contradict += 1;
+            Tile::Disagrees { correlation } => {
+                sum.disagreeing += 1;
                 correlations += f64::from(correlation);
             }
         }
@@ -130,16 +130,16 @@ pub fn survey(both: &CommonExposure, h: &Matrix3<f64>) -> Survey {
     sum.parts = parts.iter().filter(|&&p| p).count();
     offsets.sort_by(f32::total_cmp);
     sum.offset = offsets.get(offsets.len() / 2).copied().map_or(0.0, f64::from);
-    sum.correlation = correlations / (sum.confirm + sum.contradict).max(1) as f64;
-    Survey { agreement: sum, correlations: each, displaced }
+    sum.correlation = correlations / (sum.agreeing + sum.disagreeing).max(1) as f64;
+    TileCheck { agreement: sum, correlations: each, displacements }
 }
 
 /// The frame on the reference's grid, [`REACH`] pixels of nothing (NaN) around it, and nothing where the frame does not reach.
-fn laid_on_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize)) -> Plane<f32> {
+fn warped_to_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize)) -> Plane<f32> {
     let margin = REACH as usize;
     let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
-    let mut laid = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
-    laid.fill_rows(|row_at, row| {
+    let mut warped = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
+    warped.fill_rows(|row_at, row| {
         let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
         // Over a few pixels a projective map is a straight line to within a ten-thousandth of a pixel.
         for (start, piece) in row[margin..margin + width].chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
@@ -158,7 +158,7 @@ fn laid_on_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usi
             }
         }
     });
-    laid
+    warped
 }
 
 /// Pixels of a row that are placed by one straight line.

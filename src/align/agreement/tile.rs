@@ -4,7 +4,7 @@
 //! correlations about it. Cost: some twenty correlations, of three multiply-adds a pixel. Source: Lewis, "Fast Normalized Cross-Correlation",
 //! Vision Interface 1995.
 
-use crate::align::agreement::{Displaced, REACH};
+use crate::align::agreement::{REACH, TileDisplacement};
 use crate::align::photometric::CommonExposure;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
@@ -13,16 +13,16 @@ use crate::simd::{Loops, vectorised};
 const LEAST_CONTRAST: f32 = 2.5;
 
 /// ... and at least so many can be trusted: a lamp in the night is enough.
-const LEAST_TRUSTED: f32 = 64.0;
+const LEAST_PIXELS: f32 = 64.0;
 
 /// Trust below which a pixel does not count.
-const TRUSTED: f32 = 0.01;
+const LEAST_WEIGHT: f32 = 0.01;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Tile {
-    Silent,
-    Confirms { offset: f32, correlation: f32, peak: Option<Peak> },
-    Contradicts { correlation: f32 },
+    Undecided,
+    Agrees { offset: f32, correlation: f32, peak: Option<Peak> },
+    Disagrees { correlation: f32 },
 }
 
 /// The paraboloid about the best of a tile's correlations.
@@ -35,11 +35,11 @@ pub(super) struct Peak {
 
 impl Peak {
     /// It lies at `at` + S^-1 g, so S times that is S `at` + g.
-    pub(super) fn about(&self, centre: [f64; 2]) -> Displaced {
+    pub(super) fn about(&self, centre: [f64; 2]) -> TileDisplacement {
         let [xx, xy, yy] = self.sharpness;
         let (x, y) = (self.at.0 as f64, self.at.1 as f64);
         let pull = [xx * x + xy * y + self.gradient[0], xy * x + yy * y + self.gradient[1]];
-        Displaced { centre, sharpness: self.sharpness, pull }
+        TileDisplacement { centre, sharpness: self.sharpness, pull }
     }
 }
 
@@ -65,13 +65,13 @@ impl Pattern {
         let mut mask = Vec::with_capacity(side * side);
         for y in top..top + side {
             for &v in &both.reference.row(y)[left..left + side] {
-                let counts = both.tones.trust(v) >= TRUSTED;
+                let counts = both.tones.weight(v) >= LEAST_WEIGHT;
                 values.push(if counts { v } else { 0.0 });
                 mask.push(if counts { 1.0 } else { 0.0 });
             }
         }
         let count: f32 = mask.iter().sum();
-        if count < LEAST_TRUSTED {
+        if count < LEAST_PIXELS {
             return None;
         }
         let mean = values.iter().sum::<f32>() / count;
@@ -80,13 +80,13 @@ impl Pattern {
             *v -= m * mean;
             energy += *v * *v;
         }
-        let speaks = energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
-        speaks.then_some(Pattern { left, top, side, values, mask, count, energy })
+        let has_contrast = energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
+        has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 
     /// The correlation with what lies (dx, dy) beside the place; not a number where the frame does not reach.
-    fn correlation(&self, laid: &Plane<f32>, shift: Shift) -> f32 {
-        let (sums, squares, products) = vectorised(Moments { pattern: self, laid, shift });
+    fn correlation(&self, warped: &Plane<f32>, shift: Shift) -> f32 {
+        let (sums, squares, products) = vectorised(Moments { pattern: self, warped, shift });
         let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
         let sum = total(sums);
         let variance = total(squares) - sum * sum / self.count;
@@ -102,7 +102,7 @@ impl Pattern {
 /// The sums that a correlation is made of, over what lies `shift` beside a pattern's place.
 struct Moments<'a> {
     pattern: &'a Pattern,
-    laid: &'a Plane<f32>,
+    warped: &'a Plane<f32>,
     shift: Shift,
 }
 
@@ -112,12 +112,12 @@ impl Loops for Moments<'_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Moments { pattern, laid, shift: (dx, dy) } = self;
+        let Moments { pattern, warped, shift: (dx, dy) } = self;
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
         let left = (pattern.left as isize + REACH + dx) as usize;
         let rows = pattern.values.chunks_exact(pattern.side).zip(pattern.mask.chunks_exact(pattern.side));
         for (y, (values, mask)) in rows.enumerate() {
-            let frame = &laid.row(((pattern.top + y) as isize + REACH + dy) as usize)[left..left + pattern.side];
+            let frame = &warped.row(((pattern.top + y) as isize + REACH + dy) as usize)[left..left + pattern.side];
             let eights = |r: &[f32]| r.len() / LANES * LANES;
             let whole = eights(values);
             for ((v, m), f) in values[..whole]
@@ -151,7 +151,7 @@ type Shift = (isize, isize);
 /// The correlations of a tile at the shifts within [`REACH`] that were asked for.
 struct Correlations<'a> {
     pattern: &'a Pattern,
-    laid: &'a Plane<f32>,
+    warped: &'a Plane<f32>,
     known: [[Option<f32>; SPAN]; SPAN],
 }
 
@@ -165,7 +165,7 @@ impl Correlations<'_> {
             return f32::NAN;
         }
         let known = &mut self.known[(dy + REACH) as usize][(dx + REACH) as usize];
-        *known.get_or_insert_with(|| self.pattern.correlation(self.laid, (dx, dy)))
+        *known.get_or_insert_with(|| self.pattern.correlation(self.warped, (dx, dy)))
     }
 
     /// The top of the hill on which `start` lies.
@@ -215,12 +215,12 @@ impl Correlations<'_> {
     }
 }
 
-pub(super) fn judge(both: &CommonExposure, laid: &Plane<f32>, left: usize, top: usize, side: usize) -> Tile {
-    let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Silent };
-    let mut correlations = Correlations { pattern: &pattern, laid, known: [[None; SPAN]; SPAN] };
+pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, side: usize) -> Tile {
+    let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Undecided };
+    let mut correlations = Correlations { pattern: &pattern, warped, known: [[None; SPAN]; SPAN] };
     let here = correlations.at((0, 0));
     if here.is_nan() {
-        return Tile::Silent;
+        return Tile::Undecided;
     }
     let mut best = correlations.climb((0, 0));
     // Smoothed planes correlate smoothly: other hills within reach show at its rim.
@@ -234,13 +234,13 @@ pub(super) fn judge(both: &CommonExposure, laid: &Plane<f32>, left: usize, top: 
     if here < LEAST_CORRELATION || (away > 1.5 && best.0 > here + 0.05) {
         let is_faint = pattern.energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * pattern.count;
         return if best.0 < LEAST_CORRELATION && is_faint {
-            Tile::Silent
+            Tile::Undecided
         } else {
-            Tile::Contradicts { correlation: here }
+            Tile::Disagrees { correlation: here }
         };
     }
     let (x, y) = (dx + correlations.vertex(best.1, (1, 0)), dy + correlations.vertex(best.1, (0, 1)));
-    Tile::Confirms { offset: (x * x + y * y).sqrt(), correlation: here, peak: correlations.peak(best.1) }
+    Tile::Agrees { offset: (x * x + y * y).sqrt(), correlation: here, peak: correlations.peak(best.1) }
 }
 
 /// Where other hills are sought.

@@ -1,12 +1,12 @@
 //! The motion that the tiles of the picture see: where pixels cannot be compared level by level, their pattern still can.
 //!
-//! In: a [`Survey`] of how the tiles lie under a warp. Out: the small motion that takes most of them where they match best, and how
+//! In: a [`Survey`] of how the tiles lie under a transform. Out: the small motion that takes most of them where they match best, and how
 //! well they determine it. Cost: none to speak of, beside the survey.
 //! Flare, a long exposure's blur, or noise that bends the intensity map displace the level at every edge to the same side, and
 //! [`refine`](crate::align::refinement) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
 //! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
 
-use crate::align::agreement::{Displaced, Survey};
+use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -17,46 +17,46 @@ const TUKEY: f64 = 4.685;
 /// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
 const MEDIAN_SQUARE: f64 = 1.386;
 /// What neighbouring tiles have in common makes the error so many times what it would be if they had nothing.
-const TOGETHER: f64 = 1.5;
+const CORRELATION_FACTOR: f64 = 1.5;
 /// Rounds of weighting.
 const ROUNDS: usize = 5;
 
-/// What the tiles make of a warp.
+/// What the tiles make of a transform.
 #[derive(Debug, Clone)]
 pub(crate) struct TileFit {
-    /// The warp that they would have, in pixels of the planes.
+    /// The transform that they would have, in pixels of the planes.
     pub(crate) h: Matrix3<f64>,
     /// How far that is from the one they were asked about, as root mean square over the picture, in pixels of the planes.
     pub(crate) moved: f64,
     /// How well they know it, the same way.
     pub(crate) error: f64,
     /// How sure they are that it is another: the motion in units of what they can err, 1 or so where it is the same.
-    pub(crate) surprise: f64,
+    pub(crate) significance: f64,
 }
 
-/// What the tiles of `survey`, of planes of `size`, make of the warp `h` under which they were surveyed; none where they are too few.
-pub(crate) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
-    let tiles = &survey.displaced;
+/// What the tiles of `survey`, of planes of `size`, make of the transform `h` under which they were surveyed; none where they are too few.
+pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
+    let tiles = &check_tiles.displacements;
     if tiles.len() < LEAST_TILES {
         return None;
     }
     let basis = Increment::new(Model::Homography, size.0, size.1);
-    let n = basis.numbers();
+    let n = basis.parameters();
     let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
     let mut step = DVector::zeros(n);
     let mut normal = DMatrix::identity(n, n);
     for _ in 0..ROUNDS {
-        let misses: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| miss(t, j, &step)).collect();
-        let mut sorted = misses.clone();
+        let misfits: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| misfit(t, j, &step)).collect();
+        let mut sorted = misfits.clone();
         sorted.sort_by(f64::total_cmp);
         let variance = (sorted[sorted.len() / 2] / MEDIAN_SQUARE).max(1e-12);
         let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for ((tile, j), miss) in tiles.iter().zip(&places).zip(&misses) {
-            let t = (miss / variance).sqrt() / TUKEY;
+        for ((tile, j), misfit) in tiles.iter().zip(&places).zip(&misfits) {
+            let t = (misfit / variance).sqrt() / TUKEY;
             let inside = (1.0 - t * t).max(0.0);
             let weight = inside * inside / variance;
             for p in 0..n {
-                // The survey is of the reference's pixels: a tile found to the right wants the warp to move that way.
+                // The survey is of the reference's pixels: a tile found to the right wants the transform to move that way.
                 b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
                 let pulled = times(tile, j[p]);
                 for q in 0..n {
@@ -64,24 +64,24 @@ pub(crate) fn fit(survey: &Survey, h: &Matrix3<f64>, size: (usize, usize)) -> Op
                 }
             }
         }
-        basis.add_prior(h, TOGETHER, &mut a, &mut b);
+        basis.add_prior(h, CORRELATION_FACTOR, &mut a, &mut b);
         step = basis.solve(a.clone(), b)?;
         normal = a;
     }
     let moved = h * basis.matrix(&step);
-    let error = TOGETHER * basis.expected_error(&normal)?;
-    let surprise = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / TOGETHER;
-    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, surprise })
+    let error = CORRELATION_FACTOR * basis.expected_error(&normal)?;
+    let significance = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
+    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
 }
 
 /// S v.
-fn times(tile: &Displaced, v: [f64; 2]) -> [f64; 2] {
+fn times(tile: &TileDisplacement, v: [f64; 2]) -> [f64; 2] {
     let [xx, xy, yy] = tile.sharpness;
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
 /// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its sharpness.
-fn miss(tile: &Displaced, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
+fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
     let mut moved = [0.0; 2];
     for (p, s) in step.iter().enumerate() {
         moved[0] += j[p][0] * s;

@@ -118,7 +118,7 @@ pub(super) type Words<'a> = (&'a [u64], &'a [u64]);
 impl ThresholdBitmaps {
     /// The bitmaps of level `i` of `pyramid` at `percentile`.
     pub fn of_level(pyramid: &GreyPyramid, i: usize, percentile: Percentile, exclusion: u8) -> Self {
-        Self::new(pyramid.level(i), &Zone::about(pyramid.histogram(i).level(percentile), exclusion))
+        Self::new(pyramid.level(i), &Zone::about(pyramid.histogram(i).value_at(percentile), exclusion))
     }
 
     /// The bitmaps of `plane`, cut at `zone`.

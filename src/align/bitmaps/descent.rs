@@ -2,11 +2,11 @@
 //!
 //! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the fewest pixels
 //! differ, and how far it may be off. Cost: a round lays the frame down once and counts eight times; two to four rounds do. Nothing but
-//! the votes of the parts is allocated after [`Descent::new`]. Source: the counts are Ward's (2003, section 2). Where the thesis
+//! the observations of the parts is allocated after [`Descent::new`]. Source: the counts are Ward's (2003, section 2). Where the thesis
 //! tries angle after angle (chapter 4), here the counts of each part of the picture, a pixel or two to either side, tell how far that part
 //! is displaced, and shift and rotation are the least-squares fit to all of them.
 
-use crate::align::bitmaps::difference::{Crossings, Difference, crossings, difference_shifted};
+use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
 use nalgebra::{SMatrix, SVector};
 
@@ -38,25 +38,25 @@ type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// What one kind of edge of one part has to say along one axis: `row` . parameters = `value`, in pixels, with variance 1 / `weight` if
 /// every differing pixel were independent of the others.
 #[derive(Debug, Clone, Copy)]
-struct Vote {
+struct Observation {
     row: Row,
     value: f64,
     weight: f64,
 }
 
-/// Two frames' bitmaps at one level, and room to lay one on the other.
+/// Two frames' bitmaps at one level, and room to warp_onto one on the other.
 pub(crate) struct Descent<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
-    laid: ThresholdBitmaps,
+    warped: ThresholdBitmaps,
     max_angle: f64,
 }
 
 impl<'a> Descent<'a> {
     /// For rotations of at most `max_angle` radians to either side, none where it is 0.
     pub(crate) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
-        let laid = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
-        Descent { reference, frame, laid, max_angle }
+        let warped = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
+        Descent { reference, frame, warped, max_angle }
     }
 
     fn width(&self) -> usize {
@@ -75,26 +75,26 @@ impl<'a> Descent<'a> {
 
     /// The share that differs `right` and `down` of where the frame lies now; 1 where so little can be compared that it says nothing.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
-        let difference = difference_shifted(self.reference, &self.laid, right, down);
+        let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
         if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
     }
 
     /// The share that differs under `motion`; 1 where so little can be compared that it says nothing.
     pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
-        self.frame.lay(motion, rounding, &mut self.laid);
+        self.frame.warp_onto(motion, rounding, &mut self.warped);
         self.rate_beside(0, 0)
     }
 
     /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts and the angles that
     /// move a pixel by half of one and by one, in turn. For small pictures, whose parts have too little to say each.
-    pub(crate) fn walk(&mut self, start: Motion) -> (f64, Motion) {
+    pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
         // Each round that goes on lowers the rate, so this ends; the bound is for plateaus of noise.
         for _ in 0..8 {
             let centre = best.1;
-            self.frame.lay(&centre, Rounding::Nearest, &mut self.laid);
+            self.frame.warp_onto(&centre, Rounding::Nearest, &mut self.warped);
             for (right, down) in NEIGHBOURS {
                 let rate = self.rate_beside(right, down);
                 if rate < best.0 {
@@ -119,13 +119,13 @@ impl<'a> Descent<'a> {
     }
 
     /// From `start` to where the fewest pixels differ, in at most `rounds` steps.
-    pub(crate) fn settle(&mut self, start: Motion, rounds: usize) -> Motion {
+    pub(crate) fn descend(&mut self, start: Motion, rounds: usize) -> Motion {
         let mut here = start;
         let height = self.height() as f64;
         for _ in 0..rounds {
-            let votes = self.votes(&here);
+            let observations = self.observations(&here);
             // A rotation by a is the field (-a y, a x).
-            let fit = Fit::of(&votes, self.free());
+            let fit = Fit::of(&observations, self.free());
             let limit = |v: f64| v.clamp(-LONGEST_STEP, LONGEST_STEP);
             let (dx, dy) = (limit(fit.best[0]), limit(fit.best[3]));
             let turn = (fit.best[4] / height).clamp(-LONGEST_STEP / self.arm(), LONGEST_STEP / self.arm());
@@ -138,13 +138,13 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the votes leave
+    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the observations leave
     /// open of a shift and a rotation, and what they would still change about it if they could agree on any homography, less what chance
     /// makes of that.
-    pub(crate) fn judge(&mut self, motion: &Motion) -> (Difference, f64) {
-        let votes = self.votes(motion);
-        let difference = difference_shifted(self.reference, &self.laid, 0, 0);
-        let (rigid, homography) = (Fit::of(&votes, self.free()), Fit::of(&votes, HOMOGRAPHY));
+    pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
+        let observations = self.observations(motion);
+        let difference = difference_shifted(self.reference, &self.warped, 0, 0);
+        let (rigid, homography) = (Fit::of(&observations, self.free()), Fit::of(&observations, HOMOGRAPHY));
         let aspect = self.width() as f64 / self.height() as f64;
         let at = |i: usize| (i as f64 + 0.5) / GRID as f64 - 0.5;
         let (mut chance, mut beyond) = (0.0, 0.0);
@@ -176,20 +176,20 @@ impl<'a> Descent<'a> {
     /// where p and q are the mean growth from 1 to 2 on either side. This holds exactly for |o| <= 1 where edges are sharp, and for any o where
     /// the numbers grow as the square. Where the picture is so fine that they grow no farther than to 1, that of 0 to 1 and
     /// D(1) - B(-1) = -2 p (o - c) say more. At o = 0 the left sides are 0 whatever their form.
-    fn votes(&mut self, motion: &Motion) -> Vec<Vote> {
-        self.frame.lay(motion, Rounding::Dithered, &mut self.laid);
+    fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
+        self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
         let (width, height) = (self.width(), self.height());
         let columns = PARTS.min(width.div_ceil(64));
-        let mut counts = [[[Crossings::default(); PARTS * PARTS]; 5]; 2];
+        let mut counts = [[[Mismatches::default(); PARTS * PARTS]; 5]; 2];
         for (axis, steps) in counts.iter_mut().enumerate() {
             for (parts, t) in steps.iter_mut().zip(STEPS) {
                 let (dx, dy) = if axis == 0 { (t, 0) } else { (0, t) };
-                crossings(self.reference, &self.laid, (dx, dy), columns, &mut parts[..columns * PARTS]);
+                mismatches(self.reference, &self.warped, (dx, dy), columns, &mut parts[..columns * PARTS]);
             }
         }
         let words = width.div_ceil(64);
         let middle = |i: usize, of: usize, n: usize| (n * i / of + n * (i + 1) / of) as f64 / 2.0;
-        let mut votes = Vec::with_capacity(4 * columns * PARTS);
+        let mut observations = Vec::with_capacity(4 * columns * PARTS);
         for part in 0..columns * PARTS {
             let x = 64.0 * middle(part % columns, columns, words) - width as f64 / 2.0;
             let y = middle(part / columns, PARTS, height) - height as f64 / 2.0;
@@ -213,12 +213,16 @@ impl<'a> Descent<'a> {
                     if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;
-                        votes.push(Vote { row, value: lean / growth, weight: growth * growth / variance });
+                        observations.push(Observation {
+                            row,
+                            value: lean / growth,
+                            weight: growth * growth / variance,
+                        });
                     }
                 }
             }
         }
-        votes
+        observations
     }
 }
 
@@ -254,7 +258,7 @@ struct Fit {
 }
 
 impl Fit {
-    fn of(votes: &[Vote], free: Free) -> Self {
+    fn of(observations: &[Observation], free: Free) -> Self {
         let mut basis = Square::zeros();
         for (k, parts) in free.iter().enumerate() {
             for &(i, share) in *parts {
@@ -267,26 +271,26 @@ impl Fit {
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);
             let mut right = Row::zeros();
-            let (mut sum, mut voices) = (0.0, 0.0);
-            for vote in votes {
-                let row = basis.transpose() * vote.row;
-                let off = vote.value - vote.row.dot(&fit.best);
-                let squared = off * off * vote.weight / noise;
+            let (mut sum, mut total_trust) = (0.0, 0.0);
+            for observation in observations {
+                let row = basis.transpose() * observation.row;
+                let off = observation.value - observation.row.dot(&fit.best);
+                let squared = off * off * observation.weight / noise;
                 let trust = if pass == 0 { 1.0 } else { 1.0 / (1.0 + squared / (CAUCHY * CAUCHY)) };
-                normal += row * row.transpose() * (vote.weight * trust / noise);
-                right += row * (vote.value * vote.weight * trust / noise);
-                sum += off * off * vote.weight * trust;
-                voices += trust;
+                normal += row * row.transpose() * (observation.weight * trust / noise);
+                right += row * (observation.value * observation.weight * trust / noise);
+                sum += off * off * observation.weight * trust;
+                total_trust += trust;
             }
             let inverse = normal.try_inverse().unwrap_or_else(|| Square::identity() * (PRIOR_PX * PRIOR_PX));
             fit = Fit { best: basis * (inverse * right), covariance: basis * inverse * basis.transpose() };
-            noise = (sum / (voices - free.len() as f64).max(1.0)).max(1.0);
+            noise = (sum / (total_trust - free.len() as f64).max(1.0)).max(1.0);
         }
         fit
     }
 }
 
-/// A vote this many standard deviations off has half its weight.
+/// A observation this many standard deviations off has half its weight.
 const CAUCHY: f64 = 2.4;
 
 #[cfg(test)]
@@ -294,12 +298,12 @@ mod tests {
     use super::*;
     use crate::align::bitmaps::Zone;
     use crate::align::scene::{Scene, Shot, photograph, rigid};
-    use crate::align::transform::Warp;
+    use crate::align::transform::Transform;
 
     const SIZE: (usize, usize) = (384, 288);
 
-    fn cut(scene: &Scene, warp: &Warp, ev: f64, level: u8) -> ThresholdBitmaps {
-        ThresholdBitmaps::new(&scene.photograph(SIZE, warp, Shot::at(ev)), &Zone::about(level, 4))
+    fn cut(scene: &Scene, transform: &Transform, ev: f64, level: u8) -> ThresholdBitmaps {
+        ThresholdBitmaps::new(&scene.photograph(SIZE, transform, Shot::at(ev)), &Zone::about(level, 4))
     }
 
     /// Radiance 1 has code 117 at 0 EV.
@@ -310,14 +314,14 @@ mod tests {
     #[test]
     fn settles_at_the_motion_from_a_pixel_and_a_half_away() {
         let scene = Scene::new(3);
-        let Warp::Rigid { dx, dy, angle } = rigid(4.4, -2.7, 0.8) else { unreachable!() };
-        let a = cut(&scene, &Warp::Identity, 0.0, code(0.0));
+        let Transform::Rigid { dx, dy, angle } = rigid(4.4, -2.7, 0.8) else { unreachable!() };
+        let a = cut(&scene, &Transform::Identity, 0.0, code(0.0));
         let b = cut(&scene, &rigid(4.4, -2.7, 0.8), 1.0, code(1.0));
         let mut descent = Descent::new(&a, &b, 0.1);
         let arm = descent.arm();
         for (x, y, turn) in [(0.0, 0.0, 0.0), (1.5, -1.0, 0.0), (-1.0, 1.2, 1.0), (0.5, 0.5, -1.5)] {
             let start = Motion { dx: dx + x, dy: dy + y, angle: angle + turn / arm };
-            let found = descent.settle(start, 8);
+            let found = descent.descend(start, 8);
             let off = [found.dx - dx, found.dy - dy, (found.angle - angle) * arm];
             assert!(off.iter().all(|o| o.abs() < 0.06), "{off:?} from {start:?}");
         }
@@ -333,14 +337,14 @@ mod tests {
             0.4 + 1.6 * (rise(96.0) - fall)
         };
         let take = |level: u8| {
-            let grey = photograph(SIZE, &Warp::Identity, Shot { ev: 0.0, noise: 1.0, seed: level.into() }, slopes);
+            let grey = photograph(SIZE, &Transform::Identity, Shot { ev: 0.0, noise: 1.0, seed: level.into() }, slopes);
             ThresholdBitmaps::new(&grey, &Zone::about(level, 2))
         };
         let a = take(125);
         // Four codes are a pixel, which would pull by half of one: (3 - 1) / (3 + 1).
         for level in [121, 125, 129] {
             let b = take(level);
-            let found = Descent::new(&a, &b, 0.0).settle(Motion::default(), 6);
+            let found = Descent::new(&a, &b, 0.0).descend(Motion::default(), 6);
             assert!(found.dx.abs() < 0.1 && found.dy.abs() < 0.1, "{found:?} at {level}");
         }
     }
@@ -348,10 +352,10 @@ mod tests {
     #[test]
     fn the_walk_ends_where_no_neighbour_is_lower() {
         let scene = Scene::new(4);
-        let a = cut(&scene, &Warp::Identity, 0.0, code(0.0));
+        let a = cut(&scene, &Transform::Identity, 0.0, code(0.0));
         let b = cut(&scene, &rigid(6.0, 5.0, 0.0), 0.0, code(0.0));
         let mut descent = Descent::new(&a, &b, 0.05);
-        let (rate, found) = descent.walk(Motion { dx: 3.0, dy: 7.0, angle: 0.01 });
+        let (rate, found) = descent.descend_by_pixels(Motion { dx: 3.0, dy: 7.0, angle: 0.01 });
         assert_eq!(rate, descent.rate(&found, Rounding::Nearest));
         for (right, down) in NEIGHBOURS {
             assert!(descent.rate(&found.beside(right, down), Rounding::Nearest) >= rate);
@@ -364,8 +368,8 @@ mod tests {
         let blank = ThresholdBitmaps::blank(SIZE.0, SIZE.1);
         let mut descent = Descent::new(&blank, &blank, 0.05);
         let start = Motion { dx: 2.0, dy: 0.0, angle: 0.01 };
-        assert_eq!(descent.settle(start, 3), start);
-        let (difference, error_px) = descent.judge(&start);
+        assert_eq!(descent.descend(start, 3), start);
+        let (difference, error_px) = descent.assess(&start);
         assert!(difference == Difference::default() && error_px >= PRIOR_PX, "{error_px}");
     }
 }

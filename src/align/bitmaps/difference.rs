@@ -25,7 +25,7 @@ impl Difference {
 
 /// How many pixels that count in both are bright in one alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Crossings {
+pub struct Mismatches {
     /// Bright in the reference, dark in the frame.
     pub darker: u64,
     /// Dark in the reference, bright in the frame.
@@ -98,18 +98,18 @@ impl Loops for Count<'_> {
     }
 }
 
-/// The crossings under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself: `columns` of them (in whole
+/// The mismatches under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself: `columns` of them (in whole
 /// words) from left to right, as many rows of them as fit in `parts`, row by row.
-pub fn crossings(
+pub fn mismatches(
     reference: &ThresholdBitmaps,
     frame: &ThresholdBitmaps,
     (dx, dy): (i64, i64),
     columns: usize,
-    parts: &mut [Crossings],
+    parts: &mut [Mismatches],
 ) {
     let (height, stride) = (reference.threshold.height() as i64, reference.threshold.stride() as i64);
     let (words, rows) = (stride - 2, (parts.len() / columns) as i64);
-    parts.fill(Crossings::default());
+    parts.fill(Mismatches::default());
     for row in 0..rows {
         let band = (height * row / rows).max(-dy)..(height * (row + 1) / rows).min(height - dy);
         for first in (0..words).step_by(WORDS) {
@@ -220,8 +220,8 @@ mod tests {
     fn crossings_of_the_parts_are_those_of_their_pixels() {
         let (a, b) = (bitmaps(1, 400, 50), bitmaps(2, 400, 50));
         for (dx, dy) in [(0, 0), (-2, 1), (1, -2), (63, 30)] {
-            let mut parts = [Crossings { darker: 7, brighter: 7 }; 15];
-            crossings(&a, &b, (dx, dy), 3, &mut parts);
+            let mut parts = [Mismatches { darker: 7, brighter: 7 }; 15];
+            mismatches(&a, &b, (dx, dy), 3, &mut parts);
             let whole = difference_shifted(&a, &b, dx, dy);
             assert_eq!(parts.iter().map(|p| p.darker + p.brighter).sum::<u64>(), whole.differing);
             // The second of the second row has words 2 and 3, rows 10..20.

@@ -21,10 +21,10 @@ pub use difference::Difference;
 pub(crate) use difference::difference_shifted;
 pub(crate) use period::repeats;
 pub use search::search;
-pub(crate) use search::{Pair, rivals};
+pub(crate) use search::{BitmapPair, alternatives};
 pub(crate) use warp::{Motion, Rounding};
 
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 
 /// How the bitmaps are made and searched.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,11 +60,11 @@ pub struct MtbMatch {
 }
 
 impl MtbMatch {
-    /// The motion as a warp: the identity where there is none.
-    pub fn warp(&self) -> Warp {
+    /// The motion as a transform: the identity where there is none.
+    pub fn transform(&self) -> Transform {
         if self.motion == Motion::default() {
-            return Warp::Identity;
+            return Transform::Identity;
         }
-        Warp::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
+        Transform::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
     }
 }

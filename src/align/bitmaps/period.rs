@@ -56,7 +56,7 @@ pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
 mod tests {
     use super::*;
     use crate::align::scene::{Scene, Shot, photograph};
-    use crate::align::transform::Warp;
+    use crate::align::transform::Transform;
 
     const SIZE: (usize, usize) = (480, 320);
 
@@ -65,7 +65,7 @@ mod tests {
         for seed in 1..6 {
             let scene = Scene::new(seed);
             let taken = |radiance: &(dyn Fn(f64, f64) -> f64 + Sync)| {
-                GreyPyramid::new(photograph(SIZE, &Warp::Identity, Shot::at(0.0), radiance))
+                GreyPyramid::new(photograph(SIZE, &Transform::Identity, Shot::at(0.0), radiance))
             };
             assert!(!repeats(&taken(&|x, y| scene.radiance(x, y)), &MtbOptions::default()), "{seed}");
             // A skyline looks much the same a little to the side, and more so the less it is shifted.

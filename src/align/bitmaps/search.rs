@@ -18,7 +18,7 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     let enough = (0..coarsest).find(|&i| area(reference.size(i)) <= ENOUGH_PIXELS).unwrap_or(coarsest);
     let finest = finest.clamp(enough, coarsest);
     let max_angle = options.max_rotation_deg.to_radians();
-    let mut pair = Pair::new(reference, frame, coarsest, options.exclusion);
+    let mut pair = BitmapPair::new(reference, frame, coarsest, options.exclusion);
     let mut candidates = pair.search_everywhere(options.max_shift, max_angle);
     let mut level = coarsest;
     loop {
@@ -31,19 +31,19 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
         };
         if candidates.len() > 1 || !is_certain {
             // One that is much worse by whole pixels is not made better by their fractions.
-            let walked: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.walk(c)).collect();
-            let least = walked.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
-            let near = walked.into_iter().filter(|(rate, _)| !is_certain || *rate <= HOPELESS * least).collect();
+            let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
+            let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
+            let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
             candidates = best_distinct(near, (2 * candidates.len()).div_ceil(3), distinct);
         }
         if is_certain {
             for c in &mut candidates {
-                *c = descent.settle(*c, rounds);
+                *c = descent.descend(*c, rounds);
             }
         }
         if is_certain && candidates.len() > 1 {
-            let settled = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
-            candidates = best_distinct(settled, 1, distinct);
+            let refined = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
+            candidates = best_distinct(refined, 1, distinct);
         }
         if level == finest {
             return pair.conclude(&mut descent, candidates[0], level, reference.size(0));
@@ -54,21 +54,21 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
         }
         pair = if is_certain {
             let common = common_histograms(reference.level(level), frame.level(level), &candidates[0]);
-            Pair::cut(
+            BitmapPair::cut(
                 reference.level(level),
                 frame.level(level),
                 (&common.0, &common.1),
                 exclusion_at(level, options.exclusion),
             )
         } else {
-            Pair::new(reference, frame, level, options.exclusion)
+            BitmapPair::new(reference, frame, level, options.exclusion)
         };
     }
 }
 
 /// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At most `most`,
 /// the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of moderate size.
-pub fn rivals(
+pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
     angle: f64,
@@ -76,9 +76,9 @@ pub fn rivals(
     options: &MtbOptions,
 ) -> Vec<Motion> {
     let level = (0..reference.len())
-        .find(|&i| reference.size(i).0.min(reference.size(i).1) < 2 * RIVALS_SIDE)
+        .find(|&i| reference.size(i).0.min(reference.size(i).1) < 2 * ALTERNATIVES_SIDE)
         .unwrap_or(reference.len() - 1);
-    let pair = Pair::new(reference, frame, level, options.exclusion);
+    let pair = BitmapPair::new(reference, frame, level, options.exclusion);
     let scale = (1u64 << level) as f64;
     let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
     let distinct = |a: &Motion, b: &Motion| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5;
@@ -87,7 +87,7 @@ pub fn rivals(
 }
 
 /// The bitmaps of two frames at one level, cut at the same radiance.
-pub(crate) struct Pair {
+pub(crate) struct BitmapPair {
     pub(crate) reference: ThresholdBitmaps,
     pub(crate) frame: ThresholdBitmaps,
     pub(crate) percentile: Percentile,
@@ -95,18 +95,18 @@ pub(crate) struct Pair {
     pub(crate) zones: [Zone; 2],
 }
 
-impl Pair {
+impl BitmapPair {
     pub(crate) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
         let exclusion = exclusion_at(level, exclusion);
         let histograms = (reference.histogram(level), frame.histogram(level));
-        Pair::cut(reference.level(level), frame.level(level), histograms, exclusion)
+        BitmapPair::cut(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
     /// Cut at the same ranks of the two histograms.
     fn cut(reference: &Plane<u8>, frame: &Plane<u8>, histograms: (&Histogram, &Histogram), exclusion: u8) -> Self {
         let percentile = common_percentile(histograms.0, histograms.1, exclusion);
         let zones = matched_zones(histograms.0, histograms.1, percentile, exclusion);
-        Pair {
+        BitmapPair {
             reference: ThresholdBitmaps::new(reference, &zones.0),
             frame: ThresholdBitmaps::new(frame, &zones.1),
             percentile,
@@ -135,7 +135,7 @@ impl Pair {
     fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
         let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
         let mut turned = ThresholdBitmaps::blank(width, height);
-        self.frame.lay(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
+        self.frame.warp_onto(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
         let mut rated = Vec::with_capacity(((2 * reach.0 + 1) * (2 * reach.1 + 1)) as usize);
         for dy in -reach.1..=reach.1 {
             for dx in -reach.0..=reach.0 {
@@ -164,7 +164,7 @@ impl Pair {
     fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
         let here = &self.reference.threshold;
-        let (mut difference, error) = descent.judge(&found);
+        let (mut difference, error) = descent.assess(&found);
         let mut error_px = scale * error;
         // What halving drops at the right and below moves the centre about which the picture turns.
         let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
@@ -193,8 +193,8 @@ fn exclusion_at(level: usize, exclusion: u8) -> u8 {
 /// A motion of no more than so many times its error is none.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Short side of the level on which rivals are sought, in pixels: fine enough for the periods of facades.
-const RIVALS_SIDE: usize = 128;
+/// Short side of the level on which alternatives are sought, in pixels: fine enough for the periods of facades.
+const ALTERNATIVES_SIDE: usize = 128;
 
 /// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second. Rivals of a picture of 4:1 take
 /// as many, all others fewer.
@@ -206,7 +206,7 @@ const ROW_WORDS: usize = 8;
 const BEAM: usize = 9;
 
 /// A candidate of which so many times more differs than of the best is given up.
-const HOPELESS: f64 = 1.5;
+const MOST_EXCESS: f64 = 1.5;
 
 /// From a level of this short side on only the best is followed.
 const CERTAIN_SIDE: usize = 200;

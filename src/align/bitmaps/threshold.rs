@@ -39,12 +39,12 @@ pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
 /// The zones of two frames of which the wider, `exclusion` levels to either side of the percentile, gives the ranks, and the other the
 /// levels that have these ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
-    let own = |h: &Histogram| Zone::about(h.level(percentile), exclusion);
+    let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {
         [usize::from(z.low), usize::from(z.threshold) + 1, usize::from(z.high) + 1].map(|v| h.share_below(v))
     };
     let matched = |h: &Histogram, ranks: [f64; 3]| {
-        let [low, threshold, high] = ranks.map(|r| h.level_of_share(r));
+        let [low, threshold, high] = ranks.map(|r| h.value_of_share(r));
         let up_to = |v: usize| v.saturating_sub(1) as u8;
         Zone { low: low.min(255) as u8, threshold: up_to(threshold), high: up_to(high) }
     };
@@ -111,7 +111,7 @@ mod tests {
             let (zone_bright, zone_dark) = matched_zones(&a, &b, percentile, 4);
             let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmaps::bitmap::ThresholdBitmaps::new(p, z);
             assert_eq!(cut(&bright, &zone_bright), cut(&dark, &zone_dark), "{percentile:?}");
-            let level = b.level(percentile);
+            let level = b.value_at(percentile);
             // The dark frame's zone is the wider one, and as it would be by itself.
             assert_eq!(zone_dark, Zone::about(level, 4), "{percentile:?}");
             assert_eq!(usize::from(zone_bright.low), 2 * usize::from(zone_dark.low));

@@ -1,4 +1,4 @@
-//! Bitmaps laid on another picture's grid by a shift and a rotation.
+//! Bitmaps warped on another picture's grid by a shift and a rotation.
 //!
 //! In: a frame's bitmaps and a [`Motion`]. Out: what the reference's grid sees of them, after which every comparison near by is one under a
 //! shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each. Nothing is allocated. Source: the thesis turns the picture pixel by
@@ -38,7 +38,7 @@ pub enum Rounding {
 }
 
 /// Where the pixels of a grid lie under a motion, in 32 binary places: sums are exact, and the same on every machine.
-struct Places {
+struct PixelMap {
     rounding: Rounding,
     /// A step to the right moves so far.
     cos: i64,
@@ -55,7 +55,7 @@ struct Block(i64, i64);
 
 const ONE: f64 = 4_294_967_296.0;
 
-impl Places {
+impl PixelMap {
     fn new(motion: &Motion, rounding: Rounding, width: usize, height: usize) -> Self {
         let (cx, cy) = ((width - 1) as f64 / 2.0, (height - 1) as f64 / 2.0);
         let (sin, cos) = (libm::sin(motion.angle), libm::cos(motion.angle));
@@ -63,7 +63,7 @@ impl Places {
         let origin = (fixed(cx + motion.dx - cos * cx + sin * cy), fixed(cy + motion.dy - sin * cx - cos * cy));
         let run = if (sin * width as f64).abs() < 1e-6 { 0.0 } else { 1.0 / (sin.abs() * ONE) };
         let sin = if run == 0.0 { 0 } else { fixed(sin) };
-        Places { rounding, cos: fixed(cos), sin, run, origin, down: (-sin, fixed(cos)) }
+        PixelMap { rounding, cos: fixed(cos), sin, run, origin, down: (-sin, fixed(cos)) }
     }
 
     /// The word of 64 pixels `word` of row `y`.
@@ -114,14 +114,14 @@ impl ThresholdBitmaps {
     ///
     /// # Panics
     /// When the sizes differ: a fault of the caller.
-    pub fn lay(&self, motion: &Motion, rounding: Rounding, onto: &mut ThresholdBitmaps) {
+    pub fn warp_onto(&self, motion: &Motion, rounding: Rounding, onto: &mut ThresholdBitmaps) {
         let (width, height) = (self.threshold.width(), self.threshold.height());
         assert_eq!(
             (width, height),
             (onto.threshold.width(), onto.threshold.height()),
             "bitmaps are laid on a grid of their size"
         );
-        let places = Places::new(motion, rounding, width, height);
+        let places = PixelMap::new(motion, rounding, width, height);
         for y in 0..height {
             let (rt, re) = (onto.threshold.row_mut(y), onto.exclusion.row_mut(y));
             for (word, (t, e)) in rt[1..].iter_mut().zip(re[1..].iter_mut()).take(width.div_ceil(64)).enumerate() {
@@ -149,8 +149,8 @@ mod tests {
     use crate::align::bitmaps::Bitmap;
     use crate::align::bitmaps::bitmap::tests::bitmaps;
 
-    /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by `Places`.
-    fn laid_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
+    /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by `PixelMap`.
+    fn warped_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
         let (width, height) = (frame.threshold.width() as i64, frame.threshold.height() as i64);
         let pixel = |i: i64| {
             let (u, v) = place(i % width, i / width);
@@ -165,15 +165,15 @@ mod tests {
     fn laying_by_pieces_is_laying_pixel_by_pixel() {
         let (width, height) = (230, 170);
         let frame = bitmaps(3, width, height);
-        let mut laid = bitmaps(4, width, height);
+        let mut warped = bitmaps(4, width, height);
         let (cx, cy) = ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0);
         for angle in [0.0f64, 1e-12, 0.002, -0.01, 0.04, -0.0873, 0.7] {
             for (dx, dy) in [(0.0, 0.0), (3.25, -2.5), (-40.3, 11.0), (1000.0, 0.0), (0.0, -400.7)] {
                 for rounding in [Rounding::Nearest, Rounding::Dithered] {
                     let motion = Motion { dx, dy, angle };
-                    frame.lay(&motion, rounding, &mut laid);
-                    let places = Places::new(&motion, rounding, width, height);
-                    let slow = laid_by_pixel(&frame, |x, y| {
+                    frame.warp_onto(&motion, rounding, &mut warped);
+                    let places = PixelMap::new(&motion, rounding, width, height);
+                    let slow = warped_by_pixel(&frame, |x, y| {
                         let block = places.block(x as usize / 64, y as usize);
                         ((block.0 + x * places.cos) >> 32, (block.1 + x * places.sin) >> 32)
                     });
@@ -181,7 +181,7 @@ mod tests {
                     for (i, slow) in slow.into_iter().enumerate() {
                         let (x, y) = at(i);
                         assert_eq!(
-                            (laid.threshold.get(x, y), laid.exclusion.get(x, y)),
+                            (warped.threshold.get(x, y), warped.exclusion.get(x, y)),
                             slow,
                             "{motion:?} at {x}, {y}"
                         );
@@ -204,7 +204,7 @@ mod tests {
     #[test]
     fn dithering_is_even() {
         // A shift of 0.3 px goes to the next pixel in three words of ten, in any part of the picture.
-        let places = Places::new(&Motion { dx: 0.3, dy: 0.3, angle: 0.0 }, Rounding::Dithered, 64 * 36, 1700);
+        let places = PixelMap::new(&Motion { dx: 0.3, dy: 0.3, angle: 0.0 }, Rounding::Dithered, 64 * 36, 1700);
         let share = |words: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
             let all: Vec<(i64, i64)> = rows
                 .flat_map(|y| words.clone().map(move |w| (w, y)))

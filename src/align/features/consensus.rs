@@ -4,7 +4,7 @@
 //!
 //! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
 
-use crate::align::features::homography::{Pair, fit};
+use crate::align::features::homography::{PointPair, fit};
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 
@@ -40,7 +40,7 @@ pub struct Consensus {
 
 impl Consensus {
     /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with any.
-    pub(crate) fn new(pairs: &[Pair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
+    pub(crate) fn new(pairs: &[PointPair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
         let inliers = inliers(pairs, &homography, limit);
         // Four pairs always agree with themselves.
         if inliers.len() < 5 {
@@ -52,18 +52,18 @@ impl Consensus {
 }
 
 /// Squared distance between where `h` puts the pair's first point and its second, in pixels squared.
-pub fn distance_squared(h: &Matrix3<f64>, pair: &Pair) -> f64 {
+pub fn distance_squared(h: &Matrix3<f64>, pair: &PointPair) -> f64 {
     let (u, v) = map(h, pair.0[0], pair.0[1]);
     (u - pair.1[0]) * (u - pair.1[0]) + (v - pair.1[1]) * (v - pair.1[1])
 }
 
 /// The homography of the four pairs that trial `trial` draws; none where no camera could have seen them so.
-pub(crate) fn guess(pairs: &[Pair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
+pub(crate) fn guess(pairs: &[PointPair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
     let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
     same_handed(&four).then(|| fit(&four, None))?
 }
 
-pub(crate) fn inliers(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
+pub(crate) fn inliers(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
@@ -77,7 +77,7 @@ pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u
 }
 
 /// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them leaves them.
-fn same_handed(four: &[Pair; 4]) -> bool {
+fn same_handed(four: &[PointPair; 4]) -> bool {
     let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)].iter().all(|&(i, j, k)| {
         let (a, b, c) = (four[i], four[j], four[k]);
@@ -121,7 +121,7 @@ pub(crate) mod tests {
     }
 
     /// `n` pairs of which `wrong` are anything; the others are off by up to `sigma` px on each axis.
-    pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<Pair> {
+    pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
                 let p = [2000.0 * (noise(i, 0) + 0.5), 1500.0 * (noise(i, 1) + 0.5)];

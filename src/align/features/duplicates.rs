@@ -39,9 +39,9 @@ fn are_within(radius: f32, a: &Keypoint, b: &Keypoint) -> bool {
 
 /// Keypoints by where they lie.
 #[derive(Default)]
-pub(super) struct Places(Squares<Keypoint>);
+pub(super) struct KeypointIndex(Squares<Keypoint>);
 
-impl Places {
+impl KeypointIndex {
     pub(super) fn add(&mut self, points: &[Keypoint]) {
         points.iter().for_each(|k| self.0.add(k, *k));
     }
@@ -61,10 +61,10 @@ impl Places {
 
 /// Pairs of keypoints by where the first of each lies.
 #[derive(Default)]
-pub(super) struct Joined(Squares<(Keypoint, Keypoint)>);
+pub(super) struct MatchIndex(Squares<(Keypoint, Keypoint)>);
 
-impl Joined {
-    /// Adds the pair of `a` and `b`, unless there is one that joins the same two places: a point found in several pictures, or with two
+impl MatchIndex {
+    /// Adds the pair of `a` and `b`, unless there is one that joins the same two index: a point found in several pictures, or with two
     /// directions, is one inlier or none. Returns whether it was added.
     pub(super) fn add(&mut self, a: &Keypoint, b: &Keypoint) -> bool {
         let is_same = |(c, d): &(Keypoint, Keypoint)| are_within(ONE_PLACE, a, c) && are_within(ONE_PLACE, b, d);

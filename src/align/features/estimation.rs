@@ -4,8 +4,8 @@
 //! each. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
 
 use crate::align::AlignOptions;
-use crate::align::features::duplicates::Joined;
-use crate::align::features::homography::{Pair, fit};
+use crate::align::features::duplicates::MatchIndex;
+use crate::align::features::homography::{PointPair, fit};
 use crate::align::features::{
     Consensus, FeatureSets, Guide, Keypoint, RansacOptions, RobustMethod, distance_squared, lmeds, match_mutual, ransac,
 };
@@ -13,12 +13,17 @@ use crate::align::transform::map;
 use nalgebra::Matrix3;
 
 /// The matches of all sets by the ratio alone, in pixels of the full size.
-pub(crate) fn pairs(reference: &FeatureSets, frame: &FeatureSets, to_full: &Matrix3<f64>, ratio: f64) -> Vec<Pair> {
+pub(crate) fn pairs(
+    reference: &FeatureSets,
+    frame: &FeatureSets,
+    to_full: &Matrix3<f64>,
+    ratio: f64,
+) -> Vec<PointPair> {
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
 /// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again among the matches
-/// near the places that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
+/// near the index that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
 pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -45,7 +50,7 @@ pub(crate) fn by_matches(
 }
 
 /// The motion on which most of `pairs` agree, by `method`.
-pub(crate) fn agreed(pairs: &[Pair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
+pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
     match method {
         RobustMethod::Ransac => ransac::search(pairs, options),
         RobustMethod::Lmeds => lmeds::search(pairs, options),
@@ -67,7 +72,7 @@ const REFITS: usize = 8;
 /// The matches of all sets.
 pub(super) struct Matches {
     /// In pixels of the full size.
-    pub(super) pairs: Vec<Pair>,
+    pub(super) pairs: Vec<PointPair>,
     /// The larger scale of each pair's points, at least 1, in pixels of the level.
     pub(super) scales: Vec<f64>,
 }
@@ -85,7 +90,7 @@ impl Matches {
             [x, y]
         };
         let plain = [(&reference.plain, &frame.plain)];
-        let mut joined = Joined::default();
+        let mut index = MatchIndex::default();
         let (pairs, scales) = plain
             .into_iter()
             .chain(reference.mtb.iter().zip(&frame.mtb))
@@ -93,7 +98,7 @@ impl Matches {
                 let matches = match_mutual(a, b, ratio, guide);
                 matches.into_iter().map(|m| (&a.keypoints[m.reference], &b.keypoints[m.frame]))
             })
-            .filter(|(a, b)| joined.add(a, b))
+            .filter(|(a, b)| index.add(a, b))
             .map(|(a, b)| ((full(a), full(b)), f64::from(a.scale.max(b.scale)).max(1.0)))
             .unzip();
         Matches { pairs, scales }
@@ -102,7 +107,7 @@ impl Matches {
     /// `found`, fitted once more to those that agree, each by how well its keypoints are placed: a large one is placed less well, and one
     /// that is far off counts less (weights of Geman & McClure). `pixel` is the width of a pixel of the level.
     pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
-        let right: Vec<Pair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
+        let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
         let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };
         let mut homography = found.homography;
         for _ in 0..REFITS {

@@ -3,7 +3,7 @@
 //! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: a run of [`sift`] over the level, one over a quarter of its samples for each
 //! bitmap.
 
-use crate::align::features::duplicates::Places;
+use crate::align::features::duplicates::KeypointIndex;
 use crate::align::features::keypoint::{Features, Keypoint};
 use crate::align::features::sift::{self, SiftOptions};
 use crate::align::grey::GreyPyramid;
@@ -24,11 +24,11 @@ pub(crate) struct FeatureSets {
 impl FeatureSets {
     /// The keypoints of the bitmaps; what several have, once, as they are counted.
     pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
-        let mut places = Places::default();
+        let mut index = KeypointIndex::default();
         let mut all = Vec::with_capacity(self.counts.mtb);
         for set in &self.mtb {
-            all.extend(set.keypoints.iter().filter(|k| !places.has(k)).copied());
-            places.add(&set.keypoints);
+            all.extend(set.keypoints.iter().filter(|k| !index.has(k)).copied());
+            index.add(&set.keypoints);
         }
         all
     }
@@ -36,9 +36,9 @@ impl FeatureSets {
 
 /// Which of `points` are also among `others`: within a pixel, and of like scale.
 pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
-    let mut places = Places::default();
-    places.add(others);
-    points.iter().map(|k| places.has(k)).collect()
+    let mut index = KeypointIndex::default();
+    index.add(others);
+    points.iter().map(|k| index.has(k)).collect()
 }
 
 /// Percent of the pixels that are not above the threshold of each bitmap: Ward's 17, 50 and 83, those halfway, and two beyond.
@@ -106,7 +106,7 @@ pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plan
 
 /// How many points there are of each kind; those of several bitmaps, and those of both kinds, counted once.
 pub(super) fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
-    let (mut of_bitmaps, mut of_all) = (Places::default(), Places::default());
+    let (mut of_bitmaps, mut of_all) = (KeypointIndex::default(), KeypointIndex::default());
     let mut counts = KeypointCounts { plain: plain.len(), mtb: 0, merged: plain.len() };
     of_all.add(&plain.keypoints);
     for set in mtb {

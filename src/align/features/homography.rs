@@ -7,13 +7,13 @@ use crate::align::transform::map;
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// A point of the reference and the same point of the frame, in pixels.
-pub type Pair = ([f64; 2], [f64; 2]);
+pub type PointPair = ([f64; 2], [f64; 2]);
 
 /// The homography that fits `pairs` best in the algebraic sense after normalisation; none where fewer than four pairs, or their
 /// arrangement (three of four on a line, say), leave it open, or where it would turn a reference point inside out.
 ///
 /// `weights`, if given, has one value of at least 0 for each pair; otherwise all count alike.
-pub fn fit(pairs: &[Pair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
+pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
     let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
     if (0..pairs.len()).filter(|&i| weight(i) > 0.0).count() < 4 {
         return None;
@@ -63,7 +63,7 @@ fn normalisation(points: impl Iterator<Item = ([f64; 2], f64)> + Clone) -> Optio
 mod tests {
     use super::*;
 
-    fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<Pair> {
+    fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
                 // Points on a parabola modulo the picture's size: no three of any four on a line.
@@ -100,10 +100,10 @@ mod tests {
 
     #[test]
     fn open_questions_have_no_answer() {
-        let line: Vec<Pair> = (0..6).map(|i| ([f64::from(i), 2.0 * f64::from(i)], [f64::from(i), 3.0])).collect();
+        let line: Vec<PointPair> = (0..6).map(|i| ([f64::from(i), 2.0 * f64::from(i)], [f64::from(i), 3.0])).collect();
         assert!(fit(&line, None).is_none());
         assert!(fit(&pairs(&H, 3), None).is_none());
-        let mirrored: Vec<Pair> = pairs(&H, 8).into_iter().map(|(p, q)| (p, [-q[0], q[1]])).collect();
+        let mirrored: Vec<PointPair> = pairs(&H, 8).into_iter().map(|(p, q)| (p, [-q[0], q[1]])).collect();
         assert!(fit(&mirrored, None).is_none());
     }
 }

@@ -8,7 +8,7 @@
 //! than half are wrong it has nothing to say. The draws are those of [`ransac`](crate::align::features::ransac).
 
 use crate::align::features::consensus::{guess, inliers, trials_for};
-use crate::align::features::homography::{Pair, fit};
+use crate::align::features::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions, distance_squared};
 use nalgebra::Matrix3;
 
@@ -23,7 +23,7 @@ const MOST_REFITS: usize = 10;
 
 /// The homography with the least median of squared distances, fitted once more to those that the median speaks for; none where more than
 /// half of the pairs are wrong. Of `options` the threshold only says when that is so; it bounds no pair by itself.
-pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
+pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 5 {
         return None;
     }
@@ -43,7 +43,7 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
     let limit = radius * radius;
     let mut right = inliers(pairs, &h, limit);
     for _ in 0..MOST_REFITS {
-        let chosen: Vec<Pair> = right.iter().map(|&i| pairs[i]).collect();
+        let chosen: Vec<PointPair> = right.iter().map(|&i| pairs[i]).collect();
         let Some(refitted) = fit(&chosen, None) else {
             break;
         };
@@ -67,7 +67,7 @@ fn scale(median: f64, pairs: usize) -> f64 {
     1.4826 * (1.0 + 5.0 / (pairs as f64 - 4.0)) * median.sqrt()
 }
 
-fn median_of_squares(pairs: &[Pair], h: &Matrix3<f64>) -> f64 {
+fn median_of_squares(pairs: &[PointPair], h: &Matrix3<f64>) -> f64 {
     let mut squares: Vec<f64> = pairs.iter().map(|p| distance_squared(h, p)).collect();
     let middle = squares.len() / 2;
     *squares.select_nth_unstable_by(middle, f64::total_cmp).1

@@ -1,6 +1,6 @@
 //! Features: keypoints with descriptors, told apart and matched.
 //!
-//! In: the [`Features`] of two pictures. Out: [`Match`]es that are each other's best and clearly better than the second best.
+//! In: the [`Features`] of two pictures. Out: [`Match`]es that are each other's best and if_unambiguous better than the second best.
 //! Cost: 128 multiply-adds for every pair of keypoints that may match: about one pair in ten, as a camera that is held in hands turns
 //! and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive Image Features from
 //! Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest to the second nearest).
@@ -30,7 +30,7 @@ pub struct Guide {
 }
 
 /// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a `guide`, among those
-/// near its places. Only points that could be one are held against each other: both bright or both dark, turned by no more than 45
+/// near its index. Only points that could be one are held against each other: both bright or both dark, turned by no more than 45
 /// degrees (some up to half as much again), and at most twice as large.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
     let table = Table::new(frame);
@@ -38,60 +38,63 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
     let chunks: Vec<Chunk> = (0..reference.len().div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
-            let mut found = Chunk { nearest: Vec::with_capacity(CHUNK), suitors: vec![Suitor::default(); frame.len()] };
+            let mut found = Chunk {
+                nearest: Vec::with_capacity(CHUNK),
+                nearest_references: vec![NearestReference::default(); frame.len()],
+            };
             for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len()) {
-                let descriptor = Wide::new(&reference.descriptors[i]);
-                let mut search = Nearest::new(i as u32, &descriptor, &table, &mut found.suitors);
+                let descriptor = WideDescriptor::new(&reference.descriptors[i]);
+                let mut search = Nearest::new(i as u32, &descriptor, &table, &mut found.nearest_references);
                 let point = &reference.keypoints[i];
                 match &grid {
                     None => table.like(point).into_iter().flatten().for_each(|j| search.consider(j)),
                     Some((guide, grid)) => {
                         let (x, y) = map(&guide.motion, point.x.into(), point.y.into());
                         let near = grid.near(x, y).into_iter().flatten().map(|&j| j as usize);
-                        near.filter(|&j| may_be_one(point, &table.points[j])).for_each(|j| search.consider(j));
+                        near.filter(|&j| may_match(point, &table.points[j])).for_each(|j| search.consider(j));
                     }
                 }
-                let best = search.clearly(ratio);
+                let best = search.if_unambiguous(ratio);
                 found.nearest.push(best);
             }
             found
         })
         .collect();
     // Of the frame's points, each one's nearest in the reference; of equals the first.
-    let mut suitors = vec![Suitor::default(); frame.len()];
+    let mut nearest_references = vec![NearestReference::default(); frame.len()];
     for chunk in &chunks {
-        for (best, suitor) in suitors.iter_mut().zip(&chunk.suitors) {
-            if suitor.distance < best.distance {
-                *best = *suitor;
+        for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
+            if nearest_reference.distance < best.distance {
+                *best = *nearest_reference;
             }
         }
     }
     let nearest = chunks.iter().flat_map(|c| &c.nearest).enumerate();
     nearest
         .filter_map(|(i, best)| best.map(|j| (i, j)))
-        .filter(|&(i, j)| suitors[j].point == i as u32)
+        .filter(|&(i, j)| nearest_references[j].point == i as u32)
         .map(|(reference, j)| Match { reference, frame: table.order[j] })
         .collect()
 }
 
 /// What one task finds.
 struct Chunk {
-    /// For each of its points of the reference, the place in the table of the frame's point that is clearly the nearest.
+    /// For each of its points of the reference, the place in the table of the frame's point that is if_unambiguous the nearest.
     nearest: Vec<Option<usize>>,
     /// For each point of the table, the nearest among its points of the reference.
-    suitors: Vec<Suitor>,
+    nearest_references: Vec<NearestReference>,
 }
 
 /// A point of the reference, and how far its descriptor is.
 #[derive(Debug, Clone, Copy)]
-struct Suitor {
+struct NearestReference {
     point: u32,
     distance: i32,
 }
 
-impl Default for Suitor {
+impl Default for NearestReference {
     fn default() -> Self {
-        Suitor { point: u32::MAX, distance: i32::MAX }
+        NearestReference { point: u32::MAX, distance: i32::MAX }
     }
 }
 
@@ -110,7 +113,7 @@ fn turn(angle: f32) -> usize {
 }
 
 /// Whether two keypoints can be one point, seen by a camera that is held in hands.
-fn may_be_one(a: &Keypoint, b: &Keypoint) -> bool {
+fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
     let apart = (turn(a.angle) + TURNS - turn(b.angle)) % TURNS;
     a.bright == b.bright
         && apart.min(TURNS - apart) <= MOST_TURNS
@@ -118,12 +121,12 @@ fn may_be_one(a: &Keypoint, b: &Keypoint) -> bool {
         && b.scale <= MOST_ZOOM * a.scale
 }
 
-/// The frame's features, so ordered that those which [`may_be_one`] with a point lie in a few runs.
+/// The frame's features, so ordered that those which [`may_match`] with a point lie in a few runs.
 struct Table {
     /// Index among the frame's features.
     order: Vec<usize>,
     points: Vec<Keypoint>,
-    descriptors: Vec<Wide>,
+    descriptors: Vec<WideDescriptor>,
     /// Where each kind (dark or bright) and turn begins, and the end.
     starts: [usize; 2 * TURNS + 1],
 }
@@ -139,11 +142,11 @@ impl Table {
         order.sort_by(|&a, &b| key(a).cmp(&key(b)).then(scale(a).total_cmp(&scale(b))).then(a.cmp(&b)));
         let starts = std::array::from_fn(|k| order.partition_point(|&i| key(i) < k));
         let points = order.iter().map(|&i| features.keypoints[i]).collect();
-        let descriptors = order.iter().map(|&i| Wide::new(&features.descriptors[i])).collect();
+        let descriptors = order.iter().map(|&i| WideDescriptor::new(&features.descriptors[i])).collect();
         Table { order, points, descriptors, starts }
     }
 
-    /// The places of the points that may be `point`.
+    /// The index of the points that may be `point`.
     fn like(&self, point: &Keypoint) -> [std::ops::Range<usize>; 2 * MOST_TURNS + 1] {
         let kind = usize::from(point.bright) * TURNS;
         std::array::from_fn(|k| {
@@ -158,19 +161,19 @@ impl Table {
 }
 
 /// A descriptor in the width in which it is multiplied, and its square.
-struct Wide {
+struct WideDescriptor {
     values: [i16; 128],
     square: i32,
 }
 
-impl Wide {
+impl WideDescriptor {
     fn new(descriptor: &Descriptor) -> Self {
         let values = descriptor.map(i16::from);
-        Wide { square: dot(&values, &values), values }
+        WideDescriptor { square: dot(&values, &values), values }
     }
 
     /// Squared Euclidean distance.
-    fn distance_squared(&self, other: &Wide) -> i32 {
+    fn distance_squared(&self, other: &WideDescriptor) -> i32 {
         self.square + other.square - 2 * dot(&self.values, &other.values)
     }
 }
@@ -190,17 +193,22 @@ fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
 /// The search for the nearest of the frame's points to one of the reference's; each that is considered hears of it as well.
 struct Nearest<'a> {
     point: u32,
-    descriptor: &'a Wide,
+    descriptor: &'a WideDescriptor,
     table: &'a Table,
-    suitors: &'a mut [Suitor],
+    nearest_references: &'a mut [NearestReference],
     first: i32,
     second: i32,
     at: Option<usize>,
 }
 
 impl<'a> Nearest<'a> {
-    fn new(point: u32, descriptor: &'a Wide, table: &'a Table, suitors: &'a mut [Suitor]) -> Self {
-        Nearest { point, descriptor, table, suitors, first: i32::MAX, second: i32::MAX, at: None }
+    fn new(
+        point: u32,
+        descriptor: &'a WideDescriptor,
+        table: &'a Table,
+        nearest_references: &'a mut [NearestReference],
+    ) -> Self {
+        Nearest { point, descriptor, table, nearest_references, first: i32::MAX, second: i32::MAX, at: None }
     }
 
     #[inline]
@@ -211,14 +219,14 @@ impl<'a> Nearest<'a> {
         } else if distance < self.second {
             self.second = distance;
         }
-        let suitor = &mut self.suitors[j];
-        if distance < suitor.distance {
-            *suitor = Suitor { point: self.point, distance };
+        let nearest_reference = &mut self.nearest_references[j];
+        if distance < nearest_reference.distance {
+            *nearest_reference = NearestReference { point: self.point, distance };
         }
     }
 
-    /// The nearest, if it is clearly the nearest: of equals none is.
-    fn clearly(&self, ratio: f64) -> Option<usize> {
+    /// The nearest, if it is if_unambiguous the nearest: of equals none is.
+    fn if_unambiguous(&self, ratio: f64) -> Option<usize> {
         let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
         self.at.filter(|_| clear && self.first <= FARTHEST)
     }
@@ -339,7 +347,7 @@ mod tests {
         for (a, b, least) in [(a.clone(), b.clone(), 20), (turned(a, 3), turned(b, 11), 20)] {
             // As the definition has it, and in the width of the descriptors.
             let d = |i: usize, j: usize| -> i32 {
-                if !may_be_one(&a.keypoints[i], &b.keypoints[j]) {
+                if !may_match(&a.keypoints[i], &b.keypoints[j]) {
                     return i32::MAX;
                 }
                 let pairs = a.descriptors[i].iter().zip(&b.descriptors[j]);

@@ -24,7 +24,7 @@ pub mod sift;
 pub use consensus::{Consensus, RansacOptions, distance_squared};
 pub(crate) use estimation::{agreed, by_matches, pairs};
 pub(crate) use extraction::{FeatureSets, features, found_among};
-pub use homography::Pair;
+pub use homography::PointPair;
 pub use keypoint::{Descriptor, Features, Keypoint};
 pub use matching::{Guide, Match, match_mutual};
 pub use sift::SiftOptions;

@@ -7,12 +7,12 @@
 //! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
 
 use crate::align::features::consensus::{distance_squared, guess, inliers, trials_for};
-use crate::align::features::homography::{Pair, fit};
+use crate::align::features::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions};
 use nalgebra::Matrix3;
 
 /// The homography with the best score; none where no four pairs give one that others agree with.
-pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
+pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 4 {
         return None;
     }
@@ -35,12 +35,12 @@ pub fn search(pairs: &[Pair], options: &RansacOptions) -> Option<Consensus> {
     Consensus::new(pairs, homography, limit)
 }
 
-fn score(pairs: &[Pair], h: &Matrix3<f64>, limit: f64) -> f64 {
+fn score(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> f64 {
     pairs.iter().map(|p| distance_squared(h, p).min(limit)).sum()
 }
 
 /// Refits on the inliers, those near the threshold counting less, as long as the score falls.
-fn polish(pairs: &[Pair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f64, Matrix3<f64>) {
+fn polish(pairs: &[PointPair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f64, Matrix3<f64>) {
     for _ in 0..10 {
         let weights: Vec<f64> = pairs
             .iter()

@@ -8,13 +8,13 @@ use crate::align::features::extraction::{PERCENTILES, bitmap, count, smoothed, t
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::result::KeypointCounts;
 use crate::align::scene::{Scene, Shot, perspective};
-use crate::align::transform::{Warp, map};
+use crate::align::transform::{Transform, map};
 use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);
 
-fn sets(seed: u64, warp: &Warp, ev: f64) -> FeatureSets {
-    let pyramid = GreyPyramid::new(Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)));
+fn sets(seed: u64, transform: &Transform, ev: f64) -> FeatureSets {
+    let pyramid = GreyPyramid::new(Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)));
     features(&pyramid, measured_level(&pyramid), &SiftOptions::default(), MtbOptions::default().exclusion)
 }
 
@@ -26,7 +26,7 @@ fn by_plain_alone(sets: &FeatureSets) -> FeatureSets {
 fn bitmaps_raise_the_matches_of_dark_and_bright_frames() {
     let options = AlignOptions::default();
     for seed in [21, 22] {
-        let reference = sets(seed, &Warp::Identity, 0.0);
+        let reference = sets(seed, &Transform::Identity, 0.0);
         for ev in [-5.0, -4.0, 3.0] {
             let frame = sets(seed, &perspective(), ev);
             let counts = frame.counts;
@@ -38,8 +38,8 @@ fn bitmaps_raise_the_matches_of_dark_and_bright_frames() {
             let alone = inliers(&by_plain_alone(&reference), &by_plain_alone(&frame));
             println!("{seed} {ev}: {counts:?}, {} inliers, {alone} by the plain ones", all.inliers.len());
             assert!(all.inliers.len() >= 3 * alone && all.inliers.len() >= 60, "{ev}: {} {alone}", all.inliers.len());
-            let warp = Warp::Homography(all.homography);
-            let off = warp.corner_distance(&perspective(), SIZE.0, SIZE.1);
+            let transform = Transform::Homography(all.homography);
+            let off = transform.corner_distance(&perspective(), SIZE.0, SIZE.1);
             assert!(off < 1.0, "{ev}: {off} px");
         }
     }
@@ -47,14 +47,14 @@ fn bitmaps_raise_the_matches_of_dark_and_bright_frames() {
 
 #[test]
 fn either_robust_method_finds_the_motion() {
-    let (reference, frame) = (sets(21, &Warp::Identity, 0.0), sets(21, &perspective(), 1.0));
+    let (reference, frame) = (sets(21, &Transform::Identity, 0.0), sets(21, &perspective(), 1.0));
     let by = |robust| {
         let options = AlignOptions { robust, ..AlignOptions::default() };
         by_matches(&reference, &frame, &Matrix3::identity(), &options).unwrap()
     };
     let (ransac, lmeds) = (by(RobustMethod::Ransac), by(RobustMethod::Lmeds));
     for found in [&ransac, &lmeds] {
-        let off = Warp::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
+        let off = Transform::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
         assert!(off < 0.5 && found.inliers.len() > 100, "{off} px, {}", found.inliers.len());
     }
     // The median's radius is not the threshold.
@@ -66,7 +66,7 @@ fn noise_about_a_threshold_makes_few_points() {
     // A plain surface of noise, half above its median and half below.
     let flat = |_: f64, _: f64| 1.0;
     let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
-    let noise = crate::align::scene::photograph(SIZE, &Warp::Identity, shot, flat);
+    let noise = crate::align::scene::photograph(SIZE, &Transform::Identity, shot, flat);
     let smooth = smoothed(&noise);
     let median = thresholds(&smooth)[3];
     let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };
@@ -77,7 +77,7 @@ fn noise_about_a_threshold_makes_few_points() {
 
 #[test]
 fn thresholds_part_the_pixels_as_they_say() {
-    let smooth = smoothed(&Scene::new(3).photograph(SIZE, &Warp::Identity, Shot::at(-3.0)));
+    let smooth = smoothed(&Scene::new(3).photograph(SIZE, &Transform::Identity, Shot::at(-3.0)));
     let total = smooth.as_slice().len() as f64;
     for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
         let below = smooth.as_slice().iter().filter(|v| **v <= t).count() as f64 / total;
@@ -127,7 +127,7 @@ fn pair_found_twice_is_one_match_wherever_it_lies() {
     for tenth in 0..40 {
         let at = 100.0 + 0.1 * tenth as f32;
         assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
-        // Of other places in the reference, or in the frame.
+        // Of other index in the reference, or in the frame.
         assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
         assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
     }
@@ -138,7 +138,7 @@ fn large_keypoints_count_less_in_the_last_fit() {
     // Twelve small ones that are right, and four large ones that all drag to the same side.
     let place = |i: usize| [(i * 37 % 100) as f64 * 4.0, (i * 61 % 100) as f64 * 3.0];
     let drag = |i: usize| if i < 12 { 0.0 } else { 2.0 };
-    let pairs: Vec<Pair> = (0..16).map(|i| (place(i), [place(i)[0] + drag(i), place(i)[1]])).collect();
+    let pairs: Vec<PointPair> = (0..16).map(|i| (place(i), [place(i)[0] + drag(i), place(i)[1]])).collect();
     let found = Consensus { homography: Matrix3::identity(), inliers: (0..16).collect(), rms: 1.0 };
     let off = |scale: f64| {
         let scales = (0..16).map(|i| if i < 12 { 1.0 } else { scale }).collect();

@@ -5,7 +5,7 @@
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey levels that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
+/// The percentile of the grey values that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 
@@ -33,7 +33,7 @@ impl Percentile {
     }
 }
 
-/// How many pixels have each grey level.
+/// How many pixels have each grey value.
 #[derive(Debug, Clone)]
 pub struct Histogram(pub(crate) [u64; 256]);
 
@@ -59,8 +59,8 @@ impl Histogram {
         self.0.iter().sum()
     }
 
-    /// The least level that at least `percentile` of the pixels do not exceed.
-    pub fn level(&self, percentile: Percentile) -> u8 {
+    /// The least value that at least `percentile` of the pixels do not exceed.
+    pub fn value_at(&self, percentile: Percentile) -> u8 {
         let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
         let mut below = 0;
         for (v, n) in self.0.iter().enumerate() {
@@ -72,18 +72,18 @@ impl Histogram {
         u8::MAX
     }
 
-    /// The share of the pixels below `level`, which may be 256.
-    pub(crate) fn share_below(&self, level: usize) -> f64 {
-        self.0[..level].iter().sum::<u64>() as f64 / self.total().max(1) as f64
+    /// The share of the pixels below `value`, which may be 256.
+    pub(crate) fn share_below(&self, value: usize) -> f64 {
+        self.0[..value].iter().sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
-    /// The share of the pixels at `levels`.
-    pub fn share(&self, levels: RangeInclusive<u8>) -> f64 {
-        levels.map(|level| self.0[usize::from(level)]).sum::<u64>() as f64 / self.total().max(1) as f64
+    /// The share of the pixels at `values`.
+    pub fn share(&self, values: RangeInclusive<u8>) -> f64 {
+        values.map(|value| self.0[usize::from(value)]).sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
-    /// The level, up to 256, below which the share is nearest to `share`; the lowest of several.
-    pub(crate) fn level_of_share(&self, share: f64) -> usize {
+    /// The value, up to 256, below which the share is nearest to `share`; the lowest of several.
+    pub(crate) fn value_of_share(&self, share: f64) -> usize {
         let wanted = share * self.total() as f64;
         let mut below = 0u64;
         let mut best = (wanted, 0);
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(large.total(), 2048 * 1600_u64.div_ceil(3));
         for percentile in [5, 17, 33, 50, 67, 83, 95].map(Percentile::new) {
             let expected = 251.0 * f64::from(percentile.0) / 100.0;
-            assert!((f64::from(large.level(percentile)) - expected).abs() <= 1.0, "{percentile:?}");
+            assert!((f64::from(large.value_at(percentile)) - expected).abs() <= 1.0, "{percentile:?}");
         }
     }
 }

@@ -6,7 +6,7 @@ mod content;
 mod histogram;
 mod pyramid;
 
-pub(crate) use content::{Seen, Shown, look};
+pub(crate) use content::{Content, Detail, content_and_pyramid};
 pub use histogram::{Histogram, Percentile};
 pub(crate) use pyramid::COARSEST;
 pub use pyramid::{ENOUGH_PIXELS, GreyPyramid, finest_level, measured_level};
@@ -19,8 +19,8 @@ use crate::error::Result;
 /// # Errors
 /// [`Error::Scratch`], where the frame is on disk.
 pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    let stops = Seen::of(&frame.whole()?).stops;
-    Ok(GreyPyramid::new(frame.greys(stops)?))
+    let brightening_stops = Content::of(&frame.whole()?).brightening_stops;
+    Ok(GreyPyramid::new(frame.greys(brightening_stops)?))
 }
 
 /// The same as the search has it: of a large frame without the full size, which takes most of the memory.
@@ -28,5 +28,5 @@ pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
 /// # Errors
 /// [`Error::Scratch`], where the frame is on disk.
 pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    Ok(look(frame)?.1)
+    Ok(content_and_pyramid(frame)?.1)
 }

@@ -16,15 +16,15 @@ use crate::align::agreement::LEAST_SIDE;
 use crate::align::bitmaps;
 use crate::align::features;
 use crate::align::features::FeatureSets;
-use crate::align::grey::{COARSEST, GreyPyramid, Seen, look, measured_level};
-use crate::align::ladder::camera_track::turns;
-use crate::align::ladder::candidate::{Candidate, judge};
+use crate::align::grey::{COARSEST, Content, GreyPyramid, content_and_pyramid, measured_level};
+use crate::align::ladder::camera_track::capture_times;
+use crate::align::ladder::candidate::{Candidate, evaluate};
 use crate::align::ladder::reduction::reduce;
-use crate::align::ladder::selection::{Found, placed, rejected, why};
+use crate::align::ladder::selection::{FeatureCounts, aligned_verdict, rejected_verdict, rejection_reason};
 use crate::align::ladder::starts::by_bitmaps;
-use crate::align::refinement::Comparison;
+use crate::align::refinement::FramePair;
 use crate::align::result::{Status, Verdict};
-use crate::align::transform::{Warp, level_to_full};
+use crate::align::transform::{Transform, level_to_full};
 use crate::bracket::Bracket;
 use crate::error::Result;
 use crate::plane::{Plane, map_at_once};
@@ -40,11 +40,11 @@ pub(crate) struct Search<'a> {
     /// ... and the whole pictures, which are made when they are asked for.
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// What each frame shows.
-    pub(crate) seen: &'a [Seen],
+    pub(crate) contents: &'a [Content],
     /// When each was taken: seconds, or its position in the order of all.
-    pub(crate) turns: &'a [f64],
+    pub(crate) capture_times: &'a [f64],
     /// Whether all frames are of one tone each.
-    pub(crate) is_plain: bool,
+    pub(crate) is_uniform: bool,
     /// How many frames may be compared at a time.
     pub(crate) compared_at_once: usize,
     /// How many frames may have their features sought at a time.
@@ -56,7 +56,7 @@ pub(crate) struct Search<'a> {
 }
 
 /// What came of holding a frame against the reference.
-enum First {
+enum FirstResult {
     /// It lies so.
     Settled(Verdict),
     /// It may lie so, if anywhere.
@@ -64,7 +64,7 @@ enum First {
 }
 
 /// What is known of the reference, for all frames in doubt.
-struct Shared {
+struct ReferenceFeatures {
     /// Its features; none where no frame is in doubt.
     features: Option<FeatureSets>,
     /// Whether it repeats itself.
@@ -76,9 +76,12 @@ impl Search<'_> {
     pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
             let found = bitmaps::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
-            let seen = self.judged(i, found.warp());
+            let checked = self.evaluate(i, found.transform());
             // Each sees errors that the other does not.
-            placed(&Candidate { error_px: seen.error_px.max(found.error_px), ..seen }, Found::default())
+            aligned_verdict(
+                &Candidate { error_px: checked.error_px.max(found.error_px), ..checked },
+                FeatureCounts::default(),
+            )
         })
     }
 
@@ -88,14 +91,14 @@ impl Search<'_> {
         let mut verdicts = self.each(|i| {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
-                Some((warp, inliers)) if inliers >= LEAST_INLIERS => {
-                    placed(&self.judged(i, warp), Found { inliers: Some(inliers), keypoints })
+                Some((transform, inliers)) if inliers >= LEAST_INLIERS => {
+                    aligned_verdict(&self.evaluate(i, transform), FeatureCounts { inliers: Some(inliers), keypoints })
                 }
                 other => {
                     let inliers = other.map_or(0, |c| c.1);
                     let reason =
                         format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
-                    rejected(reason, 0.0, Found { inliers: Some(inliers), keypoints })
+                    rejected_verdict(reason, 0.0, FeatureCounts { inliers: Some(inliers), keypoints })
                 }
             }
         });
@@ -107,15 +110,15 @@ impl Search<'_> {
     pub(crate) fn auto(&self) -> Vec<Verdict> {
         let (width, height) = self.size();
         if width.min(height) < LEAST_SIDE {
-            let mut verdicts = self.each(|_| rejected(why(None), 0.0, Found::default()));
-            self.take_as_they_lie(&mut verdicts);
+            let mut verdicts = self.each(|_| rejected_verdict(rejection_reason(None), 0.0, FeatureCounts::default()));
+            self.leave_uniform_frames_unmoved(&mut verdicts);
             return verdicts;
         }
         let repeats = bitmaps::repeats(self.base(), &self.options.mtb);
         let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
-        let is_settled = |i: usize| i == self.reference || matches!(first[i], First::Settled(_));
+        let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
-        let shared = Shared { features, repeats };
+        let shared = ReferenceFeatures { features, repeats };
         // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its neighbour placed.
         let orders: [Vec<usize>; 2] =
             [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
@@ -123,28 +126,30 @@ impl Search<'_> {
         let (brighter, darker) = (sides.pop().unwrap_or_default(), sides.pop().unwrap_or_default());
         let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
         let keypoints = shared.features.as_ref().map(|f| f.counts);
-        verdicts.push(Verdict { keypoints, ..Verdict::by_definition(Status::Reference) });
+        verdicts.push(Verdict { keypoints, ..Verdict::with_identity(Status::Reference) });
         verdicts.extend(brighter);
-        self.settle_still(&mut verdicts);
+        self.keep_static_frames_static(&mut verdicts);
         let known = self.known(&verdicts);
-        self.keep_still(&mut verdicts);
-        self.assume(known, &mut verdicts);
-        self.take_as_they_lie(&mut verdicts);
+        self.accept_static(&mut verdicts);
+        self.infer_from_track(known, &mut verdicts);
+        self.leave_uniform_frames_unmoved(&mut verdicts);
         verdicts
     }
 
     /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
-    fn first(&self, i: usize, repeats: bool) -> First {
+    fn first(&self, i: usize, repeats: bool) -> FirstResult {
         if i == self.reference {
-            return First::Doubtful(None);
+            return FirstResult::Doubtful(None);
         }
         if let Some(given) = &self.given[i] {
-            return First::Settled(given.clone());
+            return FirstResult::Settled(given.clone());
         }
         let (pair, candidate) = by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb);
         match candidate {
-            Some(c) if c.is_settled() && !repeats => First::Settled(placed(&reduce(&pair, c), Found::default())),
-            other => First::Doubtful(other),
+            Some(c) if c.is_settled() && !repeats => {
+                FirstResult::Settled(aligned_verdict(&reduce(&pair, c), FeatureCounts::default()))
+            }
+            other => FirstResult::Doubtful(other),
         }
     }
 
@@ -158,7 +163,7 @@ impl Search<'_> {
 
     /// `verdict` of every frame but the reference, in parallel.
     fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
-        let reference = || Verdict::by_definition(Status::Reference);
+        let reference = || Verdict::with_identity(Status::Reference);
         let place = |i: usize| match &self.given[i] {
             Some(given) => given.clone(),
             None if i == self.reference => reference(),
@@ -173,26 +178,27 @@ impl Search<'_> {
     }
 
     /// The homography that the matches agree on, and how many do.
-    fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Warp, usize)> {
+    fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
         let to_full = level_to_full(measured_level(self.base()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;
-        Some((Warp::Homography(found.homography), found.inliers.len()))
+        Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// Frame `i` placed by `warp`, as the tiles see it.
-    pub(crate) fn judged(&self, i: usize, warp: Warp) -> Candidate {
-        judge(&Comparison::new(self.base(), &self.pyramids[i], &warp), warp, 0.0)
+    /// Frame `i` placed by `transform`, as the tiles see it.
+    pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
+        evaluate(&FramePair::new(self.base(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
     /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the nearest before it that was
     /// placed.
-    fn outwards(&self, order: &[usize], first: &[First], shared: &Shared) -> Vec<Verdict> {
+    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Verdict> {
         let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
         for &i in order {
             let verdict = match &first[i] {
-                First::Settled(verdict) => verdict.clone(),
-                First::Doubtful(candidate) => {
-                    let nearest = order.iter().zip(&verdicts).rev().find_map(|(&n, verdict)| self.stand_in(n, verdict));
+                FirstResult::Settled(verdict) => verdict.clone(),
+                FirstResult::Doubtful(candidate) => {
+                    let nearest =
+                        order.iter().zip(&verdicts).rev().find_map(|(&n, verdict)| self.neighbour_target(n, verdict));
                     self.doubtful(i, candidate.clone(), nearest, shared)
                 }
             };
@@ -205,20 +211,20 @@ impl Search<'_> {
 impl Search<'_> {
     /// Where no frame shows anything, none of them can be placed, nor need it be: a black picture lies right anywhere. Nor can frames that are
     /// smaller than any level that is searched. That another place would not do as well is not known, so there is no confidence in this one.
-    fn take_as_they_lie(&self, verdicts: &mut [Verdict]) {
+    fn leave_uniform_frames_unmoved(&self, verdicts: &mut [Verdict]) {
         let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
-        if others().any(|v| v.warp.is_some()) {
+        if others().any(|v| v.transform.is_some()) {
             return;
         }
         let (width, height) = self.size();
-        let reason = match (self.is_plain, width.min(height) < COARSEST) {
+        let reason = match (self.is_uniform, width.min(height) < COARSEST) {
             (true, _) => "each of them is of one tone all over".to_owned(),
             (_, true) => format!("{width}x{height} pixels are too few"),
             _ => return,
         };
         for (i, verdict) in verdicts.iter_mut().enumerate() {
             if verdict.status == Status::Rejected && self.given[i].is_none() {
-                let unmoved = Verdict::by_definition(Status::Unmoved);
+                let unmoved = Verdict::with_identity(Status::Unmoved);
                 let (inliers, keypoints) = (verdict.inliers, verdict.keypoints);
                 *verdict = Verdict { inliers, keypoints, confidence: 0.0, reason: Some(reason.clone()), ..unmoved };
             }
@@ -233,14 +239,14 @@ pub(crate) fn search(
     given: &[Option<Verdict>],
     find: fn(&Search) -> Vec<Verdict>,
 ) -> Result<Vec<Verdict>> {
-    let looked = bracket.map_whole(look);
-    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let turns = turns(bracket);
-    let is_plain = seen.iter().all(|s| s.is_plain);
+    let looked = bracket.map_whole(content_and_pyramid);
+    let (contents, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let capture_times = capture_times(bracket);
+    let is_uniform = contents.iter().all(|s| s.is_uniform);
     // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
     let failed = Mutex::new(None);
     let grey = |i: usize| {
-        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
+        bracket.frames()[i].greys(contents[i].brightening_stops).unwrap_or_else(|error| {
             failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
             Plane::filled(bracket.width(), bracket.height(), 0)
         })
@@ -248,9 +254,9 @@ pub(crate) fn search(
     let found = find(&Search {
         pyramids: &pyramids,
         grey: &grey,
-        seen: &seen,
-        turns: &turns,
-        is_plain,
+        contents: &contents,
+        capture_times: &capture_times,
+        is_uniform,
         compared_at_once: bracket.at_once(),
         detected_at_once: bracket.detected_at_once(),
         reference: bracket.reference_index(),

@@ -5,35 +5,35 @@
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::ladder::candidate::Candidate;
-use crate::align::ladder::candidate::judge;
-use crate::align::refinement::{Comparison, refine};
-use crate::align::transform::{Model, Warp, distance, level_to_full, restrict};
+use crate::align::ladder::candidate::evaluate;
+use crate::align::refinement::{FramePair, refine};
+use crate::align::transform::{Model, Transform, distance, level_to_full, restrict};
 
 /// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 
 /// A smaller model that is so many times farther off, before it is fitted, will not do.
-const HOPELESS: f64 = 5.0;
+const MOST_EXCESS: f64 = 5.0;
 
-/// A frame whose warp is no more than this is unmoved: resampling would cost more than it mends, in pixels.
+/// A frame whose transform is no more than this is unmoved: resampling would cost more than it mends, in pixels.
 pub(crate) const UNMOVED_PX: f64 = 0.2;
 
 /// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
-pub(crate) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
+pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     let (width, height) = pair.size();
     let level = measured_level(pair.reference());
     // Tiles cannot tell apart what lies nearer than this.
     let alike_px = ALIKE * level_to_full(level)[(0, 0)];
-    let opinion = |warp: Warp, noise_px: f64, apart: f64| {
+    let checked = |transform: Transform, noise_px: f64, apart: f64| {
         if apart > alike_px {
-            return Candidate { corroborated: whole.corroborated, ..judge(pair, warp, noise_px) };
+            return Candidate { corroborated: whole.corroborated, ..evaluate(pair, transform, noise_px) };
         }
-        let error_px = (noise_px * noise_px + whole.seen_px * whole.seen_px).sqrt();
-        Candidate { warp, error_px, ..whole.clone() }
+        let error_px = (noise_px * noise_px + whole.tile_error_px * whole.tile_error_px).sqrt();
+        Candidate { transform, error_px, ..whole.clone() }
     };
-    let still = distance(&whole.warp, &Warp::Identity, width, height);
+    let still = distance(&whole.transform, &Transform::Identity, width, height);
     if still <= UNMOVED_PX.max(whole.error_px) {
-        let unmoved = opinion(Warp::Identity, 0.0, still);
+        let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
             return Candidate { error_px, ..unmoved };
@@ -46,18 +46,18 @@ pub(crate) fn reduce(pair: &Comparison, whole: Candidate) -> Candidate {
     let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {
         // The nearest by far is cheap to tell; the best is what counts.
-        let near = Warp::Homography(restrict(&whole.warp.matrix(width, height), model, width, height));
-        if distance(&whole.warp, &near, width, height) > HOPELESS * SAME_PX.max(whole.error_px) {
+        let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
+        if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(whole.error_px) {
             continue;
         }
-        let Some(smaller) = refine(pair, &whole.warp, model, (finest, finest)) else {
+        let Some(smaller) = refine(pair, &whole.transform, model, (finest, finest)) else {
             continue;
         };
-        let apart = distance(&whole.warp, &smaller.warp, width, height);
+        let apart = distance(&whole.transform, &smaller.transform, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
             // What the whole could not tell from this, this cannot either.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
-            let candidate = opinion(smaller.warp, noise_px, apart);
+            let candidate = checked(smaller.transform, noise_px, apart);
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
                 && candidate.agreement().offset <= whole.agreement().offset + 0.01
             {

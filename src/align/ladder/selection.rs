@@ -10,31 +10,31 @@ use crate::align::transform::Model;
 const LEAST_CONFIDENCE: f64 = 0.35;
 
 /// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
-const LEAST_VOICES: usize = 3;
+const LEAST_AGREEING: usize = 3;
 
 /// With less trust in a place no number of tiles makes it one.
-const LEAST_TRUST: f64 = 0.25;
+const LEAST_RELIABILITY: f64 = 0.25;
 
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Found {
+pub(crate) struct FeatureCounts {
     pub(crate) inliers: Option<usize>,
     pub(crate) keypoints: Option<KeypointCounts>,
 }
 
 /// Whether a candidate is good enough to merge by.
-pub(super) fn is_a_place(candidate: &Candidate) -> bool {
+pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let agreement = candidate.agreement();
-    let unopposed = agreement.confirm >= LEAST_VOICES && agreement.contradict * 8 <= agreement.confirm;
+    let unopposed = agreement.agreeing >= LEAST_AGREEING && agreement.disagreeing * 8 <= agreement.agreeing;
     candidate.confidence() >= LEAST_CONFIDENCE
-        || (unopposed && candidate.trust >= LEAST_TRUST && candidate.error_px < candidate.tolerance_px)
+        || (unopposed && candidate.reliability >= LEAST_RELIABILITY && candidate.error_px < candidate.tolerance_px)
 }
 
 /// The places that were found for a frame, and the base against which each was.
 #[derive(Default)]
-pub(super) struct Pool(Vec<(usize, Candidate)>);
+pub(super) struct Candidates(Vec<(usize, Candidate)>);
 
-impl Pool {
+impl Candidates {
     pub(super) fn add(&mut self, base: usize, candidate: Option<Candidate>) {
         self.0.extend(candidate.map(|c| (base, c)));
     }
@@ -49,9 +49,9 @@ impl Pool {
 
     /// Marks the best as led to by features as well, if it is what they `found`.
     pub(super) fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
-        let best = self.best().map(|(_, c)| c.warp);
+        let best = self.best().map(|(_, c)| c.transform);
         let mut any = false;
-        for (_, candidate) in self.0.iter_mut().filter(|(_, c)| best == Some(c.warp)) {
+        for (_, candidate) in self.0.iter_mut().filter(|(_, c)| best == Some(c.transform)) {
             candidate.corroborated = found(candidate);
             any |= candidate.corroborated;
         }
@@ -63,10 +63,10 @@ impl Pool {
     /// outside the frame, and say nothing.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (base, best) = self.best()?;
-        let contenders = self.rivals(base, best, |_| true);
+        let contenders = self.alternatives(base, best, |_| true);
         let worst_lead = |c: &Candidate| {
             let others = contenders.iter().filter(|o| !alike(o, c));
-            others.map(|o| c.survey.against(&o.survey)).fold(f64::INFINITY, f64::min)
+            others.map(|o| c.check_tiles.evidence_over(&o.check_tiles)).fold(f64::INFINITY, f64::min)
         };
         if worst_lead(best) >= -DECISIVE {
             return Some((base, best));
@@ -78,60 +78,61 @@ impl Pool {
 
     /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for; `best` itself
     /// may be.
-    fn rivals(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
-        let least = RIVALRY * best.evidence();
+    fn alternatives(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
+        let least = COMPARABLE_EVIDENCE * best.evidence();
         let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
         same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
     }
 
     /// 1 where nothing rivals `best`; half where one of the `others` does so that the tiles that speak under both are for `best` by no
     /// more than [`DECISIVE`].
-    pub(super) fn doubt(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
-        let leads = self.rivals(base, best, others).into_iter().map(|c| best.survey.against(&c.survey));
+    pub(super) fn uniqueness(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
+        let leads =
+            self.alternatives(base, best, others).into_iter().map(|c| best.check_tiles.evidence_over(&c.check_tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
         if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
     }
 }
 
 /// A candidate rivals another where so many times as much speaks for it.
-const RIVALRY: f64 = 0.4;
+const COMPARABLE_EVIDENCE: f64 = 0.4;
 
 /// Fewer nats leave it undecided which is right.
 pub(crate) const DECISIVE: f64 = 2.0;
 
-pub(super) fn why(candidate: Option<&Candidate>) -> String {
+pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to tell how it moved".into(),
-        Some(c) if c.agreement().confirm + c.agreement().contradict < 8 => {
+        Some(c) if c.agreement().agreeing + c.agreement().disagreeing < 8 => {
             "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
         }
         Some(c) => format!(
             "no motion makes it agree with the reference: {} of {} parts contradict the best one",
-            c.agreement().contradict,
-            c.agreement().confirm + c.agreement().contradict
+            c.agreement().disagreeing,
+            c.agreement().agreeing + c.agreement().disagreeing
         ),
     }
 }
 
-pub(crate) fn placed(candidate: &Candidate, found: Found) -> Verdict {
-    let model = Model::of(&candidate.warp);
+pub(crate) fn aligned_verdict(candidate: &Candidate, found: FeatureCounts) -> Verdict {
+    let model = Model::of(&candidate.transform);
     Verdict {
         status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
         model: Some(model),
-        warp: Some(candidate.warp),
+        transform: Some(candidate.transform),
         inliers: found.inliers,
         keypoints: found.keypoints,
-        error_px: (candidate.agreement().confirm > 0).then_some(candidate.error_px),
+        error_px: (candidate.agreement().agreeing > 0).then_some(candidate.error_px),
         confidence: candidate.confidence(),
         reason: None,
     }
 }
 
-pub(super) fn rejected(reason: String, confidence: f64, found: Found) -> Verdict {
+pub(super) fn rejected_verdict(reason: String, confidence: f64, found: FeatureCounts) -> Verdict {
     Verdict {
         status: Status::Rejected,
         model: None,
-        warp: None,
+        transform: None,
         inliers: found.inliers,
         keypoints: found.keypoints,
         error_px: None,

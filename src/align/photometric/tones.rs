@@ -1,52 +1,56 @@
 //! Tables that bring two frames to a common exposure, and how far each grey value can be trusted.
 //!
-//! In: two frames, roughly aligned. Out: [`Tones`]. Cost: one pass over some samples.
+//! In: two frames, roughly aligned. Out: [`ToneTables`]. Cost: one pass over some samples.
 
 use crate::align::photometric::intensity_map::IntensityMap;
 use crate::align::transform::map;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 
-/// About so many places at which the two frames' levels are taken.
+/// About so many places at which the two frames' values are taken.
 const SAMPLES: f64 = 40_000.0;
 
-/// Grey levels nearer than this to either end of the brighter frame's range may be clipped.
+/// Grey values nearer than this to either end of the brighter frame's range may be clipped.
 const CLIP_MARGIN: f32 = 5.0;
 
 /// Levels of the darker frame below this are as much noise as light.
 const DARKEST: f32 = 2.0;
 
-/// What brings two frames to a common exposure: the level that goes with each code.
+/// What brings two frames to a common exposure: the value that goes with each code.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Tones {
+pub struct ToneTables {
     /// For the reference.
     pub reference: [f32; 256],
     /// For the frame.
     pub frame: [f32; 256],
-    /// For each level of the brighter frame, how far it can be trusted.
-    trusts: [f32; 256],
+    /// For each value of the brighter frame, how far it can be trusted.
+    weights: [f32; 256],
 }
 
-impl Tones {
+impl ToneTables {
     /// The tones of `reference` and `frame`, with `h` (reference -> frame) about right: the two histograms decide, not the places.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let samples = sample(reference, frame, h);
-        let as_they_are = std::array::from_fn(|v| v as f32);
+        let identity = std::array::from_fn(|v| v as f32);
         if is_brighter(&samples) {
-            let forth = IntensityMap::from_samples(&samples);
-            let reference = std::array::from_fn(|v| forth.at(v as f32));
-            return Tones { reference, frame: as_they_are, trusts: trusts(&forth) };
+            let to_frame = IntensityMap::from_samples(&samples);
+            let reference = std::array::from_fn(|v| to_frame.at(v as f32));
+            return ToneTables { reference, frame: identity, weights: weights(&to_frame) };
         }
         let swapped: Vec<(u8, u8)> = samples.iter().map(|&(r, f)| (f, r)).collect();
-        let back = IntensityMap::from_samples(&swapped);
-        Tones { reference: as_they_are, frame: std::array::from_fn(|v| back.at(v as f32)), trusts: trusts(&back) }
+        let to_reference = IntensityMap::from_samples(&swapped);
+        ToneTables {
+            reference: identity,
+            frame: std::array::from_fn(|v| to_reference.at(v as f32)),
+            weights: weights(&to_reference),
+        }
     }
 
-    /// How far level `v` can be trusted, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
+    /// How far value `v` can be trusted, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
     /// the ends of either frame's range.
     #[inline]
-    pub fn trust(&self, v: f32) -> f32 {
-        self.trusts[usize::from(v as u8)]
+    pub fn weight(&self, v: f32) -> f32 {
+        self.weights[usize::from(v as u8)]
     }
 }
 
@@ -72,21 +76,21 @@ fn is_brighter(samples: &[(u8, u8)]) -> bool {
     samples.iter().map(|&(reference, frame)| i64::from(frame) - i64::from(reference)).sum::<i64>() >= 0
 }
 
-/// For each level of the brighter frame, how far it can be trusted.
-fn trusts(map: &IntensityMap) -> [f32; 256] {
-    let mut trusts = [0.0; 256];
+/// For each value of the brighter frame, how far it can be trusted.
+fn weights(map: &IntensityMap) -> [f32; 256] {
+    let mut weights = [0.0; 256];
     let mut darker = 0.0f32;
-    for (level, trust) in trusts.iter_mut().enumerate() {
-        while darker < 255.0 && map.at(darker) < level as f32 {
+    for (value, weight) in weights.iter_mut().enumerate() {
+        while darker < 255.0 && map.at(darker) < value as f32 {
             darker += 0.25;
         }
         let usable = |l: f32| (CLIP_MARGIN..=255.0 - CLIP_MARGIN).contains(&l);
-        if usable(level as f32) && darker >= DARKEST {
+        if usable(value as f32) && darker >= DARKEST {
             let slope = map.slope(darker);
-            *trust = 1.0 / (1.0 + slope * slope);
+            *weight = 1.0 / (1.0 + slope * slope);
         }
     }
-    trusts
+    weights
 }
 
 #[cfg(test)]
@@ -94,19 +98,19 @@ mod tests {
     use super::*;
     use crate::align::photometric::CommonExposure;
     use crate::align::scene::{Scene, Shot};
-    use crate::align::transform::Warp;
+    use crate::align::transform::Transform;
 
     #[test]
     fn two_exposures_become_alike_where_they_can_be_trusted() {
         let size = (300, 200);
-        let take = |ev| Scene::new(5).photograph(size, &Warp::Identity, Shot { noise: 0.0, ..Shot::at(ev) });
+        let take = |ev| Scene::new(5).photograph(size, &Transform::Identity, Shot { noise: 0.0, ..Shot::at(ev) });
         for (a, b) in [(-1.0, 1.0), (1.0, -1.0)] {
             let (reference, frame) = (take(a), take(b));
-            let tones = Tones::between(&reference, &frame, &Matrix3::identity());
+            let tones = ToneTables::between(&reference, &frame, &Matrix3::identity());
             let both = CommonExposure::new(&reference, &frame, &tones);
             let (mut trusted, mut apart) = (0, 0.0f32);
             for (r, f) in both.reference.as_slice().iter().zip(both.frame.as_slice()) {
-                if tones.trust(*r) > 0.05 {
+                if tones.weight(*r) > 0.05 {
                     trusted += 1;
                     apart += (r - f).abs();
                 }
@@ -116,8 +120,8 @@ mod tests {
             assert!(apart / (trusted as f32) < 0.5, "{a} {b}: {}", apart / trusted as f32);
         }
         // What is clipped in the brighter, or black in the darker, is worth nothing.
-        let tones = Tones::between(&take(0.0), &take(3.0), &Matrix3::identity());
-        assert_eq!((tones.trust(254.0), tones.trust(1.0)), (0.0, 0.0));
+        let tones = ToneTables::between(&take(0.0), &take(3.0), &Matrix3::identity());
+        assert_eq!((tones.weight(254.0), tones.weight(1.0)), (0.0, 0.0));
     }
 
     #[test]
@@ -131,7 +135,7 @@ mod tests {
         };
         let (dark, bright) = (ramp(1.0), ramp(gain));
         for (reference, frame) in [(&dark, &bright), (&bright, &dark)] {
-            let tones = Tones::between(reference, frame, &Matrix3::identity());
+            let tones = ToneTables::between(reference, frame, &Matrix3::identity());
             let is_frame_brighter = frame == &bright;
             let (mapped, kept) =
                 if is_frame_brighter { (tones.reference, tones.frame) } else { (tones.frame, tones.reference) };

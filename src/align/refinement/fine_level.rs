@@ -1,13 +1,13 @@
 //! The finest level of a large picture, only where it is looked at.
 //!
-//! In: a [`Comparison`], with its points on the level on which agreement is measured. Out: points of the finest level, one near each of
-//! them, and the frame's level at any place near where a warp puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
+//! In: a [`FramePair`], with its points on the level on which agreement is measured. Out: points of the finest level, one near each of
+//! them, and the frame's level at any place near where a transform puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
 //! when a point leaves its patch.
 
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::refinement::Comparison;
+use crate::align::refinement::FramePair;
 use crate::align::refinement::frame_pair::Point;
-use crate::align::refinement::patch::{Origin, Patch, Patches, SEEN};
+use crate::align::refinement::patch::{FRAME_PATCH, Origin, Patch, Patches};
 use crate::align::transform::{level_to_full, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
@@ -21,7 +21,7 @@ const PIECE: usize = 1024;
 
 /// Near each of the points of the level on which agreement is measured, the point of the finest level, which is larger, that says most
 /// about where it is.
-pub(crate) fn points<'a>(pair: &'a Comparison) -> &'a [Point] {
+pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
         let (plane, tones) = (pair.reference().level(to), pair.tones(to));
@@ -32,7 +32,7 @@ pub(crate) fn points<'a>(pair: &'a Comparison) -> &'a [Point] {
             let first = |v: f64| (v - 0.5 * (CHOICE as f64 - 1.0) + 0.5) as i32;
             let origin = [first(x), first(y)];
             let patch = vectorised(Around { plane, table: &tones.reference, origin })?;
-            best_of(&patch, |level| tones.trust(level)).map(|(i, j)| {
+            best_of(&patch, |level| tones.weight(level)).map(|(i, j)| {
                 let v = &patch.0;
                 let around = [v[j][i - 1], v[j][i + 1], v[j - 1][i], v[j + 1][i]];
                 Point::new((origin[0] as usize + i, origin[1] as usize + j), v[j][i], around, tones)
@@ -60,7 +60,7 @@ impl Loops for Around<'_> {
 
 /// The frame's level less the reference's at every point under `h`, on the finest level; not a number where the frame does not reach. What
 /// the frame shows there is read into `seen` where it is not there yet.
-pub(crate) fn residuals(pair: &Comparison, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
+pub(crate) fn residuals(pair: &FramePair, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
     let patches = seen.origins.par_chunks_mut(PIECE).zip(seen.values.par_chunks_mut(PIECE));
@@ -78,7 +78,7 @@ struct Piece<'a> {
     plane: &'a Plane<u8>,
     table: &'a [f32; 256],
     origins: &'a mut [Origin],
-    values: &'a mut [Patch<SEEN>],
+    values: &'a mut [Patch<FRAME_PATCH>],
     is_placed: &'a mut [bool],
     out: &'a mut [f32],
 }
@@ -98,7 +98,7 @@ impl Loops for Piece<'_> {
                 Some(level) => Some(level),
                 None => read_anew(self.plane, self.table, (u, v), (&mut origins[k], &mut values[k], &mut is_placed[k])),
             };
-            out[k] = level.map_or(f32::NAN, |level| level - p.level);
+            out[k] = level.map_or(f32::NAN, |level| level - p.value);
         }
     }
 }
@@ -109,16 +109,16 @@ fn read_anew(
     plane: &Plane<u8>,
     table: &[f32; 256],
     (u, v): (f64, f64),
-    (origin, patch, is_placed): (&mut Origin, &mut Patch<SEEN>, &mut bool),
+    (origin, patch, is_placed): (&mut Origin, &mut Patch<FRAME_PATCH>, &mut bool),
 ) -> Option<f32> {
     // The comparison also refuses what is not a number.
     let within = |t: f64, n: usize| t >= 0.0 && t < n as f64;
     if !within(u, plane.width()) || !within(v, plane.height()) {
         return None;
     }
-    let half = SEEN as i32 / 2 - 1;
+    let half = FRAME_PATCH as i32 / 2 - 1;
     let at = [u as i32 - half, v as i32 - half];
-    *is_placed = Patch::<SEEN>::fits(plane, at);
+    *is_placed = Patch::<FRAME_PATCH>::fits(plane, at);
     if !*is_placed {
         return None;
     }
@@ -129,7 +129,7 @@ fn read_anew(
 }
 
 /// Among the inner pixels of `patch`, that with the largest trusted gradient.
-fn best_of(patch: &Patch<CHOICE>, trust: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
+fn best_of(patch: &Patch<CHOICE>, weight: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
     let v = &patch.0;
     let (mut best, mut at) = (0.0, None);
     for j in 1..CHOICE - 1 {
@@ -137,7 +137,7 @@ fn best_of(patch: &Patch<CHOICE>, trust: impl Fn(f32) -> f32) -> Option<(usize, 
             let (dx, dy) = (v[j][i + 1] - v[j][i - 1], v[j + 1][i] - v[j - 1][i]);
             let square = dx * dx + dy * dy;
             if square > best {
-                let strength = square * trust(v[j][i]);
+                let strength = square * weight(v[j][i]);
                 if strength > best {
                     (best, at) = (strength, Some((i, j)));
                 }
@@ -153,21 +153,22 @@ mod tests {
     use crate::align::grey::GreyPyramid;
     use crate::align::resampling::cubic;
     use crate::align::scene::{Scene, Shot, rigid};
-    use crate::align::transform::Warp;
+    use crate::align::transform::Transform;
 
     /// Large enough for the finest level to be below that of agreement.
     const SIZE: (usize, usize) = (1000, 700);
 
-    fn pair() -> (GreyPyramid, GreyPyramid, Warp) {
+    fn pair() -> (GreyPyramid, GreyPyramid, Transform) {
         let truth = rigid(2.3, -1.6, 0.4);
-        let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(3).photograph(SIZE, warp, Shot::at(ev)));
-        (take(&Warp::Identity, -1.0), take(&truth, 1.0), truth)
+        let take =
+            |transform: &Transform, ev| GreyPyramid::new(Scene::new(3).photograph(SIZE, transform, Shot::at(ev)));
+        (take(&Transform::Identity, -1.0), take(&truth, 1.0), truth)
     }
 
     #[test]
     fn a_patch_is_what_the_whole_level_holds_there() {
         let (reference, frame, truth) = pair();
-        let pair = Comparison::new(&reference, &frame, &truth);
+        let pair = FramePair::new(&reference, &frame, &truth);
         let whole = &pair.level(0).both;
         let points = points(&pair);
         let mut patches = Patches::unread(points.len());
@@ -175,7 +176,7 @@ mod tests {
         assert!(points.len() > 3000, "{}", points.len());
         for p in points {
             // The same sums, along before down, of values below 256.
-            assert!((p.level - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
+            assert!((p.value - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
         // Twice: from new patches, and from those that are there; then from such as must be read again; and by another refinement, to which
@@ -196,7 +197,7 @@ mod tests {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (false, Some(f)) = (r.is_nan(), cubic::cubic(&whole.frame, u, v)) {
                     // As above.
-                    assert!((f - p.level - r).abs() < 1e-3);
+                    assert!((f - p.value - r).abs() < 1e-3);
                     compared += 1;
                 }
             }

@@ -1,14 +1,14 @@
 //! Two frames that are held against each other, level by level, for as long as one is placed by the other.
 //!
-//! In: the grey pyramids of a reference and a frame, and a warp that is about right. Out: the two at a common exposure on each level that
+//! In: the grey pyramids of a reference and a frame, and a transform that is about right. Out: the two at a common exposure on each level that
 //! is asked for, and the points of each level at which they are compared; each made once. Cost: that of [`CommonExposure`], and one pass
 //! over the reference for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
-use crate::align::photometric::{CommonExposure, Tones};
+use crate::align::photometric::{CommonExposure, ToneTables};
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::BORDER;
-use crate::align::transform::{Warp, on_level};
+use crate::align::transform::{Transform, on_level};
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -26,7 +26,7 @@ pub struct Point {
     /// See `x`.
     pub y: f64,
     /// The reference's level there, at the exposure of the brighter.
-    pub level: f32,
+    pub value: f32,
     /// Its gradient, in levels a pixel.
     pub gradient: [f32; 2],
     /// 1 / standard deviation of what noise alone would leave here, in units of the darker frame's noise or so: the noise of both, and
@@ -36,11 +36,16 @@ pub struct Point {
 
 impl Point {
     /// The point at (x, y) whose surroundings in a smoothed plane are `level`, `left`, `right`, `up` and `down`.
-    pub(crate) fn new((x, y): (usize, usize), level: f32, [left, right, up, down]: [f32; 4], tones: &Tones) -> Self {
+    pub(crate) fn new(
+        (x, y): (usize, usize),
+        value: f32,
+        [left, right, up, down]: [f32; 4],
+        tones: &ToneTables,
+    ) -> Self {
         let gradient = [0.5 * (right - left), 0.5 * (down - up)];
         let jitter = JITTER * JITTER * (gradient[0] * gradient[0] + gradient[1] * gradient[1]);
-        let precision = 1.0 / (1.0 / tones.trust(level) + jitter).sqrt();
-        Point { x: x as f64, y: y as f64, level, gradient, precision }
+        let precision = 1.0 / (1.0 / tones.weight(value) + jitter).sqrt();
+        Point { x: x as f64, y: y as f64, value, gradient, precision }
     }
 }
 
@@ -55,12 +60,12 @@ pub struct Level {
 
 /// A reference and a frame that is placed by it.
 #[derive(Debug)]
-pub struct Comparison<'a> {
+pub struct FramePair<'a> {
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
-    /// The warp under which levels are taken.
+    /// The transform under which levels are taken.
     start: Matrix3<f64>,
-    tones: Vec<OnceLock<Tones>>,
+    tones: Vec<OnceLock<ToneTables>>,
     levels: Vec<OnceLock<Level>>,
     /// See [`fine_points`](Self::fine_points).
     fine_points: OnceLock<Vec<Point>>,
@@ -68,14 +73,14 @@ pub struct Comparison<'a> {
     patches: Mutex<Option<Patches>>,
 }
 
-impl<'a> Comparison<'a> {
+impl<'a> FramePair<'a> {
     /// The comparison of `frame` with `reference`, under which it lies about as `start` says.
-    pub fn new(reference: &'a GreyPyramid, frame: &'a GreyPyramid, start: &Warp) -> Self {
+    pub fn new(reference: &'a GreyPyramid, frame: &'a GreyPyramid, start: &Transform) -> Self {
         let (width, height) = reference.size(0);
         let start = start.matrix(width, height);
         let tones = (0..reference.len()).map(|_| OnceLock::new()).collect();
         let levels = (0..reference.len()).map(|_| OnceLock::new()).collect();
-        Comparison { reference, frame, start, tones, levels, fine_points: OnceLock::new(), patches: Mutex::default() }
+        FramePair { reference, frame, start, tones, levels, fine_points: OnceLock::new(), patches: Mutex::default() }
     }
 
     /// The reference.
@@ -90,9 +95,9 @@ impl<'a> Comparison<'a> {
 
     /// What brings both to a common exposure on level `i`. Halving averages noise, and black is not black where there is noise: each
     /// level has its own.
-    pub fn tones(&self, i: usize) -> &Tones {
+    pub fn tones(&self, i: usize) -> &ToneTables {
         let h = || on_level(&self.start, i);
-        self.tones[i].get_or_init(|| Tones::between(self.reference.level(i), self.frame.level(i), &h()))
+        self.tones[i].get_or_init(|| ToneTables::between(self.reference.level(i), self.frame.level(i), &h()))
     }
 
     /// The points of [`finest_level`]: what `choose` gives, which is asked once.
@@ -153,7 +158,7 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
                     // Trust is at most 1: most pixels need no look at the table.
                     if square > slot.0 {
                         let x = BORDER + i * cell + k;
-                        let strength = square * tones.trust(row[x]);
+                        let strength = square * tones.weight(row[x]);
                         if strength > slot.0 {
                             *slot = (strength, x, y);
                         }
@@ -166,7 +171,7 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
     points
 }
 
-fn point_of(plane: &Plane<f32>, x: usize, y: usize, tones: &Tones) -> Point {
+fn point_of(plane: &Plane<f32>, x: usize, y: usize, tones: &ToneTables) -> Point {
     let around = [plane.at(x - 1, y), plane.at(x + 1, y), plane.at(x, y - 1), plane.at(x, y + 1)];
     Point::new((x, y), plane.at(x, y), around, tones)
 }

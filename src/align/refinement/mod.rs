@@ -1,6 +1,6 @@
 //! Refinement: from about a pixel to the noise limit, on the pixels themselves.
 //!
-//! In: a [`Comparison`] of two frames and a warp that is about right. Out: the warp of a chosen model under which their pixels agree
+//! In: a [`FramePair`] of two frames and a transform that is about right. Out: the transform of a chosen model under which their pixels agree
 //! best, and how well the pixels determine it. Cost: two planes at a common exposure for each level up to
 //! [`measured_level`], then some 16,000 [`patches`] of the finest; 0.1 us a point and step.
 //! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
@@ -10,13 +10,13 @@ mod frame_pair;
 mod normal_equations;
 mod patch;
 
-pub use frame_pair::Comparison;
+pub use frame_pair::FramePair;
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::refinement::frame_pair::Point;
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::cubic;
-use crate::align::transform::{Increment, Model, Warp, map, off_level, on_level, restrict, to_warp};
+use crate::align::transform::{Increment, Model, Transform, map, off_level, on_level, restrict, to_transform};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, Matrix3};
@@ -31,20 +31,20 @@ const LEAST_POINTS: usize = 50;
 /// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
 /// it were. Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
-/// A refined warp and how well the pixels determine it. All lengths are in pixels of level 0.
+/// A refined transform and how well the pixels determine it. All lengths are in pixels of level 0.
 #[derive(Debug, Clone)]
 pub struct Refined {
     /// Reference pixel -> frame pixel, of the model that was asked for.
-    pub warp: Warp,
+    pub transform: Transform,
     /// Root mean square error over the picture that noise leaves, in pixels.
     pub error_px: f64,
 }
 
-/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a warp of `model`. Of the levels larger than
+/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a transform of `model`. Of the levels larger than
 /// [`measured_level`] only [`finest_level`] is looked at, in patches, where `finest` asks for any of them.
 ///
 /// None where the overlap holds too little to go by, or the steps run away.
-pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usize)) -> Option<Refined> {
+pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
     let (coarsest, finest) = levels;
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference()).max(finest);
@@ -70,7 +70,7 @@ pub fn refine(pair: &Comparison, start: &Warp, model: Model, levels: (usize, usi
         let (h, error_px) = solved?;
         (state, last) = (h, Some(error_px));
     }
-    Some(Refined { warp: to_warp(&state, model, width, height), error_px: last? })
+    Some(Refined { transform: to_transform(&state, model, width, height), error_px: last? })
 }
 
 /// Points that are looked at together, by one thread.
@@ -91,7 +91,7 @@ impl Loops for Residuals<'_> {
     fn run(self) {
         for (p, out) in self.points.iter().zip(self.out) {
             let (u, v) = map(self.h, p.x, p.y);
-            *out = cubic(self.frame, u, v).map_or(f32::NAN, |f| f - p.level);
+            *out = cubic(self.frame, u, v).map_or(f32::NAN, |f| f - p.value);
         }
     }
 }
@@ -105,14 +105,14 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    fn new(pair: &Comparison, level: usize, is_last: bool, points: &'a [Point]) -> Option<Self> {
+    fn new(pair: &FramePair, level: usize, is_last: bool, points: &'a [Point]) -> Option<Self> {
         let plane = pair.reference().level(level);
         let still = if is_last { STILL.0 } else { STILL.1 };
         (points.len() >= LEAST_POINTS).then_some(Stage { points, level, size: (plane.width(), plane.height()), still })
     }
 
     /// Steps of Gauss and Newton with Tukey's weights until no corner moves. `residuals` gives the frame's level less the reference's
-    /// at every point under a warp; not a number where the frame does not reach. Gives the warp, and [`Refined::error_px`].
+    /// at every point under a transform; not a number where the frame does not reach. Gives the transform, and [`Refined::error_px`].
     fn solve(
         &self,
         h_full: Matrix3<f64>,
@@ -124,11 +124,11 @@ impl<'a> Stage<'a> {
         let basis = Increment::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
         let mut left = vec![0.0f32; self.points.len()];
-        let mut normal = DMatrix::zeros(basis.numbers(), basis.numbers());
+        let mut normal = DMatrix::zeros(basis.parameters(), basis.parameters());
         for _ in 0..MOST_STEPS {
             residuals(&h, &mut left);
             let noise = spread(self.points, &left)?;
-            let (mut a, mut b) = normal_equations::equations(basis.numbers(), self.points, &rows, &left, noise);
+            let (mut a, mut b) = normal_equations::equations(basis.parameters(), self.points, &rows, &left, noise);
             basis.add_prior(&h, NOISE_FACTOR, &mut a, &mut b);
             normal = a.clone();
             let step = basis.solve(a, b)?;
@@ -149,7 +149,7 @@ impl<'a> Stage<'a> {
 
 /// The robust standard deviation of the trusted residuals: 1.4826 times the median of their absolutes, at least half a grey level.
 fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
-    // The bits of numbers that are not negative are ordered as they are.
+    // The bits of parameters that are not negative are ordered as they are.
     let seen = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
     let mut absolutes: Vec<u32> = seen.map(|(p, r)| (r * p.precision).abs().to_bits()).collect();
     if absolutes.len() < LEAST_POINTS {

@@ -1,7 +1,7 @@
-//! The normal equations of a step of refinement: what all points together say of the numbers of a motion.
+//! The normal equations of a step of refinement: what all points together say of the parameters of a motion.
 //!
-//! In: for each point how its level changes with the numbers, by how much the two frames differ there, and how far that can be trusted.
-//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight numbers. Source: Baker & Matthews, "Lucas-Kanade 20
+//! In: for each point how its level changes with the parameters, by how much the two frames differ there, and how far that can be trusted.
+//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20
 //! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 /// Tukey's constant: 95 % efficient on normal noise.
 const TUKEY: f32 = 4.685;
 
-/// What the points say of the first `n` numbers, in units of their `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
+/// What the points say of the first `n` parameters, in units of their `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
 /// the frame's level less the reference's, or not a number where the frame does not reach.
 pub(crate) fn equations(
     n: usize,
@@ -59,7 +59,7 @@ fn tukey_weight(r: f32) -> f32 {
     inside * inside
 }
 
-/// The sums over the points, in their order: of the first `N` numbers, of A what is on its diagonal and right of it.
+/// The sums over the points, in their order: of the first `N` parameters, of A what is on its diagonal and right of it.
 struct Sums<'a, const N: usize> {
     weights: &'a [f32],
     rows: &'a [[f64; 8]],
@@ -101,7 +101,7 @@ mod tests {
         let value = |i: usize| ((i * 7919 % 1013) as f64 - 500.0) / 97.0;
         let count = 331;
         let points: Vec<Point> = (0..count)
-            .map(|i| Point { x: 0.0, y: 0.0, level: 0.0, gradient: [0.0; 2], precision: 0.1 + (i % 7) as f32 / 8.0 })
+            .map(|i| Point { x: 0.0, y: 0.0, value: 0.0, gradient: [0.0; 2], precision: 0.1 + (i % 7) as f32 / 8.0 })
             .collect();
         // Every eleventh point is not seen; of the others some are beyond Tukey's reach.
         let residuals: Vec<f32> = (0..count).map(|i| if i % 11 == 3 { f32::NAN } else { value(i) as f32 }).collect();

@@ -10,7 +10,7 @@ use crate::plane::Plane;
 /// Reach of the smoothing, in pixels.
 const REACH: usize = 2;
 /// Side of a patch of the frame: 4 x 4 pixels for the interpolation, and two on each side for the steps.
-pub(crate) const SEEN: usize = 8;
+pub(crate) const FRAME_PATCH: usize = 8;
 
 /// Column and row of a patch's first pixel, in pixels of the level.
 pub(crate) type Origin = [i32; 2];
@@ -56,13 +56,13 @@ impl<const N: usize> Patch<N> {
     }
 }
 
-impl Patch<SEEN> {
+impl Patch<FRAME_PATCH> {
     /// Keys' cubic convolution at (u, v), in pixels of the level, the patch being at `origin`; none where it does not hold all sixteen
     /// samples.
     #[inline(always)]
     pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
-        let inside = |t: f64| t >= 1.0 && t < (SEEN - 2) as f64;
+        let inside = |t: f64| t >= 1.0 && t < (FRAME_PATCH - 2) as f64;
         if !inside(u) || !inside(v) {
             return None;
         }
@@ -83,7 +83,7 @@ impl Patch<SEEN> {
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,
-    pub(crate) values: Vec<Patch<SEEN>>,
+    pub(crate) values: Vec<Patch<FRAME_PATCH>>,
     pub(crate) is_placed: Vec<bool>,
 }
 
@@ -94,7 +94,7 @@ impl Patches {
         let nowhere = [-1, -1];
         Patches {
             origins: vec![nowhere; points],
-            values: vec![Patch([[0.0; SEEN]; SEEN]); points],
+            values: vec![Patch([[0.0; FRAME_PATCH]; FRAME_PATCH]); points],
             is_placed: vec![false; points],
         }
     }
@@ -114,10 +114,10 @@ mod tests {
     fn beyond_the_border_there_is_nothing() {
         let plane = Plane::filled(20, 20, 9u8);
         let table = std::array::from_fn(|v| v as f32);
-        let fits = |at| Patch::<SEEN>::fits(&plane, at);
+        let fits = |at| Patch::<FRAME_PATCH>::fits(&plane, at);
         assert!(fits([2, 2]) && fits([10, 10]));
         assert!(!fits([1, 2]) && !fits([2, 11]) && !fits([-5, 3]));
-        let (at, patch) = ([2, 2], Patch::<SEEN>::read(&plane, &table, [2, 2]));
+        let (at, patch) = ([2, 2], Patch::<FRAME_PATCH>::read(&plane, &table, [2, 2]));
         assert_eq!(patch.cubic(at, 6.5, 5.25), Some(9.0));
         assert_eq!((patch.cubic(at, 2.9, 5.0), patch.cubic(at, 8.0, 5.0)), (None, None));
     }

@@ -8,17 +8,23 @@ use crate::plane::Plane;
 const SIZE: (usize, usize) = (400, 300);
 
 /// A photograph of the same scene, as a pyramid.
-fn taken(warp: &Warp, shot: Shot) -> GreyPyramid {
-    GreyPyramid::new(Scene::new(11).photograph(SIZE, warp, shot))
+fn taken(transform: &Transform, shot: Shot) -> GreyPyramid {
+    GreyPyramid::new(Scene::new(11).photograph(SIZE, transform, shot))
 }
 
 /// Refined from level `coarsest` down to the full size.
-fn found(reference: &GreyPyramid, frame: &GreyPyramid, start: &Warp, model: Model, coarsest: usize) -> Option<Refined> {
-    refine(&Comparison::new(reference, frame, start), start, model, (coarsest, 0))
+fn found(
+    reference: &GreyPyramid,
+    frame: &GreyPyramid,
+    start: &Transform,
+    model: Model,
+    coarsest: usize,
+) -> Option<Refined> {
+    refine(&FramePair::new(reference, frame, start), start, model, (coarsest, 0))
 }
 
-/// The farthest that two warps put a corner apart, in pixels.
-fn apart(a: &Warp, b: &Warp) -> f64 {
+/// The farthest that two transforms put a corner apart, in pixels.
+fn apart(a: &Transform, b: &Transform) -> f64 {
     a.corner_distance(b, SIZE.0, SIZE.1)
 }
 
@@ -32,9 +38,9 @@ fn finds_each_model_from_pixels_away() {
         (perspective(), shift(-0.5, 2.0), Model::Homography, 0.05),
     ] {
         for (dark, bright) in [(-1.0, 1.0), (1.0, -1.0)] {
-            let (reference, frame) = (taken(&Warp::Identity, Shot::at(dark)), taken(&truth, Shot::at(bright)));
+            let (reference, frame) = (taken(&Transform::Identity, Shot::at(dark)), taken(&truth, Shot::at(bright)));
             let found = found(&reference, &frame, &start, model, 2).unwrap();
-            let error = apart(&found.warp, &truth);
+            let error = apart(&found.transform, &truth);
             assert!(error < tolerance, "{model:?} {dark} {bright}: {error}, {found:?}");
         }
     }
@@ -42,11 +48,11 @@ fn finds_each_model_from_pixels_away() {
 
 #[test]
 fn a_result_has_the_form_of_its_model() {
-    let (reference, frame) = (taken(&Warp::Identity, Shot::at(0.0)), taken(&rigid(1.2, 0.4, 0.4), Shot::at(1.0)));
-    let warp = |model| found(&reference, &frame, &perspective(), model, 2).unwrap().warp;
-    assert!(matches!(warp(Model::Shift), Warp::Rigid { angle: 0.0, .. }));
-    assert!(matches!(warp(Model::Rigid), Warp::Rigid { angle, .. } if angle != 0.0));
-    assert!(matches!(warp(Model::Homography), Warp::Homography(h) if h[(2, 2)] == 1.0));
+    let (reference, frame) = (taken(&Transform::Identity, Shot::at(0.0)), taken(&rigid(1.2, 0.4, 0.4), Shot::at(1.0)));
+    let transform = |model| found(&reference, &frame, &perspective(), model, 2).unwrap().transform;
+    assert!(matches!(transform(Model::Shift), Transform::Rigid { angle: 0.0, .. }));
+    assert!(matches!(transform(Model::Rigid), Transform::Rigid { angle, .. } if angle != 0.0));
+    assert!(matches!(transform(Model::Homography), Transform::Homography(h) if h[(2, 2)] == 1.0));
 }
 
 #[test]
@@ -59,14 +65,14 @@ fn edges_of_clipped_areas_do_not_lead_astray() {
         (6.0 * rise - 3.5 + 0.5 * (y / 5.0).sin()).exp2()
     };
     let truth = shift(0.4, -0.3);
-    let take = |warp: &Warp, ev| GreyPyramid::new(photograph(SIZE, warp, Shot::at(ev), teeth));
+    let take = |transform: &Transform, ev| GreyPyramid::new(photograph(SIZE, transform, Shot::at(ev), teeth));
     for (a, b) in [(-1.0, 2.0), (2.0, -1.0)] {
-        let (reference, frame) = (take(&Warp::Identity, a), take(&truth, b));
+        let (reference, frame) = (take(&Transform::Identity, a), take(&truth, b));
         let clipped = [&reference, &frame].map(|p| p.level(0).as_slice().iter().filter(|&&v| v == 255).count());
         assert!(clipped.iter().max().unwrap() * 10 > SIZE.0 * SIZE.1, "{clipped:?}");
         let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
         // As for the models above; the bias this is about would be tenths of a pixel.
-        assert!(apart(&found.warp, &truth) < 0.04, "{a} {b}: {found:?}");
+        assert!(apart(&found.transform, &truth) < 0.04, "{a} {b}: {found:?}");
     }
 }
 
@@ -79,18 +85,18 @@ fn what_moves_by_itself_does_not_pull() {
         scene.radiance(if inside { x - 9.0 } else { x }, y)
     };
     let truth = rigid(2.4, -1.3, 0.3);
-    let reference = taken(&Warp::Identity, Shot::at(-1.0));
+    let reference = taken(&Transform::Identity, Shot::at(-1.0));
     let frame = GreyPyramid::new(photograph(SIZE, &truth, Shot::at(1.0), with_mover));
     let found = found(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, 2).unwrap();
     // Least squares would go about a fifth of the 9 px; Tukey's weights leave what chance likeness in the moved part does.
-    assert!(apart(&found.warp, &truth) < 0.05, "{found:?}");
+    assert!(apart(&found.transform, &truth) < 0.05, "{found:?}");
 }
 
 #[test]
 fn a_plain_picture_says_nothing() {
     let plain = GreyPyramid::new(Plane::filled(SIZE.0, SIZE.1, 90));
     for model in [Model::Shift, Model::Rigid, Model::Homography] {
-        assert!(found(&plain, &plain, &Warp::Identity, model, 2).is_none());
+        assert!(found(&plain, &plain, &Transform::Identity, model, 2).is_none());
     }
 }
 
@@ -100,13 +106,13 @@ fn the_error_it_states_is_of_the_right_order() {
     let truth = shift(0.7, 0.4);
     let (mut actual, mut stated) = (0.0, 0.0);
     for seed in 0..20 {
-        let take = |warp: &Warp, ev, seed| {
+        let take = |transform: &Transform, ev, seed| {
             let shot = Shot { ev, noise: 4.0, seed };
-            GreyPyramid::new(Scene::new(11).photograph(size, warp, shot))
+            GreyPyramid::new(Scene::new(11).photograph(size, transform, shot))
         };
-        let (reference, frame) = (take(&Warp::Identity, 0.0, 2 * seed), take(&truth, 1.0, 2 * seed + 1));
+        let (reference, frame) = (take(&Transform::Identity, 0.0, 2 * seed), take(&truth, 1.0, 2 * seed + 1));
         let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
-        let (dx, dy) = found.warp.shift_px(size.0, size.1);
+        let (dx, dy) = found.transform.shift_px(size.0, size.1);
         actual += (dx - 0.7).powi(2) + (dy - 0.4).powi(2);
         stated += found.error_px * found.error_px;
     }

@@ -1,23 +1,23 @@
 //! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure takes the reference's place.
 //!
-//! In: a grey plane and a [`Warp`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
+//! In: a grey plane and a [`Transform`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
 //! divisions and four pixels read for each. Source: any textbook's; the border pixel stands for those beyond.
 
-use crate::align::transform::{Warp, map};
+use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, floor64, integer64, vectorised};
 use nalgebra::Matrix3;
 
 /// A grey picture, and where the grid lies in it.
-pub(crate) struct Laid<'a> {
+pub(crate) struct BilinearRows<'a> {
     grey: &'a Plane<u8>,
     h: Matrix3<f64>,
 }
 
-impl<'a> Laid<'a> {
-    /// `grey` as a grid of the same size sees it whose pixels `warp` takes into it.
-    pub(crate) fn new(grey: &'a Plane<u8>, warp: &Warp) -> Self {
-        Laid { grey, h: warp.matrix(grey.width(), grey.height()) }
+impl<'a> BilinearRows<'a> {
+    /// `grey` as a grid of the same size sees it whose pixels `transform` takes into it.
+    pub(crate) fn new(grey: &'a Plane<u8>, transform: &Transform) -> Self {
+        BilinearRows { grey, h: transform.matrix(grey.width(), grey.height()) }
     }
 
     /// Row `y` of the grid.
@@ -25,7 +25,7 @@ impl<'a> Laid<'a> {
         if self.grey.width() < 2 || self.grey.height() < 2 {
             out.iter_mut().enumerate().for_each(|(x, v)| *v = self.pixel(x, y));
         } else {
-            vectorised(Row { laid: self, y, out });
+            vectorised(Row { rows_of: self, y, out });
         }
     }
 
@@ -48,7 +48,7 @@ const TOGETHER: usize = 64;
 
 /// A row of the grid, at least two by two pixels large.
 struct Row<'a, 'b> {
-    laid: &'a Laid<'b>,
+    rows_of: &'a BilinearRows<'b>,
     y: usize,
     out: &'a mut [u8],
 }
@@ -58,7 +58,7 @@ impl Loops for Row<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        let (grey, h, y) = (self.laid.grey, &self.laid.h, self.y as f64);
+        let (grey, h, y) = (self.rows_of.grey, &self.rows_of.h, self.y as f64);
         let width = grey.width() as f64;
         let last = (width - 1.0, grey.height() as f64 - 1.0);
         let (upper_codes, lower_codes) = (grey.as_slice(), &grey.as_slice()[grey.width()..]);
@@ -110,18 +110,23 @@ mod tests {
     #[test]
     fn rows_side_by_side_are_the_textbooks_pixels() {
         for size in [(203, 90), (64, 3), (2, 2), (1, 40), (40, 1), (1, 1)] {
-            let grey = Scene::new(2).photograph(size, &Warp::Identity, Shot::at(0.0));
+            let grey = Scene::new(2).photograph(size, &Transform::Identity, Shot::at(0.0));
             // Off every side, onto the border, and nowhere at all.
-            let nowhere = Warp::Homography(Matrix3::from_element(f64::NAN));
-            for warp in
-                [Warp::Identity, shift(0.5, 0.25), shift(-300.0, 200.0), rigid(3.3, -40.7, 4.0), perspective(), nowhere]
-            {
-                let laid = Laid::new(&grey, &warp);
+            let nowhere = Transform::Homography(Matrix3::from_element(f64::NAN));
+            for transform in [
+                Transform::Identity,
+                shift(0.5, 0.25),
+                shift(-300.0, 200.0),
+                rigid(3.3, -40.7, 4.0),
+                perspective(),
+                nowhere,
+            ] {
+                let rows_of = BilinearRows::new(&grey, &transform);
                 let mut row = vec![77; size.0];
                 for y in 0..size.1 {
-                    laid.row(y, &mut row);
-                    let slow: Vec<u8> = (0..size.0).map(|x| laid.pixel(x, y)).collect();
-                    assert_eq!(row, slow, "row {y} of {size:?} under {warp:?}");
+                    rows_of.row(y, &mut row);
+                    let slow: Vec<u8> = (0..size.0).map(|x| rows_of.pixel(x, y)).collect();
+                    assert_eq!(row, slow, "row {y} of {size:?} under {transform:?}");
                 }
             }
         }
@@ -130,11 +135,11 @@ mod tests {
     #[test]
     fn nothing_moves_under_the_identity_and_half_a_pixel_is_the_mean() {
         let grey = Plane::from_vec(3, 2, vec![10, 20, 40, 10, 20, 40]);
-        let row = |warp: &Warp| {
+        let row = |transform: &Transform| {
             let mut row = [0; 3];
-            Laid::new(&grey, warp).row(1, &mut row);
+            BilinearRows::new(&grey, transform).row(1, &mut row);
             row
         };
-        assert_eq!((row(&Warp::Identity), row(&shift(0.5, 0.0))), ([10, 20, 40], [15, 30, 40]));
+        assert_eq!((row(&Transform::Identity), row(&shift(0.5, 0.0))), ([10, 20, 40], [15, 30, 40]));
     }
 }

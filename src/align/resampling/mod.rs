@@ -1,7 +1,7 @@
 //! Resampling: a frame's code values on the reference's grid, in a single step.
 //!
-//! In: a [`Window`] of a frame and a [`Warp`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
-//! Cost: 36 multiply-adds a value at most; fewer where the warp is near a shift; a copy where nothing moves.
+//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
+//! Cost: 36 multiply-adds a value at most; fewer where the transform is near a shift; a copy where nothing moves.
 //! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos' kernel (`lanczos`) for
 //! photographs.
 //!
@@ -16,7 +16,7 @@ mod tile;
 
 use crate::align::resampling::lanczos::{BEFORE, TAPS};
 use crate::align::resampling::tile::Source;
-use crate::align::transform::{Warp, map};
+use crate::align::transform::{Transform, map};
 use crate::bracket::{Codes, Window};
 use std::ops::Range;
 
@@ -24,14 +24,19 @@ use std::ops::Range;
 pub const OUTSIDE: f32 = -1.0;
 
 /// The rows of a frame of `size` pixels that are read for the reference's pixels `columns` x `rows`.
-pub fn rows_under(warp: &Warp, size: (usize, usize), columns: &Range<usize>, rows: &Range<usize>) -> Range<usize> {
+pub fn rows_under(
+    transform: &Transform,
+    size: (usize, usize),
+    columns: &Range<usize>,
+    rows: &Range<usize>,
+) -> Range<usize> {
     if columns.is_empty() || rows.is_empty() {
         return 0..0;
     }
-    if *warp == Warp::Identity {
+    if *transform == Transform::Identity {
         return rows.clone();
     }
-    let h = warp.matrix(size.0, size.1);
+    let h = transform.matrix(size.0, size.1);
     let corners = [columns.start, columns.end - 1].map(|x| [rows.start, rows.end - 1].map(|y| (x as f64, y as f64)));
     let corners = corners.as_flattened();
     let w = |&(x, y): &(f64, f64)| h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
@@ -53,12 +58,20 @@ pub fn rows_under(warp: &Warp, size: (usize, usize), columns: &Range<usize>, row
 ///
 /// # Panics
 /// When `out` does not hold `columns.len() * rows.len()` pixels, or `window` not the [`rows_under`] them.
-pub fn resample_rows(window: &Window, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
+pub fn resample_rows(
+    window: &Window,
+    transform: &Transform,
+    columns: Range<usize>,
+    rows: Range<usize>,
+    out: &mut [[f32; 3]],
+) {
     assert_eq!(out.len(), columns.len() * rows.len());
     let (size, first) = ((window.width(), window.height()), window.rows().start);
     match window.codes() {
-        Codes::Eight(codes) => Source { codes, first, size, scale: 1.0 }.resample(warp, columns, rows, out),
-        Codes::Sixteen(codes) => Source { codes, first, size, scale: 1.0 / 257.0 }.resample(warp, columns, rows, out),
+        Codes::Eight(codes) => Source { codes, first, size, scale: 1.0 }.resample(transform, columns, rows, out),
+        Codes::Sixteen(codes) => {
+            Source { codes, first, size, scale: 1.0 / 257.0 }.resample(transform, columns, rows, out)
+        }
     }
 }
 

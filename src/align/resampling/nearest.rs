@@ -6,7 +6,7 @@
 
 use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;
-use crate::align::transform::{Warp, map};
+use crate::align::transform::{Transform, map};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use nalgebra::Matrix3;
@@ -18,19 +18,21 @@ pub struct Placed<'a> {
     pub frame: &'a Frame,
     /// Its index among the bracket's.
     pub index: usize,
-    warp: Warp,
+    transform: Transform,
     /// Reference pixel -> frame pixel; none where it is the same.
     matrix: Option<Matrix3<f64>>,
 }
 
 /// The frames of `bracket` that take part.
 pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
-    let matrix = |frame: &Frame, warp: Warp| match warp {
-        Warp::Identity => None,
-        warp => Some(warp.matrix(frame.width(), frame.height())),
+    let matrix = |frame: &Frame, transform: Transform| match transform {
+        Transform::Identity => None,
+        transform => Some(transform.matrix(frame.width(), frame.height())),
     };
     let placed = alignment.placed(bracket);
-    placed.map(|(index, frame, warp)| Placed { frame, index, warp, matrix: matrix(frame, warp) }).collect()
+    placed
+        .map(|(index, frame, transform)| Placed { frame, index, transform, matrix: matrix(frame, transform) })
+        .collect()
 }
 
 impl Placed<'_> {
@@ -40,7 +42,7 @@ impl Placed<'_> {
     /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
     pub fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
         let size = (self.frame.width(), self.frame.height());
-        let window = self.frame.window(rows_under(&self.warp, size, columns, rows))?;
+        let window = self.frame.window(rows_under(&self.transform, size, columns, rows))?;
         Ok(Strip { window, matrix: self.matrix })
     }
 }
@@ -90,7 +92,7 @@ mod tests {
             strip.start(x, y, 1).map(|start| codes[start])
         };
         let expected = code(&alignment, 17, 24);
-        alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 7.2, dy: 3.9, angle: 0.0 });
+        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 7.2, dy: 3.9, angle: 0.0 });
         assert_eq!(code(&alignment, 10, 20), expected);
         assert!(expected.is_some() && code(&alignment, 55, 20).is_none());
     }

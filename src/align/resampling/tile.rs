@@ -4,7 +4,7 @@
 
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, LANCZOS3, TAPS, place};
-use crate::align::transform::{Warp, map};
+use crate::align::transform::{Transform, map};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use std::cell::RefCell;
@@ -37,16 +37,22 @@ pub(super) struct Source<'a, T> {
 }
 
 impl<T: Copy + Into<f32>> Source<'_, T> {
-    pub(super) fn resample(&self, warp: &Warp, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
+    pub(super) fn resample(
+        &self,
+        transform: &Transform,
+        columns: Range<usize>,
+        rows: Range<usize>,
+        out: &mut [[f32; 3]],
+    ) {
         let stride = columns.len();
-        if *warp == Warp::Identity {
+        if *transform == Transform::Identity {
             for (y, line) in rows.zip(out.chunks_exact_mut(stride.max(1))) {
                 let codes = &self.row(y)[3 * columns.start..3 * columns.end];
                 vectorised(Copied { codes, scale: self.scale, line: line.as_flattened_mut() });
             }
             return;
         }
-        let h = &warp.matrix(self.size.0, self.size.1);
+        let h = &transform.matrix(self.size.0, self.size.1);
         SCRATCH.with_borrow_mut(|scratch| {
             for rows_here in parts(rows.clone(), TILE.1) {
                 for columns_here in parts(columns.clone(), TILE.0) {
@@ -131,11 +137,11 @@ struct Scratch {
     /// The sums down the columns of a row of the tile.
     sums: Vec<f32>,
     values: Box<[[f32; 4]; TILE.0]>,
-    places: Box<Places>,
+    positions: Box<SamplePositions>,
 }
 
 /// Where the pixels of a row of the tile lie.
-struct Places {
+struct SamplePositions {
     /// The first of the window's columns under the kernel, and the phase.
     left: [u32; TILE.0],
     across: [u32; TILE.0],
@@ -153,7 +159,7 @@ impl Default for Scratch {
             window: vec![0.0; WINDOW.1 * STRIDE],
             sums: vec![0.0; TILE.0 * SUMS],
             values: Box::new([[0.0; 4]; TILE.0]),
-            places: Box::new(Places { left: none, across: none, down: none, is_inside: none, sums: none }),
+            positions: Box::new(SamplePositions { left: none, across: none, down: none, is_inside: none, sums: none }),
         }
     }
 }
@@ -175,24 +181,24 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Scratch { window, sums, values, places } = self.scratch;
+        let Scratch { window, sums, values, positions } = self.scratch;
         let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
-        let seen = match seen(self.h, &self.columns, &self.rows, last) {
-            Seen::Nothing => {
+        let footprint = match footprint(self.h, &self.columns, &self.rows, last) {
+            Footprint::Outside => {
                 let lines = self.out.chunks_mut(self.stride).take(self.rows.len());
                 lines.for_each(|line| line[..self.columns.len()].fill([OUTSIDE; 3]));
                 return;
             }
-            Seen::Part(across, down) => Some((across, down)),
-            Seen::Much => None,
+            Footprint::Window(across, down) => Some((across, down)),
+            Footprint::TooLarge => None,
         };
-        if let Some((across, down)) = &seen {
+        if let Some((across, down)) = &footprint {
             fill(self.source, across, down, window);
         }
         let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
         for (y, line) in self.rows.zip(self.out.chunks_mut(self.stride)) {
             let line = &mut line[..self.columns.len()];
-            let Some((across, down)) = &seen else {
+            let Some((across, down)) = &footprint else {
                 for (x, pixel) in self.columns.clone().zip(line) {
                     let (u, v) = map(self.h, x as f64, y as f64);
                     // Written so that a place that is no number is outside too.
@@ -203,28 +209,28 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
             };
             let (first, origin) = ((self.columns.start, y), (across.start, down.start));
             if is_affine {
-                places.find::<true>(self.h, first, origin, last);
+                positions.find::<true>(self.h, first, origin, last);
             } else {
-                places.find::<false>(self.h, first, origin, last);
+                positions.find::<false>(self.h, first, origin, last);
             }
-            places.sum(window, sums, line.len());
-            places.across(sums, self.source.scale, values, line);
+            positions.sum(window, sums, line.len());
+            positions.across(sums, self.source.scale, values, line);
         }
     }
 }
 
 /// What a tile sees of the frame.
-enum Seen {
+enum Footprint {
     /// None of its pixels lies within.
-    Nothing,
+    Outside,
     /// At most these columns and rows, some of them beyond the border.
-    Part(Range<i32>, Range<i32>),
+    Window(Range<i32>, Range<i32>),
     /// More than a window, or nobody knows what.
-    Much,
+    TooLarge,
 }
 
 #[inline(always)]
-fn seen(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Seen {
+fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Footprint {
     let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
     for x in [columns.start as f64, (columns.end - 1) as f64] {
         for y in [rows.start as f64, (rows.end - 1) as f64] {
@@ -232,7 +238,7 @@ fn seen(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f6
             let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
             let (u, v) = map(h, x, y);
             if !(is_before && u.is_finite() && v.is_finite()) {
-                return Seen::Much;
+                return Footprint::TooLarge;
             }
             us = (us.0.min(u), us.1.max(u));
             vs = (vs.0.min(v), vs.1.max(v));
@@ -240,7 +246,7 @@ fn seen(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f6
     }
     // A pixel more than there should be, as places are rounded.
     if us.1 < -1.0 || vs.1 < -1.0 || us.0 > last.0 + 1.0 || vs.0 > last.1 + 1.0 {
-        return Seen::Nothing;
+        return Footprint::Outside;
     }
     let range = |(least, most): (f64, f64), last: f64| {
         // Of places outside the nearest inside is looked at, to be left out later.
@@ -248,7 +254,11 @@ fn seen(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f6
         first - BEFORE as i32..end + (TAPS - BEFORE - 1) as i32
     };
     let (across, down) = (range(us, last.0), range(vs, last.1));
-    if across.len() <= WINDOW.0 && down.len() <= WINDOW.1 { Seen::Part(across, down) } else { Seen::Much }
+    if across.len() <= WINDOW.0 && down.len() <= WINDOW.1 {
+        Footprint::Window(across, down)
+    } else {
+        Footprint::TooLarge
+    }
 }
 
 /// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for those beyond it.
@@ -270,7 +280,7 @@ fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Ran
     }
 }
 
-impl Places {
+impl SamplePositions {
     /// Of the pixels from `first` on to the right; `origin` is the window's first pixel, `last` the frame's last.
     #[inline(always)]
     fn find<const AFFINE: bool>(

@@ -7,7 +7,7 @@ pub(crate) mod warnings;
 
 pub use overlap::Rect;
 
-use crate::align::transform::{Model, Warp};
+use crate::align::transform::{Model, Transform};
 use crate::bracket::{Bracket, Frame};
 
 /// What became of a frame.
@@ -16,9 +16,9 @@ use crate::bracket::{Bracket, Frame};
 pub enum Status {
     /// The frame that the others are aligned to.
     Reference,
-    /// Moved, and placed by a warp.
+    /// Moved, and placed by a transform.
     Aligned,
-    /// Found not to have moved: its warp is exactly the identity.
+    /// Found not to have moved: its transform is exactly the identity.
     Unmoved,
     /// Too dark or too bright to be aligned, and taken to lie where the other frames let expect; it is merged only where all of them clip, or are
     /// black. Its error is one that 19 of 20 such places keep.
@@ -76,13 +76,13 @@ pub struct Verdict {
     pub status: Status,
     /// The smallest model that explains its motion; none where it takes no part.
     pub model: Option<Model>,
-    /// Its warp, reference pixel -> frame pixel; none where it takes no part.
-    pub warp: Option<Warp>,
+    /// Its transform, reference pixel -> frame pixel; none where it takes no part.
+    pub transform: Option<Transform>,
     /// Matches that RANSAC agreed on; none where features were not needed.
     pub inliers: Option<usize>,
     /// Keypoints in this frame; none where features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error of the warp over the picture, in pixels; none where nothing can be said. Of a place that is
+    /// Our own estimate of the root mean square error of the transform over the picture, in pixels; none where nothing can be said. Of a place that is
     /// [assumed](Status::Assumed) the error that 19 of 20 such places keep.
     pub error_px: Option<f64>,
     /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
@@ -93,11 +93,11 @@ pub struct Verdict {
 
 impl Verdict {
     /// A frame that lies as the reference does, because it is the reference or because the user says so.
-    pub(crate) fn by_definition(status: Status) -> Self {
+    pub(crate) fn with_identity(status: Status) -> Self {
         Verdict {
             status,
             model: Some(Model::Unmoved),
-            warp: Some(Warp::Identity),
+            transform: Some(Transform::Identity),
             inliers: None,
             keypoints: None,
             error_px: (status == Status::Reference).then_some(0.0),
@@ -125,10 +125,10 @@ impl Alignment {
         }
     }
 
-    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
-    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
+    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its transform.
+    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Transform)> {
         let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
-        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
+        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.transform?)))
     }
 }
 
@@ -136,6 +136,6 @@ impl Alignment {
 pub(crate) fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
     let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
     let verdict =
-        |(i, given): (usize, &Option<Verdict>)| given.clone().unwrap_or_else(|| Verdict::by_definition(status(i)));
+        |(i, given): (usize, &Option<Verdict>)| given.clone().unwrap_or_else(|| Verdict::with_identity(status(i)));
     given.iter().enumerate().map(verdict).collect()
 }

@@ -1,11 +1,11 @@
 //! The overlap: the largest rectangle of the reference that all placed frames cover.
 //!
-//! In: warps. Out: a [`Rect`], or none. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of
+//! In: transforms. Out: a [`Rect`], or none. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of
 //! its four edges, which a homography keeps straight; so for a left and a right edge the best upper and lower ones are known, and the
 //! logarithm of the area is concave in the other two: it has one top, found by halving. Where the height is negative it is concave itself,
 //! so that the search is led back; vertical edges bound the search.
 
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 use nalgebra::Vector3;
 
 /// A rectangle of pixels: columns `x0..x1`, rows `y0..y1` of the reference.
@@ -35,12 +35,12 @@ impl Rect {
 
 /// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
 /// have no pixel in common.
-pub(crate) fn largest(warps: &[Warp], width: usize, height: usize) -> Option<Rect> {
+pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is positive.
-    let (upright, sloping): (Vec<_>, Vec<_>) = warps
+    let (upright, sloping): (Vec<_>, Vec<_>) = transforms
         .iter()
-        .filter(|w| **w != Warp::Identity)
+        .filter(|w| **w != Transform::Identity)
         .flat_map(|w| {
             let h = w.matrix(width, height);
             let row = |i: usize| Vector3::new(h[(i, 0)], h[(i, 1)], h[(i, 2)]);
@@ -119,9 +119,9 @@ mod tests {
     use nalgebra::Matrix3;
 
     /// Every rectangle with sides on a coarse grid: the largest that is covered.
-    fn by_trial(warps: &[Warp], width: usize, height: usize, step: usize) -> usize {
+    fn by_trial(transforms: &[Transform], width: usize, height: usize, step: usize) -> usize {
         let covered = |x: usize, y: usize| {
-            warps.iter().all(|w| {
+            transforms.iter().all(|w| {
                 let (u, v) = map(&w.matrix(width, height), x as f64, y as f64);
                 u >= 0.0 && v >= 0.0 && u <= width as f64 - 1.0 && v <= height as f64 - 1.0
             })
@@ -144,15 +144,18 @@ mod tests {
 
     #[test]
     fn is_covered_and_as_large_as_trial_finds() {
-        let tilted = Warp::Homography(Matrix3::new(1.01, 0.02, -3.0, -0.015, 0.99, 4.0, 1e-4, -5e-5, 1.0));
-        for warps in [
-            vec![Warp::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 }],
-            vec![Warp::Rigid { dx: 2.5, dy: 1.5, angle: 0.06 }, Warp::Rigid { dx: -4.0, dy: 0.0, angle: -0.02 }],
-            vec![Warp::Identity, tilted],
+        let tilted = Transform::Homography(Matrix3::new(1.01, 0.02, -3.0, -0.015, 0.99, 4.0, 1e-4, -5e-5, 1.0));
+        for transforms in [
+            vec![Transform::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 }],
+            vec![
+                Transform::Rigid { dx: 2.5, dy: 1.5, angle: 0.06 },
+                Transform::Rigid { dx: -4.0, dy: 0.0, angle: -0.02 },
+            ],
+            vec![Transform::Identity, tilted],
         ] {
             let (width, height) = (120, 80);
-            let rect = largest(&warps, width, height).unwrap();
-            for w in &warps {
+            let rect = largest(&transforms, width, height).unwrap();
+            for w in &transforms {
                 let h = w.matrix(width, height);
                 for (x, y) in
                     [(rect.x0, rect.y0), (rect.x1 - 1, rect.y0), (rect.x1 - 1, rect.y1 - 1), (rect.x0, rect.y1 - 1)]
@@ -162,16 +165,16 @@ mod tests {
                 }
             }
             // Rounding inwards costs up to a row and a column on each side.
-            let trial = by_trial(&warps, width, height, 2);
+            let trial = by_trial(&transforms, width, height, 2);
             assert!(rect.width() * rect.height() + 2 * (width + height) >= trial, "{rect:?} against {trial}");
         }
     }
 
     #[test]
     fn a_whole_shift_cuts_just_that_off() {
-        let shift = Warp::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 };
+        let shift = Transform::Rigid { dx: 7.0, dy: -3.0, angle: 0.0 };
         assert_eq!(largest(&[shift], 100, 50), Some(Rect { x0: 0, y0: 3, x1: 93, y1: 50 }));
-        assert_eq!(largest(&[Warp::Identity], 100, 50), Some(Rect { x0: 0, y0: 0, x1: 100, y1: 50 }));
+        assert_eq!(largest(&[Transform::Identity], 100, 50), Some(Rect { x0: 0, y0: 0, x1: 100, y1: 50 }));
     }
 
     #[test]
@@ -182,9 +185,9 @@ mod tests {
             (0.0, -45.0, Rect { x0: 0, y0: 45, x1: 100, y1: 50 }),
             (-99.0, 49.0, Rect { x0: 99, y0: 0, x1: 100, y1: 1 }),
         ] {
-            assert_eq!(largest(&[Warp::Rigid { dx, dy, angle: 0.0 }], 100, 50), Some(rect), "{dx} {dy}");
+            assert_eq!(largest(&[Transform::Rigid { dx, dy, angle: 0.0 }], 100, 50), Some(rect), "{dx} {dy}");
             // Three hundredths less, and turned a little: up to three columns more, or one less on each side.
-            let turned = largest(&[Warp::Rigid { dx: 0.97 * dx, dy: 0.97 * dy, angle: 1e-3 }], 100, 50).unwrap();
+            let turned = largest(&[Transform::Rigid { dx: 0.97 * dx, dy: 0.97 * dy, angle: 1e-3 }], 100, 50).unwrap();
             assert!(turned.width() <= rect.width() + 3 && turned.width() + 2 >= rect.width(), "{turned:?}");
             assert!(turned.height() <= rect.height() + 3 && turned.height() + 2 >= rect.height(), "{turned:?}");
         }
@@ -192,7 +195,7 @@ mod tests {
 
     #[test]
     fn frames_without_a_common_pixel_have_no_overlap() {
-        let shift = |dx: f64, angle: f64| Warp::Rigid { dx, dy: 0.0, angle };
+        let shift = |dx: f64, angle: f64| Transform::Rigid { dx, dy: 0.0, angle };
         for angle in [0.0, 0.02] {
             assert_eq!(largest(&[shift(500.0, angle)], 100, 50), None);
             assert_eq!(largest(&[shift(60.0, angle), shift(-60.0, angle)], 100, 50), None);

@@ -4,7 +4,7 @@
 //! [overlap](overlap::largest).
 
 use crate::align::result::{Rect, Status, Verdict, overlap};
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 
@@ -20,11 +20,11 @@ pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
     let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
     warnings
         .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
-    let is_still = verdicts.iter().filter_map(|v| v.warp).all(|warp| warp == Warp::Identity);
+    let is_still = verdicts.iter().filter_map(|v| v.transform).all(|transform| transform == Transform::Identity);
     for (i, (frame, verdict)) in bracket.frames().iter().zip(verdicts).enumerate() {
         let path = frame.path().to_path_buf();
         // The user says where it lies.
-        if frame.excluded.is_some() && verdict.warp.is_some() {
+        if frame.excluded.is_some() && verdict.transform.is_some() {
             warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
         }
         match verdict.status {
@@ -52,13 +52,15 @@ pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
 /// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
 pub(crate) fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
-    let placed: Vec<(usize, Warp)> = verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.warp?))).collect();
-    let warps: Vec<Warp> = placed.iter().map(|&(_, warp)| warp).collect();
-    let common = overlap::largest(&warps, width, height);
+    let placed: Vec<(usize, Transform)> =
+        verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.transform?))).collect();
+    let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
+    let common = overlap::largest(&transforms, width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
     // The frame that overlaps least by itself, and by how much; of equals the first.
     let least = || {
-        let shares = placed.iter().map(|&(i, warp)| (i, overlap::largest(&[warp], width, height).map_or(0.0, share)));
+        let shares =
+            placed.iter().map(|&(i, transform)| (i, overlap::largest(&[transform], width, height).map_or(0.0, share)));
         let (i, share) =
             shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
         (bracket.frames()[i].path().to_path_buf(), share)

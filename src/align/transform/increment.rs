@@ -1,10 +1,10 @@
-//! The small motions of a model, as numbers: what refinement solves for.
+//! The small motions of a model, as parameters: what refinement solves for.
 //!
-//! In: a [`Model`] and the size of a plane. Out: derivatives of a place by the numbers, the motion that numbers stand for, and what
+//! In: a [`Model`] and the size of a plane. Out: derivatives of a place by the parameters, the motion that parameters stand for, and what
 //! their covariance means in pixels. Cost: none to speak of.
-//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of warps.
+//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of transforms.
 
-use crate::align::transform::{Model, Warp, centre};
+use crate::align::transform::{Model, Transform, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
@@ -16,7 +16,7 @@ const STRETCH: f64 = 0.001;
 /// See [`SCALE`].
 const PERSPECTIVE: f64 = 0.005;
 
-/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all numbers are alike in size.
+/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all parameters are alike in size.
 pub(crate) struct Increment {
     model: Model,
     centre: (f64, f64),
@@ -24,7 +24,7 @@ pub(crate) struct Increment {
     size: (usize, usize),
 }
 
-/// A number of a motion, the standard deviation it is known to have beforehand, and how it changes with the numbers of a step.
+/// A number of a motion, the standard deviation it is known to have beforehand, and how it changes with the parameters of a step.
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Increment {
@@ -34,8 +34,8 @@ impl Increment {
         Increment { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
-    /// How many numbers the model has.
-    pub(crate) fn numbers(&self) -> usize {
+    /// How many parameters the model has.
+    pub(crate) fn parameters(&self) -> usize {
         match self.model {
             Model::Unmoved => 0,
             Model::Shift => 2,
@@ -44,7 +44,7 @@ impl Increment {
         }
     }
 
-    /// d(place) / d(numbers) at (x, y), in pixels.
+    /// d(place) / d(parameters) at (x, y), in pixels.
     pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
@@ -129,7 +129,7 @@ impl Increment {
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    /// The motion of the reference's pixels that the numbers `d` stand for.
+    /// The motion of the reference's pixels that the parameters `d` stand for.
     pub(crate) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),
@@ -145,7 +145,7 @@ impl Increment {
 
     /// The farthest that the motion `d` moves a corner, in pixels.
     pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
-        Warp::Homography(self.matrix(d)).corner_distance(&Warp::Identity, self.size.0, self.size.1)
+        Transform::Homography(self.matrix(d)).corner_distance(&Transform::Identity, self.size.0, self.size.1)
     }
 
     /// The root mean square over the picture of how far the motion `d` moves it, in pixels.
@@ -161,15 +161,15 @@ impl Increment {
         (sum / (GRID * GRID) as f64).sqrt()
     }
 
-    /// The root mean square over the picture of the error that A^-1, the covariance of the numbers, stands for, in pixels.
+    /// The root mean square over the picture of the error that A^-1, the covariance of the parameters, stands for, in pixels.
     pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
         let mut sum = 0.0;
         for (x, y) in self.grid() {
             let j = self.jacobian(x, y);
             let mut local = Matrix2::zeros();
-            for p in 0..self.numbers() {
-                for q in 0..self.numbers() {
+            for p in 0..self.parameters() {
+                for q in 0..self.parameters() {
                     local += covariance[(p, q)] * Vector2::from(j[p]) * Vector2::from(j[q]).transpose();
                 }
             }

@@ -8,7 +8,7 @@ mod model;
 
 pub(crate) use increment::Increment;
 pub use model::Model;
-pub(crate) use model::{restrict, to_warp};
+pub(crate) use model::{restrict, to_transform};
 
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
@@ -16,7 +16,7 @@ use std::f64::consts::PI;
 /// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at the centre
 /// of the top-left one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Warp {
+pub enum Transform {
     /// The frame did not move.
     Identity,
     /// x' = c + R(angle) (x - c) + d, c the picture's centre; a shift where the angle is 0.
@@ -32,17 +32,17 @@ pub enum Warp {
     Homography(Matrix3<f64>),
 }
 
-impl Warp {
-    /// The warp as a matrix on homogeneous pixel coordinates, for pictures of this size; its lower right number is 1.
+impl Transform {
+    /// The transform as a matrix on homogeneous pixel coordinates, for pictures of this size; its lower right number is 1.
     pub fn matrix(&self, width: usize, height: usize) -> Matrix3<f64> {
         match *self {
-            Warp::Identity => Matrix3::identity(),
-            Warp::Rigid { dx, dy, angle } => {
+            Transform::Identity => Matrix3::identity(),
+            Transform::Rigid { dx, dy, angle } => {
                 let (cx, cy) = centre(width, height);
                 let (s, c) = (libm::sin(angle), libm::cos(angle));
                 Matrix3::new(c, -s, cx + dx - c * cx + s * cy, s, c, cy + dy - s * cx - c * cy, 0.0, 0.0, 1.0)
             }
-            Warp::Homography(h) => h,
+            Transform::Homography(h) => h,
         }
     }
 
@@ -61,8 +61,8 @@ impl Warp {
         libm::atan2(y1 - y0, x1 - x0) * 180.0 / PI
     }
 
-    /// The largest distance between where this warp and another put a corner of the picture, in pixels.
-    pub fn corner_distance(&self, other: &Warp, width: usize, height: usize) -> f64 {
+    /// The largest distance between where this transform and another put a corner of the picture, in pixels.
+    pub fn corner_distance(&self, other: &Transform, width: usize, height: usize) -> f64 {
         let (a, b) = (self.matrix(width, height), other.matrix(width, height));
         corners(width, height)
             .iter()
@@ -85,8 +85,8 @@ pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
     [(0.0, 0.0), (r, 0.0), (r, b), (0.0, b)]
 }
 
-/// The root mean square distance over the picture of where two warps put a pixel.
-pub(crate) fn distance(a: &Warp, b: &Warp, width: usize, height: usize) -> f64 {
+/// The root mean square distance over the picture of where two transforms put a pixel.
+pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize) -> f64 {
     const GRID: usize = 9;
     let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
     let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
@@ -138,12 +138,12 @@ mod tests {
 
     #[test]
     fn a_rigid_warp_turns_about_the_centre() {
-        let warp = Warp::Rigid { dx: 3.0, dy: -2.0, angle: 0.1 };
-        let (dx, dy) = warp.shift_px(101, 51);
+        let transform = Transform::Rigid { dx: 3.0, dy: -2.0, angle: 0.1 };
+        let (dx, dy) = transform.shift_px(101, 51);
         assert!((dx - 3.0).abs() < 1e-12 && (dy + 2.0).abs() < 1e-12);
-        assert!((warp.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);
+        assert!((transform.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);
         // The point one to the right of the centre goes to (cos, sin), y pointing down: clockwise on the screen.
-        let (x, y) = map(&warp.matrix(101, 51), 51.0, 25.0);
+        let (x, y) = map(&transform.matrix(101, 51), 51.0, 25.0);
         assert!((x - 53.0 - 0.1f64.cos()).abs() < 1e-12 && (y - 23.0 - 0.1f64.sin()).abs() < 1e-12);
     }
 
@@ -152,7 +152,7 @@ mod tests {
         let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
         // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01 along.
         let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
-        let worst = Warp::Homography(h).corner_distance(&Warp::Identity, 101, 51);
+        let worst = Transform::Homography(h).corner_distance(&Transform::Identity, 101, 51);
         assert!((worst - across.hypot(along)).abs() < 1e-9);
     }
 }

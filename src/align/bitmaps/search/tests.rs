@@ -5,7 +5,7 @@ use crate::align::bitmaps::MtbOptions;
 use crate::align::bitmaps::threshold::own_percentile;
 use crate::align::grey::GreyPyramid;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift, uniform};
-use crate::align::transform::Warp;
+use crate::align::transform::Transform;
 
 fn plane(values: &[(u8, usize)]) -> Plane<u8> {
     let data: Vec<u8> = values.iter().flat_map(|&(v, n)| std::iter::repeat_n(v, n)).collect();
@@ -20,15 +20,15 @@ fn histogram(values: &[(u8, usize)]) -> Histogram {
 fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
     // 0, 1, ..., 99: of a hundred pixels the 17th, 50th and 83rd in order.
     let ramp: Vec<(u8, usize)> = (0..100).map(|v| (v, 1)).collect();
-    let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).level(p));
+    let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).value_at(p));
     assert_eq!(levels, [16, 49, 82]);
     // A tie goes to the lower level, one pixel more tips it.
-    assert_eq!(histogram(&[(10, 50), (20, 50)]).level(Percentile::MEDIAN), 10);
-    assert_eq!(histogram(&[(10, 50), (20, 51)]).level(Percentile::MEDIAN), 20);
+    assert_eq!(histogram(&[(10, 50), (20, 50)]).value_at(Percentile::MEDIAN), 10);
+    assert_eq!(histogram(&[(10, 50), (20, 51)]).value_at(Percentile::MEDIAN), 20);
     for end in [0, 255] {
         for p in [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)] {
-            assert_eq!(histogram(&[(end, 7)]).level(p), end);
-            assert_eq!(histogram(&[(end, 1)]).level(p), end);
+            assert_eq!(histogram(&[(end, 7)]).value_at(p), end);
+            assert_eq!(histogram(&[(end, 1)]).value_at(p), end);
         }
     }
 }
@@ -41,7 +41,7 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     let (burnt, black) = (with(255), with(0));
     assert_eq!(own_percentile(&normal, 4), Percentile::MEDIAN);
     // The threshold is off the end that most crowd at, and leaves some tenths of all on either side.
-    let parts = |h: &Histogram, p: Percentile| (40..140).contains(&h.level(p)) && (15..=85).contains(&p.percent());
+    let parts = |h: &Histogram, p: Percentile| (40..140).contains(&h.value_at(p)) && (15..=85).contains(&p.percent());
     for crowded in [&burnt, &black] {
         let own = own_percentile(crowded, 4);
         assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
@@ -53,25 +53,25 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
 }
 
-/// The dark and the bright photograph of a scene, the second under `warp`: two stops apart, the second clipped in its lights.
-fn pair(size: (usize, usize), warp: &Warp) -> (GreyPyramid, GreyPyramid) {
-    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(5).photograph(size, warp, Shot::at(ev)));
-    (take(&Warp::Identity, -1.0), take(warp, 1.0))
+/// The dark and the bright photograph of a scene, the second under `transform`: two stops apart, the second clipped in its lights.
+fn pair(size: (usize, usize), transform: &Transform) -> (GreyPyramid, GreyPyramid) {
+    let take = |transform: &Transform, ev| GreyPyramid::new(Scene::new(5).photograph(size, transform, Shot::at(ev)));
+    (take(&Transform::Identity, -1.0), take(transform, 1.0))
 }
 
-fn found(size: (usize, usize), warp: &Warp) -> Motion {
-    let (a, b) = pair(size, warp);
+fn found(size: (usize, usize), transform: &Transform) -> Motion {
+    let (a, b) = pair(size, transform);
     search(&a, &b, 0, &MtbOptions::default()).motion
 }
 
 #[test]
 fn finds_shift_and_rotation_between_exposures() {
-    for warp in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
-        let Warp::Rigid { dx, dy, angle } = warp else { unreachable!() };
-        let motion = found((768, 512), &warp);
+    for transform in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
+        let Transform::Rigid { dx, dy, angle } = transform else { unreachable!() };
+        let motion = found((768, 512), &transform);
         // 0.01 deg move the rim at 256 px by 0.045 px. An edge pixel in 100 has some tenths of a pixel to say: 4000 of them 0.01 px.
-        assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {warp:?}");
-        assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {warp:?}");
+        assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {transform:?}");
+        assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {transform:?}");
     }
 }
 
@@ -81,11 +81,11 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
     for (i, degrees) in [0.01, -0.02, 0.05, -0.1, 0.2, -0.5, 1.0, -2.0, 4.9].into_iter().enumerate() {
         let scene = Scene::new(30 + i as u64);
         let truth = rigid(3.3 * i as f64 - 9.4, 7.7 - 2.1 * i as f64, degrees);
-        let Warp::Rigid { dx, dy, angle } = truth else { unreachable!() };
+        let Transform::Rigid { dx, dy, angle } = truth else { unreachable!() };
         let size = (512, 384);
         let ev = if i % 2 == 0 { 2.0 } else { -2.0 };
-        let take = |warp: &Warp, ev| GreyPyramid::new(scene.photograph(size, warp, Shot::at(ev)));
-        let found = search(&take(&Warp::Identity, 0.0), &take(&truth, ev), 0, &MtbOptions::default());
+        let take = |transform: &Transform, ev| GreyPyramid::new(scene.photograph(size, transform, Shot::at(ev)));
+        let found = search(&take(&Transform::Identity, 0.0), &take(&truth, ev), 0, &MtbOptions::default());
         let motion = found.motion;
         let off = (motion.angle - angle).to_degrees().abs();
         assert!(off < 0.01, "{off} deg for {degrees}: {found:?}");
@@ -102,12 +102,13 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
 
 #[test]
 fn what_no_rotation_can_follow_is_part_of_the_error() {
-    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), warp, Shot::at(ev)));
-    let reference = take(&Warp::Identity, 0.0);
+    let take =
+        |transform: &Transform, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), transform, Shot::at(ev)));
+    let reference = take(&Transform::Identity, 0.0);
     // A picture larger by 0.6 %: a pixel at the middle of the edge, 1.1 px root mean square.
     let (cx, cy, zoom) = (255.5, 191.5, 1.006);
     let larger = nalgebra::Matrix3::new(zoom, 0.0, cx * (1.0 - zoom), 0.0, zoom, cy * (1.0 - zoom), 0.0, 0.0, 1.0);
-    let found = search(&reference, &take(&Warp::Homography(larger), 1.0), 0, &MtbOptions::default());
+    let found = search(&reference, &take(&Transform::Homography(larger), 1.0), 0, &MtbOptions::default());
     let truth = 0.006 * ((512.0f64 * 512.0 + 384.0 * 384.0) / 12.0).sqrt();
     assert!((0.7..1.4).contains(&(found.error_px / truth)), "{} for {truth}", found.error_px);
 }
@@ -118,8 +119,8 @@ fn a_smooth_slope_does_not_pull() {
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
     let truth = shift(5.3, -11.6);
-    let take = |warp: &Warp, ev| GreyPyramid::new(photograph((512, 384), warp, Shot::at(ev), fog));
-    let motion = search(&take(&Warp::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
+    let take = |transform: &Transform, ev| GreyPyramid::new(photograph((512, 384), transform, Shot::at(ev), fog));
+    let motion = search(&take(&Transform::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
     // A code is 3 px on the slope: the cut is right to a tenth of one, though it can only be made between codes.
     assert!((motion.dx - 5.3).abs() < 0.3 && (motion.dy + 11.6).abs() < 0.3, "{motion:?}");
 }
@@ -128,16 +129,17 @@ fn a_smooth_slope_does_not_pull() {
 fn a_large_picture_is_searched_at_half_its_size() {
     // 4.4 MP, of odd size: the centre about which it turns is not that of its half.
     let truth = rigid(-13.37, 21.8, 1.7);
-    let take = |warp: &Warp, ev| GreyPyramid::new(Scene::new(12).photograph((2301, 1901), warp, Shot::at(ev)));
-    let found = search(&take(&Warp::Identity, 0.0), &take(&truth, 1.0), 0, &MtbOptions::default());
+    let take =
+        |transform: &Transform, ev| GreyPyramid::new(Scene::new(12).photograph((2301, 1901), transform, Shot::at(ev)));
+    let found = search(&take(&Transform::Identity, 0.0), &take(&truth, 1.0), 0, &MtbOptions::default());
     assert!(found.difference.compared < 1150 * 950);
-    let off = found.warp().corner_distance(&truth, 2301, 1901);
+    let off = found.transform().corner_distance(&truth, 2301, 1901);
     assert!(off < 0.1, "{off} px: {found:?}");
 }
 
 #[test]
 fn no_motion_is_exactly_none() {
-    let (a, b) = pair((384, 256), &Warp::Identity);
+    let (a, b) = pair((384, 256), &Transform::Identity);
     let result = search(&a, &b, 0, &MtbOptions::default());
     assert_eq!(result.motion, Motion::default());
     assert_eq!(result.difference, result.difference_unmoved);
@@ -192,14 +194,14 @@ fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64
 #[test]
 fn the_packed_search_is_the_textbooks() {
     // 75 px: more than a word, and no multiple of one. Too small for a second level.
-    let take = |warp: &Warp, ev| Scene::new(8).photograph((75, 60), warp, Shot::at(ev));
+    let take = |transform: &Transform, ev| Scene::new(8).photograph((75, 60), transform, Shot::at(ev));
     for (dx, dy) in [(0.0, 0.0), (4.0, -3.0), (-9.0, 7.0)] {
-        let (a, b) = (take(&Warp::Identity, 0.0), take(&shift(dx, dy), 1.0));
+        let (a, b) = (take(&Transform::Identity, 0.0), take(&shift(dx, dy), 1.0));
         let (pa, pb) = (GreyPyramid::new(a.clone()), GreyPyramid::new(b.clone()));
         assert_eq!(pa.len(), 1);
         let bitmaps = |p: &GreyPyramid| ThresholdBitmaps::of_level(p, 0, Percentile::MEDIAN, 4);
-        let zones = [&pa, &pb].map(|p| Zone::about(p.histogram(0).level(Percentile::MEDIAN), 4));
-        let packed = Pair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN, zones };
+        let zones = [&pa, &pb].map(|p| Zone::about(p.histogram(0).value_at(Percentile::MEDIAN), 4));
+        let packed = BitmapPair { reference: bitmaps(&pa), frame: bitmaps(&pb), percentile: Percentile::MEDIAN, zones };
         let reach = packed.reach(0.15);
         assert_eq!(reach, (12, 12));
         let slow = textbook(&a, &b, reach.0, 4);
@@ -223,8 +225,8 @@ fn rivals_are_the_periods_of_a_facade() {
         let own = 0.25 * uniform(4, column as i64, floor as i64);
         if lit { 2.0 + own } else { 0.4 + own + 0.3 * uniform(5, floor as i64, 1) }
     };
-    let take = |ev| GreyPyramid::new(photograph((300, 220), &Warp::Identity, Shot::at(ev), facade));
-    let found = rivals(&take(-0.5), &take(0.5), 0.0, 8, &MtbOptions::default());
+    let take = |ev| GreyPyramid::new(photograph((300, 220), &Transform::Identity, Shot::at(ev), facade));
+    let found = alternatives(&take(-0.5), &take(0.5), 0.0, 8, &MtbOptions::default());
     assert_eq!((found[0].dx, found[0].dy), (0.0, 0.0), "{found:?}");
     for period in [-24.0, 24.0] {
         assert!(found[1..3].iter().any(|m| m.dx == period && m.dy == 0.0), "{found:?}");
@@ -242,7 +244,7 @@ fn strips_are_searched_within_bounds() {
             row.iter_mut().enumerate().for_each(|(x, v)| *v = ((x * 7 + y * 3) % 200) as u8);
         });
         let pyramid = GreyPyramid::new(grey);
-        Pair::new(&pyramid, &pyramid, 0, 4)
+        BitmapPair::new(&pyramid, &pyramid, 0, 4)
     };
     for (width, height) in [(65_500, 4), (4, 65_500), (20_000, 40), (65_500, 1)] {
         let (x, y) = pair(width, height).reach(0.15);
