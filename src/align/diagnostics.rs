@@ -1,10 +1,10 @@
-//! Evidence: what the bitmaps and the features of a frame say of its place, for people to look at.
+//! Diagnostics of an alignment, for `inspect` and the report page.
 //!
-//! In: the grey pyramids of the reference and a frame, and the place that was found. Out: the bitmaps with the share of pixels that
-//! differ as the frame is turned and shifted; the keypoints; the matches of each kind of keypoint and whether the robust method believes them.
-//! Cost: that of both methods run to the end, some tenths of a second a frame. Nothing here decides anything: that is [`align`](crate::align::align)'s.
-//! Source: Ward 2003, section 2; Lowe 2004, section 7.1; Tables 4.1 to 4.3 of the thesis, which hold plain, bitmap and merged keypoints
-//! against each other.
+//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the share of pixels that differ
+//! as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint and which of them are inliers. Cost: that of both
+//! methods run to the end, some tenths of a second a frame. Nothing is decided here: that is [`align`](crate::align::align)'s.
+//! Source: Ward 2003, section 2; Lowe 2004, section 7.1; tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the
+//! bitmap and of both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
@@ -231,14 +231,14 @@ impl FrameFeatures {
 pub struct Matching {
     /// The reference's place and the frame's, in pixels of the full size.
     pub pairs: Vec<PointPair>,
-    /// Whether the robust method believes each.
+    /// Whether each is an inlier of the robust estimator.
     pub inlier: Vec<bool>,
     /// The motion that those agree on.
     pub transform: Option<Transform>,
 }
 
 impl Matching {
-    /// How many it believes.
+    /// The number of inliers.
     pub fn inliers(&self) -> usize {
         self.inlier.iter().filter(|i| **i).count()
     }

@@ -1,18 +1,24 @@
-//! Alignment: where every frame's pixels lie in the reference, and how sure that is.
+//! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: a [`Verdict`] for each frame, by the smallest [`Model`] that explains its motion, each
-//! straight to the reference. Cost: some 0.1 s of one core for a frame of 1.5 MP that settles at once, up to ten times as much for one in doubt;
-//! 0.3 s for one of 8 MP.
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Verdict`] with the transform of the smallest sufficient [`Model`], always
+//! directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first method settles, up to ten times as much for a
+//! difficult one; 0.3 s for one of 8 MP.
 //!
-//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]), and by
-//! the tiles where these see it off; the same against a neighbour in exposure, laid on the reference's grid, where the reference itself
-//! shows too little of what the frame shows; features ([`sift`] on the plain picture and on its bitmaps); the bitmaps' other minima. What a
-//! stage finds is only ever a start for [`refine`]; [`agreement`] says whether it is right, and which of several is; of a picture that
-//! repeats itself all are asked for.
+//! The sub-modules, each using only those before it:
+//!
+//! 1. [`transform`](mod@transform): transforms and their models. `result`: what the alignment gives back.
+//! 2. [`grey`]: grey pyramids. [`resampling`]: kernels and rows. [`photometric`]: two frames at a common exposure.
+//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, matching, RANSAC, LMedS. Neither uses the other.
+//! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
+//! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
+//! 6. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
+//!
+//! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree: bitmaps, refined on the
+//! pixels; features; the other minima of the bitmap search. Every result is refined and then checked by [`agreement`].
 
 pub mod agreement;
 pub mod bitmaps;
-pub mod diagnostics;
+pub(crate) mod diagnostics;
 pub mod features;
 pub mod grey;
 mod ladder;
@@ -20,7 +26,7 @@ pub mod photometric;
 pub mod preset;
 pub mod refinement;
 pub mod resampling;
-pub mod result;
+mod result;
 #[cfg(test)]
 pub(crate) mod scene;
 pub mod transform;
@@ -38,18 +44,18 @@ pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
 use result::{unmoved_but, warnings};
 pub use transform::{Model, Transform};
 
-/// Which methods seek the motion.
+/// Alignment methods.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AlignMode {
-    /// All of them, as far as needed; every result judged.
+    /// All of them, as far as needed; every result is checked.
     #[default]
     Auto,
     /// Median threshold bitmaps alone: shift and rotation.
     Mtb,
     /// SIFT on the plain picture and its bitmaps, and a robust fit ([`RobustMethod`]): a homography.
     Sift,
-    /// None: the frames are taken as they lie.
+    /// None: the frames are taken to be unmoved.
     None,
 }
 
@@ -64,7 +70,7 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
-    /// Frames whose place is not sought but given; the first word on a frame counts.
+    /// Transforms that are preset instead of estimated; of several for one frame the first counts.
     pub given: Vec<Preset>,
     /// The method of the robust fit.
     pub robust: RobustMethod,

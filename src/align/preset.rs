@@ -1,6 +1,6 @@
-//! Transforms that the user presets, so that they are not estimated: for single frames, or from a file of transforms.
+//! Preset transforms: given by the user for single frames, or by a file of transforms, instead of estimated.
 //!
-//! In: [`Preset`] places. Out: the verdicts on the frames of a bracket that they are of. Cost: negligible.
+//! In: [`Preset`]s. Out: the verdicts on the frames of a bracket that they name. Cost: negligible.
 
 use crate::align::result::{Status, Verdict};
 use crate::align::transform::{corners, map};
@@ -20,9 +20,9 @@ pub struct Preset {
 /// See [`Preset`].
 #[derive(Debug, Clone, PartialEq)]
 pub enum PresetTransform {
-    /// None: the user wants it left out.
+    /// None: excluded by the user.
     Excluded,
-    /// That of the reference: the user says that it did not move.
+    /// That of the reference: the user states that it did not move.
     Unmoved,
     /// As it was found before.
     Known(Verdict),
@@ -48,7 +48,7 @@ impl PresetTransform {
 /// excluded by itself.
 ///
 /// # Errors
-/// [`Error::Option`] where the user names a file that is no frame, wants the reference left out, or gives a place that is none.
+/// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid transform.
 pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Verdict>>> {
     let mut verdicts = vec![None; bracket.frames().len()];
     for Preset { path, place } in given {
@@ -59,7 +59,7 @@ pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option
         };
         let wrong = |reason: String| Error::Option { option, reason };
         let Some(i) = bracket.named(path) else {
-            // A file of transforms may speak of more frames than are merged now.
+            // A file of transforms may hold more frames than are merged now.
             if matches!(place, PresetTransform::Known(_)) {
                 continue;
             }

@@ -1,4 +1,4 @@
-//! Places that are given rather than found: by the user's word for one frame, or by a file of transforms.
+//! The file of transforms: an alignment that is saved and used again.
 //!
 //! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every number comes back as
 //! it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
@@ -11,7 +11,7 @@
 //!
 //! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel; null for a frame that
 //! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
-//! excluded is rejected with confidence 1. An `assumed` place is merged as one. A place without `confidence` is the user's word, and sure.
+//! excluded is rejected with confidence 1. An `assumed` place is merged as one. A transform without `confidence` was set by the user, and has confidence 1.
 
 use crate::align::preset::{Preset, PresetTransform, check};
 use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
@@ -68,7 +68,7 @@ struct FrameDocument {
     reason: Option<String>,
 }
 
-/// What says which version the rest is of.
+/// The part of the file that holds its version.
 #[derive(Deserialize)]
 struct Header {
     schema: String,

@@ -1,9 +1,8 @@
-//! Agreement: whether a transform is right, tile by tile, by a measure that no stage before has optimised.
+//! Agreement: a local check of a transform, tile by tile, by a measure that no other method has optimised.
 //!
-//! In: two frames at a common exposure and a transform. Out: how many tiles of the picture bear it out, how many contradict it, and by how much
-//! those that bear it out are off. Cost: some twenty correlations of each tile, of three multiply-adds a pixel. Source: normalised
-//! cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), blind to gain and offset, within a few pixels
-//! about the place.
+//! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the displacement of those that
+//! agree. Cost: some twenty correlations of each tile, of three multiply-adds a pixel. Source: normalised cross-correlation (Lewis, "Fast
+//! Normalized Cross-Correlation", Vision Interface 1995), which does not depend on gain and offset, within a few pixels about the place.
 
 mod tile;
 mod tile_fit;
@@ -19,46 +18,46 @@ use rayon::prelude::*;
 
 /// Tiles along the long side.
 const TILES: usize = 16;
-/// Least side of a tile, in pixels: a narrower picture has none, and nothing can be said of it.
+/// Least side of a tile, in pixels: a narrower picture has none and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
 /// How far around its place a tile is sought, in pixels.
 const REACH: isize = 3;
 
-/// What the tiles say of a transform.
+/// The agreement of the tiles with a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
     /// Tiles whose best match is where the transform puts it.
     pub agreeing: usize,
     /// Tiles with as much structure that match elsewhere, or nowhere.
     pub disagreeing: usize,
-    /// Tiles too plain, too dark, too bright, or outside the frame.
+    /// Tiles that are uniform, too dark, too bright, or outside the frame.
     pub undecided: usize,
-    /// Of the nine parts of the picture (three by three), those in which a tile confirms.
+    /// Of the nine parts of the picture (three by three), those in which a tile agrees.
     pub parts: usize,
-    /// The median distance by which the confirming tiles are off, in pixels of the planes.
+    /// The median displacement of the agreeing tiles, in pixels of the planes.
     pub offset: f64,
-    /// The mean correlation of those that are not silent, -1..=1.
+    /// The mean correlation of the tiles that are not undecided, -1..=1.
     pub correlation: f64,
 }
 
 impl Agreement {
-    /// The share of the outspoken tiles that confirm, as if five more had spoken of which one and a half confirm: few voices are little.
+    /// The share of the decided tiles that agree, with a prior of five tiles of which one and a half agree.
     pub fn share(&self) -> f64 {
         (self.agreeing as f64 + 1.5) / ((self.agreeing + self.disagreeing) as f64 + 5.0)
     }
 
-    /// How far the confirming tiles stand for the whole picture, 1/2..=1.
+    /// How much of the picture the agreeing tiles cover, 1/2..=1.
     pub fn coverage(&self) -> f64 {
         0.5 + 0.5 * self.parts.min(ENOUGH_PARTS) as f64 / ENOUGH_PARTS as f64
     }
 }
 
-/// Where tiles confirm in fewer parts of the picture than this, what lies in the others is only inferred.
+/// Parts of the picture with agreeing tiles from which the whole picture counts as covered.
 const ENOUGH_PARTS: usize = 4;
 
 impl TileCheck {
-    /// How much more the tiles that speak in both speak for this than for `other`, in nats: each gives the logarithm of the ratio of what
-    /// the two leave unexplained of its pattern. Positive for this, negative for the other.
+    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both: the sum of the logarithms of the ratio
+    /// of what the two leave unexplained of a tile's pattern. Positive for this, negative for the other.
     pub fn evidence_over(&self, other: &TileCheck) -> f64 {
         let left = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
@@ -69,7 +68,7 @@ impl TileCheck {
 /// What noise leaves unexplained of a tile's pattern even where it is right.
 const UNEXPLAINED: f64 = 0.05;
 
-/// A tile that says where it lies.
+/// The displacement of a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileDisplacement {
     /// Its centre in the reference, in pixels of the planes.
@@ -80,14 +79,14 @@ pub struct TileDisplacement {
     pub pull: [f64; 2],
 }
 
-/// What the tiles say of a transform, all together and each by itself.
+/// The check of a transform: all tiles together, and each by itself.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TileCheck {
     /// All together.
     pub agreement: Agreement,
-    /// The correlation of each, as the transform puts it; none where it is silent.
+    /// The correlation of each tile at its place; none where it is undecided.
     pub correlations: Vec<Option<f32>>,
-    /// Of those that confirm, all whose best match does not lie at the rim of what was tried.
+    /// Of the agreeing tiles, all whose best match is not at the rim of the search.
     pub displacements: Vec<TileDisplacement>,
 }
 

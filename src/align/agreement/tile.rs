@@ -1,21 +1,21 @@
-//! One tile: where it correlates best with what lies about its place.
+//! One tile: where it correlates best within a few pixels about its place.
 //!
-//! In: two frames at a common exposure, the second on the reference's grid, and a tile. Out: whether the tile confirms its place, and the
-//! correlations about it. Cost: some twenty correlations, of three multiply-adds a pixel. Source: Lewis, "Fast Normalized Cross-Correlation",
-//! Vision Interface 1995.
+//! In: two frames at a common exposure, the second warped to the reference's grid, and a tile. Out: whether the tile agrees with its place, and
+//! the paraboloid of its correlations. Cost: some twenty correlations, of three multiply-adds a pixel. Source: Lewis 1995 (see
+//! [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::{REACH, TileDisplacement};
 use crate::align::photometric::CommonExposure;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 
-/// A tile says something where its trusted pixels' standard deviation is at least so many grey levels.
+/// Least standard deviation of a tile's weighted pixels for it to be decided, in grey values.
 const LEAST_CONTRAST: f32 = 2.5;
 
-/// ... and at least so many can be trusted: a lamp in the night is enough.
+/// ... and the fewest of them: a lamp in the night is enough.
 const LEAST_PIXELS: f32 = 64.0;
 
-/// Trust below which a pixel does not count.
+/// Weight below which a pixel does not count.
 const LEAST_WEIGHT: f32 = 0.01;
 
 #[derive(Debug, Clone, Copy)]
@@ -43,23 +43,23 @@ impl Peak {
     }
 }
 
-/// A tile's trusted pixels of the reference, less their mean; 0 elsewhere.
+/// A tile's pixels of the reference that count, less their mean; 0 elsewhere.
 struct Pattern {
     left: usize,
     top: usize,
     side: usize,
     /// By rows.
     values: Vec<f32>,
-    /// 1 where a pixel is trusted, 0 elsewhere.
+    /// 1 where a pixel counts, 0 elsewhere.
     mask: Vec<f32>,
-    /// How many are trusted.
+    /// How many count.
     count: f32,
     /// The sum of the squares of `values`.
     energy: f32,
 }
 
 impl Pattern {
-    /// The pattern of a tile; none where it says nothing.
+    /// The pattern of a tile; none where it has too little contrast.
     fn new(both: &CommonExposure, left: usize, top: usize, side: usize) -> Option<Self> {
         let mut values = Vec::with_capacity(side * side);
         let mut mask = Vec::with_capacity(side * side);
@@ -148,7 +148,7 @@ const LANES: usize = 8;
 /// Whole pixels to the right and down.
 type Shift = (isize, isize);
 
-/// The correlations of a tile at the shifts within [`REACH`] that were asked for.
+/// The correlations of a tile at the shifts within [`REACH`], each computed on first use.
 struct Correlations<'a> {
     pattern: &'a Pattern,
     warped: &'a Plane<f32>,
@@ -208,7 +208,7 @@ impl Correlations<'_> {
         let xx = 2.0 * c[1][1] - c[1][0] - c[1][2];
         let yy = 2.0 * c[1][1] - c[0][1] - c[2][1];
         let xy = -0.25 * (c[2][2] - c[2][0] - c[0][2] + c[0][0]);
-        // A ridge that is not quite straight may turn up along its crest: it says nothing there.
+        // A ridge that is not quite straight may turn up along its crest: it has no position there.
         let limit = 0.95 * (xx * yy).max(0.0).sqrt();
         let known = c.iter().flatten().all(|v| v.is_finite()) && xx >= 0.0 && yy >= 0.0;
         known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })

@@ -1,16 +1,17 @@
-//! The motion that the tiles of the picture see: where pixels cannot be compared level by level, their pattern still can.
+//! The transform that the displacements of the tiles fit best.
 //!
-//! In: a [`Survey`] of how the tiles lie under a transform. Out: the small motion that takes most of them where they match best, and how
-//! well they determine it. Cost: none to speak of, beside the survey.
-//! Flare, a long exposure's blur, or noise that bends the intensity map displace the level at every edge to the same side, and
-//! [`refine`](crate::align::refinement) follows; correlation is blind to a tile's own gain and offset. Its sum over the tiles is climbed by
-//! Newton's method, tiles that moved by themselves losing their weight (Tukey's biweight).
+//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and how well they determine it. Cost:
+//! negligible beside the check. Source: Newton's method on the sum of the correlations; tiles that moved by themselves lose their weight
+//! (Tukey's biweight).
+//!
+//! Flare, motion blur, or noise that bends the intensity map displace the grey values of every edge to the same side, and
+//! [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and offset.
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Fewer tiles say nothing.
+/// Fewest tiles for a fit.
 const LEAST_TILES: usize = 8;
 /// Tukey's constant: 95 % efficient on normal noise.
 const TUKEY: f64 = 4.685;
@@ -21,20 +22,20 @@ const CORRELATION_FACTOR: f64 = 1.5;
 /// Rounds of weighting.
 const ROUNDS: usize = 5;
 
-/// What the tiles make of a transform.
+/// The transform that the displacements of the tiles fit.
 #[derive(Debug, Clone)]
 pub(crate) struct TileFit {
-    /// The transform that they would have, in pixels of the planes.
+    /// That transform, in pixels of the planes.
     pub(crate) h: Matrix3<f64>,
-    /// How far that is from the one they were asked about, as root mean square over the picture, in pixels of the planes.
+    /// Its distance from the one that was checked, as root mean square over the picture, in pixels of the planes.
     pub(crate) moved: f64,
-    /// How well they know it, the same way.
+    /// Its error estimate, the same way.
     pub(crate) error: f64,
-    /// How sure they are that it is another: the motion in units of what they can err, 1 or so where it is the same.
+    /// The change in units of its error: about 1 if the transform is the same.
     pub(crate) significance: f64,
 }
 
-/// What the tiles of `survey`, of planes of `size`, make of the transform `h` under which they were surveyed; none where they are too few.
+/// The fit to the displacements of the tiles of planes of `size` under the transform `h`; none where they are too few.
 pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
     let tiles = &check_tiles.displacements;
     if tiles.len() < LEAST_TILES {
@@ -56,7 +57,7 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
             let inside = (1.0 - t * t).max(0.0);
             let weight = inside * inside / variance;
             for p in 0..n {
-                // The survey is of the reference's pixels: a tile found to the right wants the transform to move that way.
+                // Displacements are in the reference's pixels: a tile found to the right moves the transform that way.
                 b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
                 let pulled = times(tile, j[p]);
                 for q in 0..n {

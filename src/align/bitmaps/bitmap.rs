@@ -1,9 +1,7 @@
-//! Packed bitmaps: 64 pixels to a word, compared by XOR, AND and popcount.
+//! Packed bitmaps, 64 pixels to a word.
 //!
-//! In: grey planes and the zones at which they are cut. Out: bitmaps, and how many of their pixels differ under a shift. Cost: two word
-//! operations a pixel for the making (they compile to byte-wise SIMD), about 0.3 for a comparison; nothing is allocated per comparison.
-//! Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2),
-//! 2003, section 2.1 and its listing.
+//! In: grey planes and the zones at which they are cut. Out: threshold and exclusion bitmaps. Cost: two word operations a pixel (they compile
+//! to byte-wise SIMD). Source: Ward 2003, section 2.1 and its listing (see [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::grey::{GreyPyramid, Percentile};
 use crate::plane::Plane;

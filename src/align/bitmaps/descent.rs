@@ -1,10 +1,10 @@
-//! Down the XOR counts to their lowest point, between whole pixels too: the continuous end of the bitmap search.
+//! Sub-pixel end of the bitmap search: the minimum of the XOR counts.
 //!
-//! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the fewest pixels
-//! differ, and how far it may be off. Cost: a round lays the frame down once and counts eight times; two to four rounds do. Nothing but
-//! the observations of the parts is allocated after [`Descent::new`]. Source: the counts are Ward's (2003, section 2). Where the thesis
-//! tries angle after angle (chapter 4), here the counts of each part of the picture, a pixel or two to either side, tell how far that part
-//! is displaced, and shift and rotation are the least-squares fit to all of them.
+//! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the fewest pixels differ,
+//! and its error estimate. Cost: a round warps the frame once and counts eight times; two to four rounds are enough. Nothing but the
+//! observations is allocated after [`Descent::new`].
+//! Source: the counts are Ward's (2003, section 2). Where the thesis tries angle after angle (chapter 4), here the counts of each part of the
+//! picture, a pixel or two to either side, give the displacement of that part; shift and rotation are the least-squares fit to all parts.
 
 use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
@@ -12,15 +12,15 @@ use nalgebra::{SMatrix, SVector};
 
 /// A step by less changes nothing that matters, in pixels of the level.
 const SETTLED: f64 = 0.02;
-/// Where a smaller share of the pixels can be compared, the rate says nothing.
+/// Least share of the pixels that must be compared for a rate.
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
-/// Parts of the picture along a side, each of which has an opinion on the motion.
+/// Parts of the picture along a side, each of which gives observations of the motion.
 const PARTS: usize = 6;
 /// How far the motion, or a part from it, may be off before anything is known, in pixels of the level.
 const PRIOR_PX: f64 = 1.0;
 /// The largest step of a round, in pixels of the level: the counts reach no farther.
 const LONGEST_STEP: f64 = 2.0;
-/// Times that the parts are weighed anew by how far they are from what all of them say.
+/// Times that the parts are weighed anew by their residuals.
 const REWEIGHTED: usize = 3;
 /// Displacements at which is counted, in pixels.
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
@@ -35,7 +35,7 @@ const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// What one kind of edge of one part has to say along one axis: `row` . parameters = `value`, in pixels, with variance 1 / `weight` if
+/// The observation of one kind of edge of one part along one axis: `row` . parameters = `value`, in pixels, with variance 1 / `weight` if
 /// every differing pixel were independent of the others.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
@@ -73,21 +73,21 @@ impl<'a> Descent<'a> {
         ((width * width + height * height) / 12.0).sqrt()
     }
 
-    /// The share that differs `right` and `down` of where the frame lies now; 1 where so little can be compared that it says nothing.
+    /// The share that differs `right` and `down` of where the frame lies now; 1 where too little can be compared.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
         let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
         if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
     }
 
-    /// The share that differs under `motion`; 1 where so little can be compared that it says nothing.
+    /// The share that differs under `motion`; 1 where too little can be compared.
     pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
         self.frame.warp_onto(motion, rounding, &mut self.warped);
         self.rate_beside(0, 0)
     }
 
     /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts and the angles that
-    /// move a pixel by half of one and by one, in turn. For small pictures, whose parts have too little to say each.
+    /// move a pixel by half of one and by one, in turn. For small pictures, whose parts have too few edges each.
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
@@ -163,7 +163,7 @@ impl<'a> Descent<'a> {
         if self.max_angle > 0.0 { RIGID } else { SHIFT }
     }
 
-    /// What the parts say of how far `motion` is off.
+    /// The parts' observations of the error of `motion`.
     ///
     /// Let a part have edges that are brighter on the right, of total height p, and others of total height q. With the frame t to the
     /// right of where it belongs, it is darker than the reference in p t pixels and brighter in q t; t to the left, the other way round.
@@ -266,7 +266,7 @@ impl Fit {
             }
         }
         let mut fit = Fit { best: Row::zeros(), covariance: Square::zeros() };
-        // Neighbouring pixels that differ are not independent: the residuals tell how many of them count as one.
+        // Neighbouring pixels that differ are not independent: the residuals give the number that counts as one.
         let mut noise: f64 = 1.0;
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);

@@ -1,10 +1,12 @@
-//! Median threshold bitmaps: the shift and the rotation between two exposures, from where they are brighter than their medians.
+//! Median threshold bitmaps: shift and rotation between two exposures, from the pixels that are brighter than the median.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, how far it may
-//! be off, and the share of pixels that still differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes
-//! on. Source: Ward 2003, section 2; a rotation beside the shift is the thesis's (chapter 4). From a coarsest level on which every shift
-//! and angle is tried a few candidates are followed by whole pixels; where the picture's parts have enough to say, the best goes down to
-//! the lowest point of the counts (`descent`).
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, its error estimate,
+//! and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes on.
+//! Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003,
+//! section 2; the rotation is the thesis's (chapter 4).
+//!
+//! On the coarsest level every shift and angle is tried. A few candidates are followed by whole pixels from level to level; where the parts of
+//! the picture have enough edges, the best one is refined to the minimum of the XOR counts (`descent`).
 
 pub mod bitmap;
 mod descent;
@@ -43,7 +45,7 @@ impl Default for MtbOptions {
     }
 }
 
-/// What the bitmaps say of two frames.
+/// The result of the bitmap search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.

@@ -1,8 +1,8 @@
-//! Whether a picture repeats itself: then a frame fits it in more than one place, and the first that fits need not be the right one.
+//! Detection of repeating pictures: a frame then matches in more than one place, and the first match need not be the right one.
 //!
 //! In: a grey pyramid. Out: yes or no. Cost: a few milliseconds: one packed comparison for every shift within reach, on a small level.
-//! Source: Ward's bitmaps (2003), of the picture against itself. Away from where it lies, a picture that does not repeat differs by
-//! about half its pixels, or by less and less towards there; a facade hardly differs at its period, and much half-way.
+//! Source: Ward's bitmaps (2003), of the picture against itself. A picture that does not repeat differs by about half its pixels under a shift,
+//! or by less and less towards none; a facade hardly differs at its period, and much half-way.
 
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::own_percentile;
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 const SIDE: usize = 256;
 /// At its period a picture differs by no more than this share of what it does on the way there.
 const ALIKE: f64 = 0.6;
-/// Shifts smaller than this are not told apart from none, in pixels of the level.
+/// Shifts smaller than this are not distinguished from none, in pixels of the level.
 const LEAST: i64 = 5;
 /// Where the picture differs from itself by less than this on the way, it is plain rather than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;

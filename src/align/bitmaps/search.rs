@@ -160,7 +160,7 @@ impl BitmapPair {
         })
     }
 
-    /// The motion at full size from `found` at `level`, or none at all where that cannot be told from it.
+    /// The motion at full size from `found` at `level`, or none at all if that is within the error.
     fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
         let here = &self.reference.threshold;
@@ -196,7 +196,7 @@ const SIGNIFICANT: f64 = 2.0;
 /// Short side of the level on which alternatives are sought, in pixels: fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second. Rivals of a picture of 4:1 take
+/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second. Alternatives of a picture of 4:1 take
 /// as many, all others fewer.
 const MOST_WORK: i64 = 1 << 29;
 /// To begin a row takes as long as so many words.

@@ -1,9 +1,10 @@
-//! Where a picture is cut into dark and bright: the threshold, the zone about it that does not count, and both matched between exposures.
+//! The threshold of a bitmap, its exclusion zone, and both matched between two exposures.
 //!
-//! In: grey planes. Out: [`Histogram`], [`Percentile`], [`Zone`]. Cost: a count of at most about a million pixels. Source: Ward 2003,
-//! section 2 (median, 17th and 83rd percentile; exclusion of 4 grey levels). That both frames are cut at the same radiance, as the ranks
-//! of their pixels tell, is ours: a zone of 4 levels is some stops in a dark frame and a fraction of one in a bright one, the median
-//! itself goes with what is in the picture, and where the picture is smooth either would move its contours.
+//! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward 2003, section 2 (median,
+//! 17th and 83rd percentile; exclusion of 4 grey values).
+//!
+//! Both frames are cut at the same radiance, found by the ranks of their pixels; that is ours. A zone of 4 grey values is some stops in a dark
+//! frame and a fraction of one in a bright one, the median depends on what is in the picture, and on smooth surfaces either moves the contours.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
@@ -14,10 +15,10 @@ fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
-/// A bitmap with a smaller share of its pixels on one side says too little: half of what Ward's outer percentiles can give.
+/// A bitmap with a smaller share of its pixels on one side has too little structure: half of what Ward's outer percentiles can give.
 const LEAST_BALANCE: f64 = 0.085;
 
-/// The percentile at which both frames have something to say: the median unless it is too extreme in either, else of every fifth the one
+/// The percentile at which both bitmaps have structure: the median unless it is too extreme in either, else of every fifth the one
 /// that parts both best.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
@@ -31,7 +32,7 @@ pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percent
     Percentile::others().fold(Percentile::MEDIAN, better)
 }
 
-/// The percentile at which one frame by itself has something to say.
+/// The percentile at which the bitmap of one frame has structure.
 pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
     common_percentile(histogram, histogram, exclusion)
 }

@@ -1,8 +1,8 @@
-//! Bitmaps warped on another picture's grid by a shift and a rotation.
+//! Bitmaps warped to another picture's grid by a shift and a rotation.
 //!
-//! In: a frame's bitmaps and a [`Motion`]. Out: what the reference's grid sees of them, after which every comparison near by is one under a
-//! shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each. Nothing is allocated. Source: the thesis turns the picture pixel by
-//! pixel (chapter 4); that a turned row is pieces of rows is ours.
+//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, so that every comparison near by is one under a shift.
+//! Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each; nothing is allocated. Source: the thesis rotates the picture pixel by pixel
+//! (chapter 4); the decomposition of a rotated row into pieces of rows is ours.
 
 use crate::align::bitmaps::ThresholdBitmaps;
 use crate::align::bitmaps::bitmap::bits_from;
@@ -107,8 +107,8 @@ impl PixelMap {
 }
 
 impl ThresholdBitmaps {
-    /// These bitmaps as the grid of `onto` sees them, which is of the same size: pixel (x, y) of `onto` becomes the pixel to which
-    /// `motion` takes (x, y), rounded as `rounding` says; where there is none it does not count.
+    /// These bitmaps warped to the grid of `onto`, which is of the same size: pixel (x, y) of `onto` becomes the pixel to which
+    /// `motion` takes (x, y), rounded by `rounding`; where there is none it does not count.
     ///
     /// Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels; each piece between is a packed shift.
     ///

@@ -1,14 +1,14 @@
-//! What the robust estimators have in common: their options, the draws of their trials, and the pairs that agree with a homography.
+//! What the robust estimators share: options, the draws of their trials, and the pairs that agree with a homography.
 //!
-//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Source: Fischler & Bolles, CACM 24(6), 1981.
+//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: that of a fit for each draw. Source: Fischler & Bolles, CACM 24(6), 1981.
 //!
-//! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
+//! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*): the result is the same on any machine.
 
 use crate::align::features::homography::{PointPair, fit};
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 
-/// When to believe a homography.
+/// Options of the robust estimators.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RansacOptions {
     /// Largest distance of an inlier from where the homography puts it, in pixels.

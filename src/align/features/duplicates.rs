@@ -1,6 +1,6 @@
-//! Keypoints and matches that several pictures of one frame have, counted once.
+//! Keypoints and matches that several pictures of one frame have in common, counted once.
 //!
-//! In: keypoints. Out: which of them lie at one place and are of like scale. Cost: a look-up in a map of squares for each.
+//! In: keypoints. Out: which of them lie at one place and are of similar scale. Cost: a look-up in a map of squares for each.
 
 use crate::align::features::keypoint::Keypoint;
 use std::collections::BTreeMap;

@@ -1,6 +1,6 @@
-//! Keypoints and their descriptors.
+//! Keypoints and descriptors.
 //!
-//! Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004.
+//! In and out: the types that detection gives and matching takes. Source: Lowe 2004 (see [`features`](crate::align::features)).
 
 /// A point that can be found again.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,11 +1,12 @@
-//! LMedS: the homography that half of the matches fit best.
+//! LMedS: the homography with the least median of squared distances.
 //!
-//! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs for each
-//! of a number of trials that follows from theirs: for a confidence of 0.9999 some 140, several times that for fewer than ten. Source: Rousseeuw, "Least Median of Squares Regression", JASA 79(388),
-//! 1984; the scale from the median and the refit are Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987, chapter 5).
+//! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a trial; for a
+//! confidence of 0.9999 some 140 trials, several times that for fewer than ten pairs. Source: Rousseeuw, "Least Median of Squares Regression",
+//! JASA 79(388), 1984; the scale from the median and the refit are Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987,
+//! chapter 5).
 //!
-//! Beside RANSAC it needs no threshold to tell right from wrong, as the median itself says how far right ones scatter; but where more
-//! than half are wrong it has nothing to say. The draws are those of [`ransac`](crate::align::features::ransac).
+//! Unlike RANSAC it needs no threshold, as the median itself measures the scatter of the inliers; with more than half of the pairs wrong it
+//! finds nothing.
 
 use crate::align::features::consensus::{guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};
@@ -21,13 +22,13 @@ const MOST_THRESHOLDS: f64 = 2.0;
 /// Refits at the most; mostly two are enough.
 const MOST_REFITS: usize = 10;
 
-/// The homography with the least median of squared distances, fitted once more to those that the median speaks for; none where more than
+/// The homography with the least median of squared distances, refitted to its inliers; none where more than
 /// half of the pairs are wrong. Of `options` the threshold only says when that is so; it bounds no pair by itself.
 pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 5 {
         return None;
     }
-    // The least majority: fewer right pairs the median cannot bear.
+    // The least majority: with fewer right pairs the median fails.
     let trials = trials_for(pairs.len() / 2 + 1, pairs.len(), options);
     let (median, mut h) = (0..trials)
         .filter_map(|trial| {

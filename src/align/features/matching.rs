@@ -1,9 +1,9 @@
-//! Features: keypoints with descriptors, told apart and matched.
+//! Matching of descriptors.
 //!
-//! In: the [`Features`] of two pictures. Out: [`Match`]es that are each other's best and if_unambiguous better than the second best.
-//! Cost: 128 multiply-adds for every pair of keypoints that may match: about one pair in ten, as a camera that is held in hands turns
-//! and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive Image Features from
-//! Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest to the second nearest).
+//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test. Cost: 128 multiply-adds
+//! for every pair of keypoints that may match: about one pair in ten, as a hand-held camera rotates and zooms little, and what is brighter than
+//! its surroundings is so at any exposure. Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004,
+//! section 7.1 (the ratio of the nearest to the second nearest).
 
 use crate::align::features::{Descriptor, Features, Keypoint};
 use crate::align::transform::map;
@@ -190,7 +190,7 @@ fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
     sums.iter().sum()
 }
 
-/// The search for the nearest of the frame's points to one of the reference's; each that is considered hears of it as well.
+/// The search for the nearest of the frame's points to one of the reference's; updates the nearest reference point of each as well.
 struct Nearest<'a> {
     point: u32,
     descriptor: &'a WideDescriptor,

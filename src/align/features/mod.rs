@@ -1,14 +1,12 @@
-//! The features of a frame, of two kinds: of the plain picture, and of its threshold bitmaps; and the motion between two frames on which
-//! both kinds agree.
+//! Features: keypoints of the grey picture and of its threshold bitmaps, and the homography on which their matches agree.
 //!
-//! In: grey pyramids. Out: [`FeatureSets`], and of two of them a [`Consensus`]. Cost: a run of [`sift`] over the level on which features
-//! are sought, one over a quarter of its samples for each bitmap; for a pair of frames three tables of matches, two of them guided, and
-//! [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (keypoints of the median threshold bitmap are many where the plain picture is
-//! dark or bright and has few; both together are always enough).
+//! In: grey pyramids. Out: [`FeatureSets`], and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level on which features are
+//! detected, one over a quarter of its samples for each bitmap; for a pair of frames three tables of matches, two of them guided, and
+//! [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold bitmap has many keypoints where the grey picture is dark or
+//! bright and has few; both together are always enough).
 //!
-//! One bitmap has edges at one grey level, and in a dark frame it may lie where there is only noise. There are seven, at fixed
-//! percentiles, Ward's three among them: whatever the exposures, two frames have some in common that say something in both, and as each
-//! is matched with its like alone, no match can join two that cannot be the same.
+//! One bitmap has edges at one grey value, and in a dark frame that may lie within the noise. There are seven bitmaps, at fixed percentiles,
+//! Ward's three among them: whatever the exposures, some of them have structure in both frames. Each is matched only with its counterpart.
 
 mod consensus;
 mod duplicates;
@@ -29,7 +27,7 @@ pub use keypoint::{Descriptor, Features, Keypoint};
 pub use matching::{Guide, Match, match_mutual};
 pub use sift::SiftOptions;
 
-/// How the matches that agree on a motion are told from the wrong ones.
+/// Robust estimator for feature matches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RobustMethod {

@@ -1,10 +1,8 @@
-//! RANSAC: the homography that most matches agree on.
+//! RANSAC: the homography on which most matches agree.
 //!
 //! In: pairs of points, many of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a trial; the number
 //! of trials follows the best share of inliers so far. Source: Fischler & Bolles, CACM 24(6), 1981; scored by the truncated sum of Torr &
-//! Zisserman (MSAC, CVIU 78, 2000), refitted on the inliers whenever the best is bettered (Chum, Matas & Kittler, DAGM 2003).
-//!
-//! Trial *i* draws its four pairs from a generator that is a function of the seed and *i* alone: the result is the same on any machine.
+//! Zisserman (MSAC, CVIU 78, 2000), refitted on the inliers after every improvement (Chum, Matas & Kittler, DAGM 2003).
 
 use crate::align::features::consensus::{distance_squared, guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};

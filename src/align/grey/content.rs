@@ -1,6 +1,6 @@
-//! Frames as they are looked at: how bright, how much they show, and in which order they were taken.
+//! How bright a frame is, and how much of it shows more than black or white.
 //!
-//! In: a bracket. Out: for each frame what is [seen](Content) of it at a glance, its grey pyramid, and its turn. Cost: that of the pyramid.
+//! In: a frame. Out: its [`Content`] and its grey pyramid. Cost: that of the pyramid.
 
 use crate::align::grey::{GreyPyramid, Histogram, Percentile};
 use crate::bracket::{Frame, Window};

@@ -27,7 +27,7 @@ impl Percentile {
         self.0
     }
 
-    /// Those that may part two frames in one of which the median is black or burnt out.
+    /// Those that may part two frames in one of which the median is black or clipped.
     pub(crate) fn others() -> impl Iterator<Item = Percentile> {
         (1..=19).map(|i| Percentile(5 * i))
     }

@@ -1,7 +1,7 @@
-//! The grey pyramid of a frame: what every method of this stage measures on.
+//! The grey pyramid of a frame.
 //!
-//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, and the histogram of each. Cost: a mean of four pixels
-//! for each of the halves.
+//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with the histogram of each. Cost: one mean of four
+//! pixels for each pixel of the smaller levels.
 
 use crate::align::grey::histogram::Histogram;
 use crate::budget::Demand;
@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 /// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
 pub(crate) const COARSEST: usize = 32;
 
-/// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted when it is first asked for.
+/// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted on first use.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
     size: (usize, usize),
@@ -28,7 +28,7 @@ impl GreyPyramid {
     }
 
     /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is searched, only two rows
-    /// of it are ever there, and level 0 cannot be asked for.
+    /// of it are ever there, and level 0 is not available.
     pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {

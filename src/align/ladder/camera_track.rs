@@ -1,24 +1,24 @@
-//! Assumed places: where a frame lies that shows too little to be aligned, as far as the other frames tell it.
+//! The camera's track over time: the transform at the time of a frame that shows too little to be aligned, with a bound of its error.
 //!
-//! In: where the placed frames lie, and in which order all were taken. Out: for another frame its place and the error that 19 of 20 such
-//! places keep. Cost: none to speak of.
+//! In: the transforms of the aligned frames, and when each frame was taken. Out: for another time the transform, and the error that 19 of 20
+//! such transforms keep. Cost: negligible.
 //!
-//! Between two photographs the camera wanders by a random walk in the picture's plane: the step from frame to frame is normal, both ways alike,
-//! with a variance that is not known beforehand and grows with the time between them. A frame between two others then lies most likely on the line
-//! between them, in proportion to the turns; one before the first or after the last where that lies. With K steps seen, the square of how far it
-//! lies from there, over that which the steps lead to expect, has the F distribution of 2 and 2 K degrees of freedom (the steps tell the
-//! variance by two numbers each): Fisher 1925. Its quantiles have a closed form. A tripod's frames do not move, so that its steps are
-//! 0 but for what cannot be told; those of hands that shift the camera by many pixels lead to an error that no merge can use.
+//! Between two photographs a hand-held camera drifts by a random walk in the picture's plane: the step from frame to frame is normal and
+//! isotropic, with an unknown variance that grows with the time between them. A frame between two others then lies most likely on the line
+//! between them, in proportion to the times; one before the first or after the last where that lies. With K steps observed, the square of the
+//! distance from there, over its expectation from the steps, has the F distribution of 2 and 2 K degrees of freedom (each step gives two
+//! components): Fisher 1925. Its quantiles have a closed form. A tripod's frames do not move, so that their steps are 0 but for the measurement
+//! error; steps of many pixels lead to an error that no merge can use.
 //!
-//! Frames of a camera that shakes about one place, or that were scanned, do not wander: each lies about the mean of all, and as far from it at any turn.
-//! Where that makes what is seen of them more likely by so much that a random walk would look like it by chance of 1 in 20 at most (20 is
-//! the Bayes factor that Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
+//! Frames of a camera that shakes about one place, or that were scanned, do not drift: each is scattered about the mean of all, independent
+//! of time. Where that makes the observed transforms more likely by a Bayes factor of at least 20 (which Kass & Raftery 1995 call strong), the
+//! mean is taken, with the scatter about it.
 
 use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Transform, distance};
 use crate::bracket::Bracket;
 
-/// The turn of each frame of `bracket`: when it was taken, in seconds by the camera's clock, where all frames have that to fractions of a second;
+/// The capture time of each frame of `bracket`, in seconds by the camera's clock, where all frames have that to fractions of a second;
 /// where the clock is coarser, its position in the order in which they were taken, names deciding between equal times; without a clock, its
 /// position by rising exposure.
 pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
@@ -46,7 +46,7 @@ const WORSE: f64 = 0.05;
 /// A frame whose place is known.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KnownTransform {
-    /// When it was taken: seconds, or its turn among all frames.
+    /// When it was taken: in seconds, or its position among all frames.
     pub(crate) time: f64,
     /// Its place.
     pub(crate) transform: Transform,
@@ -54,7 +54,7 @@ pub(crate) struct KnownTransform {
     pub(crate) error_px: f64,
 }
 
-/// Where a frame lies that was not seen.
+/// The transform of a frame that shows too little.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct InferredTransform {
     /// Its place.
@@ -70,20 +70,20 @@ impl InferredTransform {
     }
 }
 
-/// Where the camera was at each turn, as far as that is known.
+/// The camera's transform at each time at which it is known.
 #[derive(Debug, Clone)]
 pub(crate) struct CameraTrack {
     size: (usize, usize),
-    /// By turn.
+    /// By time.
     known: Vec<KnownTransform>,
-    /// The variance of a step of one turn, both ways together, in pixels^2.
+    /// The variance of a step of one unit of time, both axes together, in pixels^2.
     variance: f64,
-    /// The place about which the camera shook, and the variance about that, where it did.
+    /// The mean transform and the variance about it, for a camera that shakes about one place.
     scatter_about: Option<(Transform, f64)>,
 }
 
 impl CameraTrack {
-    /// The track through `known`, the frames of which are of `size`; none through a single place, which tells no step.
+    /// The track through `known`, the frames of which are of `size`; none through a single transform, which has no step.
     pub(crate) fn new(mut known: Vec<KnownTransform>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.time.total_cmp(&b.time));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
@@ -93,7 +93,7 @@ impl CameraTrack {
         Some(track)
     }
 
-    /// The square of each step in pixels^2, and the turns that it took.
+    /// The square of each step in pixels^2, and the time that it took.
     fn steps(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let step =
             |pair: &[KnownTransform]| (self.far(&pair[0].transform, &pair[1].transform), pair[1].time - pair[0].time);
@@ -129,7 +129,7 @@ impl CameraTrack {
         self.known.iter().all(|k| k.transform == self.known[0].transform)
     }
 
-    /// Where the frame lies that was taken at `turn`.
+    /// The transform of the frame that was taken at `time`.
     pub(crate) fn at(&self, time: f64) -> InferredTransform {
         let steps = self.known.len() - 1;
         if let Some((transform, scatter)) = self.scatter_about {

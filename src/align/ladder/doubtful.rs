@@ -1,6 +1,6 @@
-//! A frame that the bitmaps alone did not settle: compared with a neighbour in exposure too, by features, by the bitmaps' other minima.
+//! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the bitmaps' other minima.
 //!
-//! In: what is known of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times that of a frame that
+//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times that of a frame that
 //! the bitmaps settle.
 
 use crate::align::grey::GreyPyramid;
@@ -24,14 +24,14 @@ use crate::align::result::Verdict;
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
 
-/// Bitmaps and features that lead to places no farther apart bear each other out, in pixels of the full size for each 1000 of the
-/// diagonal.
+/// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full size for each 1000
+/// of the diagonal.
 const CORROBORATED: f64 = 2.0;
 
-/// Places up to so many times as far apart are one, known less well; others are rivals.
+/// Transforms up to this many times as far apart are the same, known less well; others are alternatives.
 const SAME_APART: f64 = 3.0;
 
-/// What a frame is held against: the reference, or a neighbour laid on its grid.
+/// What a frame is aligned to: the reference, or a neighbour warped to its grid.
 pub(crate) struct Target<'a> {
     pub(crate) pyramid: Cow<'a, GreyPyramid>,
     /// How far the neighbour itself may be off, in pixels.
@@ -41,12 +41,12 @@ pub(crate) struct Target<'a> {
 }
 
 impl Target<'_> {
-    /// `frame` held against this base, in which it lies about as `start` says.
+    /// `frame` and this target, which `start` aligns approximately.
     fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Transform) -> FramePair<'b> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
-    /// What was found against this base, with the base's own error and doubt.
+    /// A candidate that was found against this target, with the target's own error and reliability.
     fn discount(&self, candidate: Candidate) -> Candidate {
         let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
         Candidate { error_px, reliability: candidate.reliability * self.confidence, ..candidate }

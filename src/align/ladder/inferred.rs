@@ -1,11 +1,12 @@
-//! What the other frames of a bracket tell of the place of one.
+//! Transforms inferred from the other frames of a bracket, for frames that show too little.
 //!
-//! In: the verdicts that the frames have by themselves. Out: those of frames that say little, by what the camera did as the others were taken.
-//! Cost: that of holding each such frame against the reference once more, and against its neighbour in exposure on a grid of some ten thousand
-//! places.
+//! In: the verdicts on the frames by themselves. Out: those on frames with little detail, by what the camera did while the others were taken.
+//! Cost: that of comparing each such frame with the reference once more, and with its neighbour in exposure on a grid of some ten thousand
+//! samples.
 //!
-//! A frame in which nearly all is black, or white, has little to be aligned by, and is often the one that matters: it holds the lamps. Where the
-//! others stood still, or moved by little from one to the next, its place is known from theirs ([`assumed`](crate::align::ladder::camera_track)).
+//! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds the lamps. Where the
+//! camera stood still for the others, or moved little from one to the next, its transform follows from theirs
+//! ([`camera_track`](crate::align::ladder::camera_track)).
 
 use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
@@ -15,11 +16,11 @@ use crate::align::ladder::selection::{DECISIVE, FeatureCounts, aligned_verdict};
 use crate::align::result::{Status, Verdict};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
-/// Confidence in a frame whose place the others tell without any error; it falls with what error they leave.
+/// Confidence in a transform that is inferred from other frames without error; it falls with the expected error.
 pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
-/// Frames that moved by no more than this stood still, in pixels: scans and settling tripods do so much.
+/// Frames that moved by no more than this are static, in pixels: scans and settling tripods move by as much.
 const STATIC_PX: f64 = 1.0;
-/// With less confidence a frame's place tells nothing of others'.
+/// Least confidence of a frame from which others are inferred.
 const LEAST_CONFIDENCE: f64 = 0.5;
 /// An assumed place is merged by where its expected error is no more than so many times that at which a place is half as good: in what it fills
 /// ([`Status::Assumed`]) an error displaces, and cannot smear.
@@ -32,12 +33,12 @@ const LITTLE_DETAIL: f64 = 0.25;
 const IN_ORDER: f64 = 0.75;
 /// Places that are looked at along the longer side.
 const GRID: usize = 256;
-/// Fewer that show something say nothing.
+/// Fewest samples on either side for a result.
 const LEAST_SAMPLES: u64 = 16;
 
 impl Search<'_> {
-    /// Frames that show little and are said to have moved though most frames stand exactly still are unmoved, unless their tiles are decidedly for the
-    /// motion: what little there is, is easily led astray by a pixel.
+    /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to unmoved, unless their tiles
+    /// are decidedly for the motion: little detail is easily misaligned by a pixel.
     pub(crate) fn keep_static_frames_static(&self, verdicts: &mut [Verdict]) {
         let still = |v: &&Verdict| v.transform == Some(Transform::Identity) && v.confidence >= LEAST_CONFIDENCE;
         let sure = verdicts.iter().filter(|v| v.transform.is_some() && v.confidence >= LEAST_CONFIDENCE).count();
@@ -50,7 +51,7 @@ impl Search<'_> {
                 && self.contents[i].detail.share <= LITTLE_DETAIL;
             let Some(transform) = verdict.transform.filter(|_| is_open) else { continue };
             let (here, there) = (self.evaluate(i, Transform::Identity), self.evaluate(i, transform));
-            if there.check_tiles.evidence_over(&here.check_tiles) <= DECISIVE {
+            if there.tiles.evidence_over(&here.tiles) <= DECISIVE {
                 *verdict = unmoved(&here, verdict, here.error_px);
             }
         }
@@ -76,7 +77,7 @@ impl Search<'_> {
         }
     }
 
-    /// The frames whose place tells that of others.
+    /// The transforms from which others are inferred.
     pub(crate) fn known(&self, verdicts: &[Verdict]) -> Vec<KnownTransform> {
         let known = |(i, v): (usize, &Verdict)| {
             let transform = v.transform.filter(|_| v.confidence >= LEAST_CONFIDENCE)?;
@@ -85,7 +86,7 @@ impl Search<'_> {
         verdicts.iter().enumerate().filter_map(known).collect()
     }
 
-    /// The frames that are nearly black or white get the places that the `known` ones let expect, where these tell them well enough to merge by.
+    /// Frames that are nearly black or white get the transform that the `known` ones predict, where its error is small enough to merge.
     pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, verdicts: &mut [Verdict]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };
@@ -141,7 +142,7 @@ fn brightness_order(base: &GreyPyramid, frame: &GreyPyramid, place: &InferredTra
     let h = on_level(&place.transform.matrix(size.0, size.1), level);
     let (base, frame) = (base.level(level), frame.level(level));
     let step = width.max(height).div_ceil(GRID);
-    // By the base's level, where the frame shows nothing and where it shows something.
+    // By the target's grey value, where the frame shows nothing and where it shows something.
     let mut counts = [[0u64; 2]; 256];
     for y in (0..height).step_by(step) {
         for x in (0..width).step_by(step) {

@@ -1,7 +1,12 @@
-//! The search for the place of every frame of a bracket, in the order from cheap to dear.
+//! The ladder: the order of the methods, from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids. Out: a [`Verdict`] for each frame. Cost: for a frame that settles at once that of [`by_bitmaps`]; for
-//! one in doubt some times as much.
+//! In: the grey pyramids of a bracket. Out: a [`Verdict`] for each frame. Cost: for a frame that the bitmaps settle that of [`by_bitmaps`]; for
+//! a difficult one some times as much.
+//!
+//! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not settle it, it is also
+//! compared with its nearest aligned neighbour in exposure, by features, and from the other minima of the bitmaps (`doubtful`); `selection`
+//! chooses among the candidates and `reduction` the smallest sufficient model. Frames with too little detail get the transform that the other
+//! frames suggest (`inferred`, `camera_track`).
 
 mod camera_track;
 mod candidate;
@@ -37,9 +42,9 @@ const LEAST_INLIERS: usize = 10;
 pub(crate) struct Search<'a> {
     /// The frames' grey pyramids.
     pub(crate) pyramids: &'a [GreyPyramid],
-    /// ... and the whole pictures, which are made when they are asked for.
+    /// ... and the whole pictures, computed on demand.
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
-    /// What each frame shows.
+    /// The content of each frame.
     pub(crate) contents: &'a [Content],
     /// When each was taken: seconds, or its position in the order of all.
     pub(crate) capture_times: &'a [f64],
@@ -55,17 +60,17 @@ pub(crate) struct Search<'a> {
     pub(crate) options: &'a AlignOptions,
 }
 
-/// What came of holding a frame against the reference.
+/// The result of comparing a frame with the reference by bitmaps alone.
 enum FirstResult {
-    /// It lies so.
+    /// Final.
     Settled(Verdict),
-    /// It may lie so, if anywhere.
+    /// The best candidate so far, if any.
     Doubtful(Option<Candidate>),
 }
 
-/// What is known of the reference, for all frames in doubt.
+/// What unsettled frames need of the reference.
 struct ReferenceFeatures {
-    /// Its features; none where no frame is in doubt.
+    /// Its features; none if every frame is settled.
     features: Option<FeatureSets>,
     /// Whether it repeats itself.
     repeats: bool,
@@ -77,7 +82,7 @@ impl Search<'_> {
         self.each(|i| {
             let found = bitmaps::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
             let checked = self.evaluate(i, found.transform());
-            // Each sees errors that the other does not.
+            // Each measures errors that the other does not.
             aligned_verdict(
                 &Candidate { error_px: checked.error_px.max(found.error_px), ..checked },
                 FeatureCounts::default(),
@@ -209,8 +214,8 @@ impl Search<'_> {
 }
 
 impl Search<'_> {
-    /// Where no frame shows anything, none of them can be placed, nor need it be: a black picture lies right anywhere. Nor can frames that are
-    /// smaller than any level that is searched. That another place would not do as well is not known, so there is no confidence in this one.
+    /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can frames that are
+    /// smaller than any level that is searched. Nothing excludes another transform, so the confidence is 0.
     fn leave_uniform_frames_unmoved(&self, verdicts: &mut [Verdict]) {
         let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
         if others().any(|v| v.transform.is_some()) {
@@ -243,7 +248,7 @@ pub(crate) fn search(
     let (contents, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let capture_times = capture_times(bracket);
     let is_uniform = contents.iter().all(|s| s.is_uniform);
-    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
+    // The search reads a whole picture now and then, deep inside; if one cannot be read, the result is discarded.
     let failed = Mutex::new(None);
     let grey = |i: usize| {
         bracket.frames()[i].greys(contents[i].brightening_stops).unwrap_or_else(|error| {

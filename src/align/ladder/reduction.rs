@@ -18,11 +18,11 @@ const MOST_EXCESS: f64 = 5.0;
 /// A frame whose transform is no more than this is unmoved: resampling would cost more than it mends, in pixels.
 pub(crate) const UNMOVED_PX: f64 = 0.2;
 
-/// The smallest model that explains the motion as well as `whole` does, within what the pixels can tell.
+/// The smallest model that explains the motion as well as `whole` does, within the error of the pixels.
 pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     let (width, height) = pair.size();
     let level = measured_level(pair.reference());
-    // Tiles cannot tell apart what lies nearer than this.
+    // Tiles cannot distinguish transforms that are closer than this.
     let alike_px = ALIKE * level_to_full(level)[(0, 0)];
     let checked = |transform: Transform, noise_px: f64, apart: f64| {
         if apart > alike_px {
@@ -45,7 +45,7 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     }
     let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {
-        // The nearest by far is cheap to tell; the best is what counts.
+        // A model that is hopelessly far is cheap to exclude; the fitted one decides.
         let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
         if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(whole.error_px) {
             continue;
@@ -55,7 +55,7 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.transform, &smaller.transform, width, height);
         if apart <= SAME_PX.max(whole.error_px) {
-            // What the whole could not tell from this, this cannot either.
+            // The error of the larger model bounds that of the smaller one.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
             let candidate = checked(smaller.transform, noise_px, apart);
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
@@ -68,5 +68,5 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     whole
 }
 
-/// What tiles can tell apart, in pixels of the level on which they are measured.
+/// The least distance that tiles distinguish, in pixels of the level on which they are measured.
 const ALIKE: f64 = 0.1;

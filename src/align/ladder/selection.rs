@@ -1,18 +1,18 @@
 //! Selection among the candidates of a frame, and the verdict that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner with its confidence, or none; the [`Verdict`]. Cost: negligible. A pure function of the candidates.
+//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Verdict`]. Cost: negligible. A pure function of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::result::{KeypointCounts, Status, Verdict};
 use crate::align::transform::Model;
 
-/// A candidate with less confidence is no place at all, unless nearly all that speaks speaks for it.
+/// Least confidence of an accepted candidate, unless nearly all tiles agree with it.
 const LEAST_CONFIDENCE: f64 = 0.35;
 
-/// Tiles that must speak for it then. A frame of which little is neither black nor burnt out is often the one that matters.
+/// Fewest agreeing tiles then. A frame of which little is neither black nor clipped is often the one that matters.
 const LEAST_AGREEING: usize = 3;
 
-/// With less trust in a place no number of tiles makes it one.
+/// Least reliability of an accepted candidate, whatever the number of its tiles.
 const LEAST_RELIABILITY: f64 = 0.25;
 
 /// What features found for a frame.
@@ -30,7 +30,7 @@ pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
         || (unopposed && candidate.reliability >= LEAST_RELIABILITY && candidate.error_px < candidate.tolerance_px)
 }
 
-/// The places that were found for a frame, and the base against which each was.
+/// The candidates of a frame, each with the index of the target that it was found against.
 #[derive(Default)]
 pub(super) struct Candidates(Vec<(usize, Candidate)>);
 
@@ -39,7 +39,7 @@ impl Candidates {
         self.0.extend(candidate.map(|c| (base, c)));
     }
 
-    /// The one for which most speaks; of nearly equals the first, which was had more directly.
+    /// The one with the most evidence; of nearly equals the first, which was found more directly.
     pub(super) fn best(&self) -> Option<(usize, &Candidate)> {
         self.0
             .iter()
@@ -47,7 +47,7 @@ impl Candidates {
             .reduce(|best, other| if other.1.evidence() > best.1.evidence() * 1.01 + 0.5 { other } else { best })
     }
 
-    /// Marks the best as led to by features as well, if it is what they `found`.
+    /// Marks the best as corroborated by features, if `found` holds for it.
     pub(super) fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
         let best = self.best().map(|(_, c)| c.transform);
         let mut any = false;
@@ -58,15 +58,15 @@ impl Candidates {
         any
     }
 
-    /// The best; or, where another held against the same base, for which nearly as much speaks, has decidedly more of the tiles on its
-    /// side that speak under both, the one that comes off best against all others. (Under a shift by a facade's period other tiles lie
-    /// outside the frame, and say nothing.)
+    /// The best; or, if another one against the same target with comparable evidence is decidedly better on the tiles that are decided under
+    /// both, the one whose worst comparison with all others is best. (Under a shift by a facade's period other tiles are outside the frame, and
+    /// undecided.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (base, best) = self.best()?;
         let contenders = self.alternatives(base, best, |_| true);
         let worst_lead = |c: &Candidate| {
             let others = contenders.iter().filter(|o| !alike(o, c));
-            others.map(|o| c.check_tiles.evidence_over(&o.check_tiles)).fold(f64::INFINITY, f64::min)
+            others.map(|o| c.tiles.evidence_over(&o.tiles)).fold(f64::INFINITY, f64::min)
         };
         if worst_lead(best) >= -DECISIVE {
             return Some((base, best));
@@ -76,28 +76,26 @@ impl Candidates {
         Some((base, winner.1))
     }
 
-    /// Those held against the same base as `best` for which nearly as much speaks, and which are what `is_other` asks for; `best` itself
-    /// may be.
+    /// Those against the same target with comparable evidence for which `is_other` holds; `best` itself may be one.
     fn alternatives(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = COMPARABLE_EVIDENCE * best.evidence();
         let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
         same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
     }
 
-    /// 1 where nothing rivals `best`; half where one of the `others` does so that the tiles that speak under both are for `best` by no
-    /// more than [`DECISIVE`].
+    /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer `best` to one of the `others`
+    /// by no more than [`DECISIVE`].
     pub(super) fn uniqueness(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
-        let leads =
-            self.alternatives(base, best, others).into_iter().map(|c| best.check_tiles.evidence_over(&c.check_tiles));
+        let leads = self.alternatives(base, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
         if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
     }
 }
 
-/// A candidate rivals another where so many times as much speaks for it.
+/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it.
 const COMPARABLE_EVIDENCE: f64 = 0.4;
 
-/// Fewer nats leave it undecided which is right.
+/// Evidence for one candidate over another from which the choice is decided, in nats.
 pub(crate) const DECISIVE: f64 = 2.0;
 
 pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {

@@ -1,7 +1,7 @@
-//! Candidates from the starts of each method: from the bitmaps, from their other minima, or from any transform; refined, then checked.
+//! Candidates from the start of each method: the bitmaps, their other minima, or any given transform; each refined, then checked.
 //!
-//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: a [`Candidate`] with its agreement, or none. Cost:
-//! that of [`refine`] and of the check for each start.
+//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of [`refine`] and
+//! of the check for each start.
 
 use crate::align::agreement::TileFit;
 use crate::align::bitmaps;
@@ -16,13 +16,13 @@ use crate::plane::Plane;
 /// Levels above that of agreement from which refinement starts: a transform that is off by 4 px is off by one there.
 const CAPTURE_LEVELS: usize = 2;
 
-/// The frame whose grey picture is `grey` on the reference's grid, that lies in it by `transform`; its border goes on where it does not reach.
+/// The pyramid of `grey`, warped to the reference's grid by `transform`; the border pixel is repeated beyond the border.
 pub(crate) fn warped_to_reference(grey: &Plane<u8>, transform: &Transform) -> GreyPyramid {
     let rows = BilinearRows::new(grey, transform);
     GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| rows.row(y, row))
 }
 
-/// What the bitmaps lead to, and the comparison that it was had from.
+/// The candidate of the bitmaps, and the pair that it was refined on.
 pub(crate) fn by_bitmaps<'a>(
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
@@ -34,7 +34,7 @@ pub(crate) fn by_bitmaps<'a>(
     (pair, candidate)
 }
 
-/// What the bitmaps' other minima lead to: the best few refined to the end, then the others as far as they were followed.
+/// Candidates of the bitmaps' other minima: the best few refined to the end, then the others as far as they were followed.
 pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> =
@@ -52,12 +52,12 @@ pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions
     refined.into_iter().chain(rough).collect()
 }
 
-/// Rivals that are looked at.
+/// Most alternatives that are evaluated.
 const MOST_ALTERNATIVES: usize = 8;
 /// ... and of these refined to the end.
 const REFINED_ALTERNATIVES: usize = 2;
 
-/// Refines `start` as a homography, from `capture` levels above that of agreement, and asks the tiles; follows them where they see it off.
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; follows the tiles where they measure a displacement.
 pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
     // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
@@ -69,7 +69,7 @@ pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> O
     Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
 
-/// Where the tiles take `from`, if they see it off by more than they can err, and agree better there.
+/// The transform that the tiles fit, if it differs from `from` significantly and they agree better there.
 fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Option<Candidate> {
     let level = measured_level(pair.reference());
     let mut best = None;
@@ -85,7 +85,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
         let before = best.as_ref().unwrap_or(from);
         // Further on than before, by the tiles' own account and by that of their correlations.
         let nearer = next_fit.as_ref().is_some_and(|next| next.moved < tiles.moved);
-        if !nearer || next.check_tiles.evidence_over(&before.check_tiles) < 0.0 {
+        if !nearer || next.tiles.evidence_over(&before.tiles) < 0.0 {
             break;
         }
         fit = next_fit;
@@ -96,7 +96,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
 
 /// Steps that the tiles may take.
 const TILE_STEPS: usize = 5;
-/// They are followed where they see a transform off by so many times what they can err ([`TileFit::surprise`]),
+/// The tiles are followed where they measure a displacement of so many times their error ([`TileFit::surprise`]),
 const LEAST_SIGNIFICANCE: f64 = 2.0;
 /// ... and by more than this, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;

@@ -64,7 +64,7 @@ impl IntensityMap {
     }
 }
 
-/// Levels that do not occur lie on the line between those that do; before the first and after the last, they are as those.
+/// Grey values that do not occur are interpolated between those that do; before the first and after the last they are constant.
 fn fill_gaps(values: &mut [f32]) {
     let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
     let (Some(&first), Some(&last)) = (known.first(), known.last()) else {

@@ -1,12 +1,12 @@
-//! Two frames as the brighter of them would show them, so that their pixels can be compared.
+//! Two frames at a common exposure, so that their pixels can be compared.
 //!
-//! In: two frames, roughly aligned. Out: [`ToneTables`], a table of levels for each of them and what each level can be trusted; and with
-//! them the two planes ([`CommonExposure`]), smoothed. Cost: one pass over some samples; a table look-up and six multiply-adds a pixel.
-//! Source: Grossberg & Nayar 2003 (see [`intensity_map`](crate::align::photometric::intensity_map)); Burt & Adelson, "The Laplacian Pyramid as a Compact
-//! Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
+//! In: two frames, roughly aligned. Out: [`ToneTables`]: a table of grey values for each of them and the weight of each grey value; with them
+//! the two planes ([`CommonExposure`]), smoothed. Cost: one pass over some samples; a table look-up and six multiply-adds a pixel.
+//! Source: Grossberg & Nayar 2003 (`intensity_map`); Burt & Adelson, "The Laplacian Pyramid as a Compact Image Code", IEEE Trans.
+//! Communications 31(4), 1983 (the binomial kernel).
 //!
-//! The darker is mapped to the brighter because clipping is then the same in both; and it is mapped before it is smoothed, because
-//! the other way round the edges of clipped areas would move.
+//! The darker frame is mapped to the brighter one because clipping is then the same in both. It is mapped before it is smoothed, because
+//! otherwise the edges of clipped areas would move.
 
 mod intensity_map;
 mod tones;

@@ -1,4 +1,4 @@
-//! Tables that bring two frames to a common exposure, and how far each grey value can be trusted.
+//! Tables that bring two frames to a common exposure, with the weight of each grey value.
 //!
 //! In: two frames, roughly aligned. Out: [`ToneTables`]. Cost: one pass over some samples.
 
@@ -23,7 +23,7 @@ pub struct ToneTables {
     pub reference: [f32; 256],
     /// For the frame.
     pub frame: [f32; 256],
-    /// For each value of the brighter frame, how far it can be trusted.
+    /// The weight of each grey value of the brighter frame, 0..=1.
     weights: [f32; 256],
 }
 
@@ -46,7 +46,7 @@ impl ToneTables {
         }
     }
 
-    /// How far value `v` can be trusted, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
+    /// The weight of grey value `v`, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
     /// the ends of either frame's range.
     #[inline]
     pub fn weight(&self, v: f32) -> f32 {
@@ -76,7 +76,7 @@ fn is_brighter(samples: &[(u8, u8)]) -> bool {
     samples.iter().map(|&(reference, frame)| i64::from(frame) - i64::from(reference)).sum::<i64>() >= 0
 }
 
-/// For each value of the brighter frame, how far it can be trusted.
+/// The weight of each grey value of the brighter frame, 0..=1.
 fn weights(map: &IntensityMap) -> [f32; 256] {
     let mut weights = [0.0; 256];
     let mut darker = 0.0f32;

@@ -1,8 +1,8 @@
-//! The finest level of a large picture, only where it is looked at.
+//! The finest level of a large picture, read only at the points that are compared.
 //!
-//! In: a [`FramePair`], with its points on the level on which agreement is measured. Out: points of the finest level, one near each of
-//! them, and the frame's level at any place near where a transform puts them. Cost: some 150 pixels a point, whatever the size of the picture, read again only
-//! when a point leaves its patch.
+//! In: a [`FramePair`] with its points on the level on which agreement is measured. Out: points of the finest level, one near each of them, and
+//! the residuals at them under a transform. Cost: some 150 pixels a point, whatever the size of the picture; read again only when a point leaves
+//! its patch.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::refinement::FramePair;
@@ -19,8 +19,7 @@ const CHOICE: usize = 6;
 /// Points that are looked at together, by one thread.
 const PIECE: usize = 1024;
 
-/// Near each of the points of the level on which agreement is measured, the point of the finest level, which is larger, that says most
-/// about where it is.
+/// Near each point of the level on which agreement is measured, the point of the finest level with the largest weighted gradient.
 pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
@@ -103,7 +102,7 @@ impl Loops for Piece<'_> {
     }
 }
 
-/// The level at (u, v) of a patch that is placed so that (u, v) lies in its middle; none where the frame does not reach.
+/// The grey value at (u, v) of a patch that is placed so that (u, v) lies in its middle; none where the frame does not reach.
 #[inline(always)]
 fn read_anew(
     plane: &Plane<u8>,
@@ -128,7 +127,7 @@ fn read_anew(
     patch.cubic(at, u, v)
 }
 
-/// Among the inner pixels of `patch`, that with the largest trusted gradient.
+/// Among the inner pixels of `patch`, that with the largest weighted gradient.
 fn best_of(patch: &Patch<CHOICE>, weight: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
     let v = &patch.0;
     let (mut best, mut at) = (0.0, None);

@@ -1,8 +1,7 @@
-//! Two frames that are held against each other, level by level, for as long as one is placed by the other.
+//! A pair of frames for refinement: both at a common exposure on every level, and the points at which they are compared.
 //!
-//! In: the grey pyramids of a reference and a frame, and a transform that is about right. Out: the two at a common exposure on each level that
-//! is asked for, and the points of each level at which they are compared; each made once. Cost: that of [`CommonExposure`], and one pass
-//! over the reference for the points.
+//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames on each level that is asked for, and its
+//! points; each computed once. Cost: that of [`CommonExposure`], and one pass over the reference for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};
@@ -54,7 +53,7 @@ impl Point {
 pub struct Level {
     /// Both at a common exposure.
     pub both: CommonExposure,
-    /// Of every cell of the reference the pixel that says most about where it is.
+    /// Of every cell of the reference the pixel with the largest weighted gradient.
     pub points: Vec<Point>,
 }
 
@@ -74,7 +73,7 @@ pub struct FramePair<'a> {
 }
 
 impl<'a> FramePair<'a> {
-    /// The comparison of `frame` with `reference`, under which it lies about as `start` says.
+    /// The pair of `reference` and `frame`, which `start` aligns approximately.
     pub fn new(reference: &'a GreyPyramid, frame: &'a GreyPyramid, start: &Transform) -> Self {
         let (width, height) = reference.size(0);
         let start = start.matrix(width, height);
@@ -100,7 +99,7 @@ impl<'a> FramePair<'a> {
         self.tones[i].get_or_init(|| ToneTables::between(self.reference.level(i), self.frame.level(i), &h()))
     }
 
-    /// The points of [`finest_level`]: what `choose` gives, which is asked once.
+    /// The points of [`finest_level`]: what `choose` returns, called once.
     pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }
@@ -133,7 +132,7 @@ impl<'a> FramePair<'a> {
     }
 }
 
-/// Of every cell, the pixel that says most about where it is: that with the largest trusted gradient.
+/// Of every cell, the pixel with the largest weighted gradient.
 fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
     let (reference, tones) = (&both.reference, &both.tones);
     let (width, height) = (reference.width(), reference.height());
@@ -155,7 +154,7 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
             }
             for (slot, (i, cell_squares)) in best.iter_mut().zip(squares.chunks(cell).enumerate()) {
                 for (k, &square) in cell_squares.iter().enumerate() {
-                    // Trust is at most 1: most pixels need no look at the table.
+                    // The weight is at most 1: most pixels need no table look-up.
                     if square > slot.0 {
                         let x = BORDER + i * cell + k;
                         let strength = square * tones.weight(row[x]);

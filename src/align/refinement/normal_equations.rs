@@ -1,8 +1,8 @@
-//! The normal equations of a step of refinement: what all points together say of the parameters of a motion.
+//! The normal equations of a step of refinement.
 //!
-//! In: for each point how its level changes with the parameters, by how much the two frames differ there, and how far that can be trusted.
-//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20
-//! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
+//! In: for each point the derivatives of its grey value by the parameters, its residual and its precision. Out: A = sum w J^T g g^T J and
+//! b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004,
+//! section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 /// Tukey's constant: 95 % efficient on normal noise.
 const TUKEY: f32 = 4.685;
 
-/// What the points say of the first `n` parameters, in units of their `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
+/// A and b of the first `n` parameters, with residuals in units of `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
 /// the frame's level less the reference's, or not a number where the frame does not reach.
 pub(crate) fn equations(
     n: usize,

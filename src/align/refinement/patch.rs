@@ -1,8 +1,8 @@
-//! A patch: a few smoothed pixels of a level, had without the rest of it.
+//! A patch: a few smoothed pixels of a level, computed without the rest of it.
 //!
-//! In: a grey plane, a table of levels and a place. Out: the smoothed levels about it, and what lies between them. Cost: 12 x 12 look-ups
-//! and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in it. Source: [`binomial`](crate::pyramid::binomial)
-//! for the smoothing; Keys 1981 (see [`cubic`](crate::align::resampling::cubic)).
+//! In: a grey plane, a table of grey values and a place. Out: the smoothed values about it, and interpolation between them. Cost: 12 x 12
+//! look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in it.
+//! Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see [`cubic`](crate::align::resampling::cubic)).
 
 use crate::align::resampling::cubic::keys;
 use crate::plane::Plane;
@@ -15,7 +15,7 @@ pub(crate) const FRAME_PATCH: usize = 8;
 /// Column and row of a patch's first pixel, in pixels of the level.
 pub(crate) type Origin = [i32; 2];
 
-/// Smoothed levels, by rows. Aligned so that two rows of eight lie in one line of the cache.
+/// Smoothed grey values, by rows. Aligned so that two rows of eight lie in one line of the cache.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(crate) struct Patch<const N: usize>(pub(crate) [[f32; N]; N]);

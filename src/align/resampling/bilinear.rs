@@ -1,7 +1,7 @@
-//! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure takes the reference's place.
+//! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure in place of the reference.
 //!
 //! In: a grey plane and a [`Transform`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
-//! divisions and four pixels read for each. Source: any textbook's; the border pixel stands for those beyond.
+//! divisions and four pixels read for each. Source: textbook bilinear interpolation; the border pixel is repeated beyond the border.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
@@ -15,7 +15,7 @@ pub(crate) struct BilinearRows<'a> {
 }
 
 impl<'a> BilinearRows<'a> {
-    /// `grey` as a grid of the same size sees it whose pixels `transform` takes into it.
+    /// `grey` on a grid of the same size whose pixels `transform` takes into it.
     pub(crate) fn new(grey: &'a Plane<u8>, transform: &Transform) -> Self {
         BilinearRows { grey, h: transform.matrix(grey.width(), grey.height()) }
     }

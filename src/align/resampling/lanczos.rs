@@ -1,6 +1,6 @@
 //! Lanczos' kernel with three lobes, in tables.
 //!
-//! In: a place between pixels. Out: the pixels about it and their weights, which sum to 1. Cost: none to speak of.
+//! In: a place between pixels. Out: the pixels about it and their weights, which sum to 1. Cost: negligible.
 //! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990).
 
 use crate::simd::{floor64, integer64};

@@ -1,12 +1,9 @@
 //! Resampling: a frame's code values on the reference's grid, in a single step.
 //!
-//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame does not reach.
-//! Cost: 36 multiply-adds a value at most; fewer where the transform is near a shift; a copy where nothing moves.
+//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame has no pixel.
+//! Cost: at most 36 multiply-adds a value; fewer where the transform is near a shift; a copy for the identity.
 //! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos' kernel (`lanczos`) for
 //! photographs.
-//!
-//! The sum is taken down the columns first, then across them. Work goes by tiles: what a tile sees of the frame is made floats once, the
-//! border repeated beyond it, and neighbours that lie between the same rows at the same phase share the sums of their columns.
 
 pub(crate) mod bilinear;
 pub(crate) mod cubic;

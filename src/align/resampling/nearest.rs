@@ -1,8 +1,8 @@
-//! The nearest pixel: where the frames have a pixel of the reference, to a whole pixel.
+//! Nearest-neighbour access to the aligned frames.
 //!
-//! In: a bracket and where its frames lie. Out: of each frame that was placed, the codes of some rows, and where among them those of the
-//! reference's pixels are. Cost: a product of a matrix for each pixel asked for. For what bears to be moved by half a pixel: flat places,
-//! and counts over many pixels; where it does not, see [`resample`](crate::align::resampling).
+//! In: a bracket and its alignment. Out: of each aligned frame the codes of some rows, and the index of the reference's pixels in them. Cost:
+//! a matrix product for each pixel asked for. For uses that tolerate half a pixel: flat places, and counts over many pixels; for others see
+//! [`resampling`](crate::align::resampling).
 
 use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;

@@ -1,6 +1,10 @@
 //! Lanczos resampling of rows, tile by tile.
 //!
-//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the reference's grid.
+//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the reference's grid. Cost: see
+//! [`resampling`](crate::align::resampling).
+//!
+//! Columns are summed first, then rows. The part of the frame under a tile is converted to floats once, the border repeated beyond it;
+//! neighbouring pixels that lie between the same rows at the same phase share the sums of their columns.
 
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, LANCZOS3, TAPS, place};
@@ -132,7 +136,7 @@ thread_local! {
 
 /// What a tile is worked out in.
 struct Scratch {
-    /// What the tile sees of the frame, as floats.
+    /// The frame's values under the tile, as floats.
     window: Vec<f32>,
     /// The sums down the columns of a row of the tile.
     sums: Vec<f32>,
@@ -219,13 +223,13 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
     }
 }
 
-/// What a tile sees of the frame.
+/// The part of the frame that is under a tile.
 enum Footprint {
     /// None of its pixels lies within.
     Outside,
     /// At most these columns and rows, some of them beyond the border.
     Window(Range<i32>, Range<i32>),
-    /// More than a window, or nobody knows what.
+    /// More than a window, or unknown.
     TooLarge,
 }
 

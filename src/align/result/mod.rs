@@ -10,20 +10,20 @@ pub use overlap::Rect;
 use crate::align::transform::{Model, Transform};
 use crate::bracket::{Bracket, Frame};
 
-/// What became of a frame.
+/// The status of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// The frame that the others are aligned to.
     Reference,
-    /// Moved, and placed by a transform.
+    /// Moved, and aligned by a transform.
     Aligned,
     /// Found not to have moved: its transform is exactly the identity.
     Unmoved,
-    /// Too dark or too bright to be aligned, and taken to lie where the other frames let expect; it is merged only where all of them clip, or are
-    /// black. Its error is one that 19 of 20 such places keep.
+    /// Too dark or too bright to be aligned: its transform is inferred from the other frames; it is merged only where all of them clip, or are
+    /// black. Its error is a bound that 19 of 20 such transforms keep.
     Assumed,
-    /// Could not be placed; it takes no part in what follows.
+    /// Could not be aligned; it is not merged.
     Rejected,
     /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
     /// ([`RejectedBy`]).
@@ -69,7 +69,7 @@ pub struct KeypointCounts {
     pub merged: usize,
 }
 
-/// What is known of one frame's place.
+/// The alignment of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
     /// What became of the frame.
@@ -82,17 +82,17 @@ pub struct Verdict {
     pub inliers: Option<usize>,
     /// Keypoints in this frame; none where features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error of the transform over the picture, in pixels; none where nothing can be said. Of a place that is
+    /// Estimate of the root mean square error of the transform over the picture, in pixels; none where it is unknown. Of a place that is
     /// [assumed](Status::Assumed) the error that 19 of 20 such places keep.
     pub error_px: Option<f64>,
-    /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
+    /// Confidence, 0..1: under 0.5 is uncertain; 1 where the user has set it.
     pub confidence: f64,
-    /// Why it was rejected, or taken as it lies although nothing shows that it lies so, or what its place is assumed from.
+    /// Why it was rejected, or is taken to be unmoved without evidence, or what its transform is inferred from.
     pub reason: Option<String>,
 }
 
 impl Verdict {
-    /// A frame that lies as the reference does, because it is the reference or because the user says so.
+    /// The identity, for the reference or for a frame that the user has set to unmoved.
     pub(crate) fn with_identity(status: Status) -> Self {
         Verdict {
             status,
@@ -117,7 +117,7 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Every frame of `bracket` as it lies, unseen: for a tripod that can be trusted.
+    /// Every frame of `bracket` unmoved, without looking at it: for a rigid tripod.
     pub fn unmoved(bracket: &Bracket) -> Self {
         Alignment {
             verdicts: unmoved_but(bracket, &vec![None; bracket.frames().len()]),
@@ -132,7 +132,7 @@ impl Alignment {
     }
 }
 
-/// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
+/// Every frame of `bracket` unmoved, except those whose verdict is `given`.
 pub(crate) fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
     let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
     let verdict =

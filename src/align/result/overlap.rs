@@ -1,9 +1,10 @@
-//! The overlap: the largest rectangle of the reference that all placed frames cover.
+//! The overlap: the largest rectangle of the reference that all aligned frames cover.
 //!
-//! In: transforms. Out: a [`Rect`], or none. Cost: some thousand tests of the frames' edges. A frame covers the half-planes on the inner side of
-//! its four edges, which a homography keeps straight; so for a left and a right edge the best upper and lower ones are known, and the
-//! logarithm of the area is concave in the other two: it has one top, found by halving. Where the height is negative it is concave itself,
-//! so that the search is led back; vertical edges bound the search.
+//! In: transforms. Out: a [`Rect`], or none. Cost: some thousand evaluations of the frames' edges.
+//!
+//! A frame covers the half-planes on the inner side of its four edges, which a homography keeps straight. For given left and right edges the
+//! best upper and lower edges follow directly; the logarithm of the area is concave in the other two, so that ternary search finds its only
+//! maximum. Where the height is negative it is itself concave, which leads the search back; vertical edges bound the search.
 
 use crate::align::transform::Transform;
 use nalgebra::Vector3;

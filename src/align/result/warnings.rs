@@ -1,6 +1,6 @@
-//! What there is to say of an alignment: frames that were left out or are doubtful, and how little all of them show.
+//! Warnings about an alignment: rejected and uncertain frames, and a small overlap.
 //!
-//! In: a bracket, and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all placed frames cover. Cost: that of the
+//! In: a bracket and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover. Cost: that of the
 //! [overlap](overlap::largest).
 
 use crate::align::result::{Rect, Status, Verdict, overlap};
@@ -8,13 +8,13 @@ use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 
-/// A place with less confidence is told to the user.
+/// Confidence below which a frame has a warning.
 const DOUBT: f64 = 0.5;
-/// So is an overlap with a smaller share of the reference: most of it is lost. Two frames that lie as far apart as the bitmaps seek
+/// Share of the reference below which the overlap has a warning: most of the reference is lost. Two frames that lie as far apart as the bitmaps seek
 /// ([`MtbOptions::max_shift`](crate::align::bitmaps::search::MtbOptions::max_shift) each way along the long side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
-/// What there is to say of single frames.
+/// The warnings of single frames.
 pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
@@ -23,7 +23,7 @@ pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning>
     let is_still = verdicts.iter().filter_map(|v| v.transform).all(|transform| transform == Transform::Identity);
     for (i, (frame, verdict)) in bracket.frames().iter().zip(verdicts).enumerate() {
         let path = frame.path().to_path_buf();
-        // The user says where it lies.
+        // The user has set its transform.
         if frame.excluded.is_some() && verdict.transform.is_some() {
             warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
         }

@@ -1,15 +1,15 @@
-//! The small motions of a model, as parameters: what refinement solves for.
+//! Small changes of a transform as parameters: what refinement solves for.
 //!
-//! In: a [`Model`] and the size of a plane. Out: derivatives of a place by the parameters, the motion that parameters stand for, and what
-//! their covariance means in pixels. Cost: none to speak of.
-//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and table of transforms.
+//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given parameters, the prior of
+//! a hand-held camera, and what a covariance of the parameters means in pixels. Cost: negligible.
+//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of warps.
 
 use crate::align::transform::{Model, Transform, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
-/// What hands do to a camera beside turning it about its axis, as standard deviations: nearer or farther by some thousandths; no stretch
-/// and no shear to speak of; turned aside by some tenths of a degree, which is perspective. A well-seen frame says it a hundred times as exactly;
-/// of one of which only a strip is seen this keeps the rest near.
+/// Prior of a hand-held camera beside its rotation about the optical axis, as standard deviations: change of scale by some thousandths; almost
+/// no stretch or shear; rotation aside by some tenths of a degree, which is perspective. A frame with detail everywhere determines these a hundred
+/// times as precisely; with detail in a strip only, the prior keeps the rest near.
 const SCALE: f64 = 0.0025;
 /// See [`SCALE`].
 const STRETCH: f64 = 0.001;
@@ -24,7 +24,7 @@ pub(crate) struct Increment {
     size: (usize, usize),
 }
 
-/// A number of a motion, the standard deviation it is known to have beforehand, and how it changes with the parameters of a step.
+/// A number of a motion, its prior standard deviation, and how it changes with the parameters of a step.
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Increment {
@@ -74,7 +74,7 @@ impl Increment {
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
-    /// Adds to A and b what is known beforehand of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise that is
+    /// Adds to A and b the prior of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise that is
     /// independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too much, and so must this.
     pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {

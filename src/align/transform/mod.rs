@@ -1,6 +1,7 @@
-//! Warps: where a pixel of the reference lies in another frame.
+//! Transforms: reference pixel -> frame pixel.
 //!
-//! In: a motion. Out: its 3x3 matrix on pixel coordinates, and what people ask of it: shift, rotation, distance. Cost: none to speak of.
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, shift, rotation, distance to another transform, and the
+//! same between the levels of a pyramid. Cost: negligible.
 //! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 mod increment;
