@@ -1,10 +1,10 @@
 //! Diagnostics of an alignment, for `inspect` and the report page.
 //!
-//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the share of pixels that differ
-//! as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint and which of them are inliers. Cost: that of both
-//! methods run to the end, some tenths of a second a frame. Nothing is decided here: that is [`align`](crate::align::align)'s.
-//! Source: Ward 2003, section 2; Lowe 2004, section 7.1; tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the
-//! bitmap and of both.
+//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the
+//! share of pixels that differ as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint
+//! and which of them are inliers. Cost: that of both methods run to the end, some tenths of a second a frame. Nothing
+//! is decided here: that is [`align`](crate::align::align)'s. Source: Ward 2003, section 2; Lowe 2004, section 7.1;
+//! tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the bitmap and of both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 pub struct FrameBitmaps {
     /// The threshold's percentile.
     pub percentile: Percentile,
-    /// The threshold, and the grey levels about it that do not count.
+    /// The threshold, and the grey values about it that do not count.
     pub zone: Zone,
     /// What is brighter, and what counts.
     pub bitmaps: ThresholdBitmaps,
@@ -32,7 +32,8 @@ pub struct FrameBitmaps {
 }
 
 impl FrameBitmaps {
-    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`; that of the reference is its own.
+    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`; that of the reference is its
+    /// own.
     pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let [_, frame] = Self::pair(reference, frame, options);
         frame
@@ -101,8 +102,8 @@ const FINE_REACH: f64 = 0.4;
 /// How far shifts are tried, in pixels of the level.
 const SHIFT_REACH: i64 = 40;
 
-/// The share of pixels that differ when `frame` is turned and shifted about the motion of `transform`, or about what its bitmaps
-/// say by themselves where there is none.
+/// The share of pixels that differ when `frame` is turned and shifted about the motion of `transform`, or about what
+/// its bitmaps say by themselves where there is none.
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -208,8 +209,8 @@ impl FrameFeatures {
         [self.sets.plain.keypoints.iter().map(full).collect(), self.sets.of_bitmaps().iter().map(full).collect()]
     }
 
-    /// Which keypoints of the plain picture a bitmap has as well, and the other way round: within a pixel of the level, and of like
-    /// scale, as they are counted.
+    /// Which keypoints of the plain picture a bitmap has as well, and the other way round: within a pixel of the level,
+    /// and of like scale, as they are counted.
     pub fn found_twice(&self) -> [Vec<bool>; 2] {
         let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
         [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
@@ -244,7 +245,8 @@ impl Matching {
     }
 }
 
-/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that [`align`](crate::align::align) gives.
+/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that
+/// [`align`](crate::align::align) gives.
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
     let of = |kind| features::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
@@ -284,7 +286,8 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
         let curves = xor_curves(&reference, &frame, Some(&truth), &AlignOptions::default());
-        // The radius is 150 px: bitmaps compared to the nearest pixel tell angles that move the rim by half a pixel or more, 0.2 deg.
+        // The radius is 150 px: bitmaps compared to the nearest pixel tell angles that move the rim by half a pixel or
+        // more, 0.2 deg.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
         assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);
         assert!(curves.after < 0.3 * curves.before, "{} {}", curves.after, curves.before);

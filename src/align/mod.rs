@@ -1,8 +1,8 @@
 //! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Verdict`] with the transform of the smallest sufficient [`Model`], always
-//! directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first method settles, up to ten times as much for a
-//! difficult one; 0.3 s for one of 8 MP.
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Verdict`] with the transform of the smallest sufficient
+//! [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first
+//! method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
 //!
 //! The sub-modules, each using only those before it:
 //!
@@ -13,8 +13,9 @@
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
 //! 6. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
 //!
-//! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree: bitmaps, refined on the
-//! pixels; features; the other minima of the bitmap search. Every result is refined and then checked by [`agreement`].
+//! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree:
+//! bitmaps, refined on the pixels; features; the other minima of the bitmap search. Every result is refined and then
+//! checked by [`agreement`].
 
 pub mod agreement;
 pub mod bitmaps;
@@ -129,8 +130,8 @@ impl AlignOptions {
 /// Places every frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in common; [`Error::Scratch`].
-/// That a frame cannot be placed is no error, but a verdict and a warning.
+/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
+/// common; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::verdicts(bracket, &options.given)?;

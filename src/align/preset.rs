@@ -44,11 +44,12 @@ impl PresetTransform {
     }
 }
 
-/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that of a frame that is
-/// excluded by itself.
+/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that
+/// of a frame that is excluded by itself.
 ///
 /// # Errors
-/// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid transform.
+/// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid
+/// transform.
 pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Verdict>>> {
     let mut verdicts = vec![None; bracket.frames().len()];
     for Preset { path, place } in given {
@@ -87,7 +88,8 @@ pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option
     Ok(verdicts)
 }
 
-/// Whether `verdict` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing mirrored.
+/// Whether `verdict` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing
+/// mirrored.
 pub(crate) fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::result::Result<(), String> {
     if !(0.0..=1.0).contains(&verdict.confidence) {
         return Err(format!("its confidence is {}, and not within 0..1", verdict.confidence));

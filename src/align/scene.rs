@@ -1,5 +1,5 @@
-//! A scene for the tests of this stage: random, smooth, with edges, at many scales, and known at every place, not only at pixels, so
-//! that a photograph of it under any transform and exposure can be computed without resampling.
+//! A scene for the tests of this stage: random, smooth, with edges, at many scales, and known at every place, not only
+//! at pixels, so that a photograph of it under any transform and exposure can be computed without resampling.
 //!
 //! In: a seed, a transform, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
 
@@ -29,7 +29,8 @@ impl Shot {
     }
 }
 
-/// Lattice spacing in pixels and weight in stops of each layer of noise. The finest has features of about 5 px: well sampled.
+/// Lattice spacing in pixels and weight in stops of each layer of noise. The finest has features of about 5 px: well
+/// sampled.
 const LAYERS: [(f64, f64); 5] = [(150.0, 2.0), (61.0, 2.0), (27.0, 1.7), (12.0, 1.2), (5.3, 0.7)];
 
 impl Scene {
@@ -61,7 +62,8 @@ impl Scene {
         top + v * (bottom - top)
     }
 
-    /// The photograph of a camera under `transform`, which takes a place of the scene (a pixel of an unmoved camera) to a pixel.
+    /// The photograph of a camera under `transform`, which takes a place of the scene (a pixel of an unmoved camera) to
+    /// a pixel.
     pub(crate) fn photograph(&self, size: (usize, usize), transform: &Transform, shot: Shot) -> Plane<u8> {
         photograph(size, transform, shot, |x, y| self.radiance(x, y))
     }

@@ -81,7 +81,8 @@ fn a_frame_of_another_scene_is_rejected_and_told() {
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
 }
 
-/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to go by.
+/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to
+/// go by.
 const NEARLY_BLACK: f64 = -16.0;
 
 #[test]
@@ -144,7 +145,8 @@ fn without_alignment_frames_lie_as_they_are() {
 fn each_method_by_itself_finds_the_motion() {
     let truth = rigid(7.0, -5.0, 0.6);
     let bracket = bracket(&[(Transform::Identity, 0.0), (truth, 1.0)]);
-    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel each.
+    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel
+    // each.
     for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
         let error = alignment.verdicts[1].transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
@@ -229,7 +231,8 @@ fn small_overlap_is_warned_of_and_none_is_an_error() {
 
 #[test]
 fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
-    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame between.
+    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame
+    // between.
     let truth = shift(11.0, -7.0);
     let take = |name: &str, seed, transform: &Transform, ev| {
         frame(name, &Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)), ev)

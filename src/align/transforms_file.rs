@@ -1,7 +1,7 @@
 //! The file of transforms: an alignment that is saved and used again.
 //!
-//! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every number comes back as
-//! it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
+//! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every
+//! number comes back as it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
 //!
 //! ```json
 //! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
@@ -9,9 +9,10 @@
 //!     "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
 //! ```
 //!
-//! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel; null for a frame that
-//! is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older files lack it: in these a frame that the user
-//! excluded is rejected with confidence 1. An `assumed` place is merged as one. A transform without `confidence` was set by the user, and has confidence 1.
+//! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel;
+//! null for a frame that is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older
+//! files lack it: in these a frame that the user excluded is rejected with confidence 1. An `assumed` place is merged
+//! as one. A transform without `confidence` was set by the user, and has confidence 1.
 
 use crate::align::preset::{Preset, PresetTransform, check};
 use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
@@ -129,8 +130,9 @@ impl SavedAlignment {
     /// The places in `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, a confidence is not within 0..1, or a homography is
-    /// none: nine finite numbers that keep the picture's corners in front of the camera and its sides the right way round.
+    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, a confidence is not within 0..1, or a
+    /// homography is none: nine finite numbers that keep the picture's corners in front of the camera and its sides the
+    /// right way round.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header =
@@ -167,7 +169,8 @@ impl SavedAlignment {
     /// Whether it can be of `bracket`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where the frames are of another size, the reference is another, or none of the frames is in it.
+    /// [`Error::TransformsFile`] where the frames are of another size, the reference is another, or none of the frames
+    /// is in it.
     pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
         let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
         let (width, height) = (bracket.width(), bracket.height());

@@ -7,8 +7,9 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::{png_rgb, reduce};
+use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
-use crate::align::transform::{Transform, map};
+use crate::align::transform::map;
 use crate::bracket::Frame;
 use crate::plane::Plane;
 use crate::pyramid::gaussian;

@@ -79,7 +79,7 @@ pub(super) fn draw(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::transform::Transform;
+    use crate::align::Transform;
     use crate::plane::Plane;
 
     #[test]

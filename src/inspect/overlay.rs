@@ -8,7 +8,7 @@ use super::edges::{
     BOX, Couple, DETAIL_GAP, Detail, FAINT_DETAIL, Grey, LEAST_FULL, MAGNIFIED, details, laid, two_colours,
 };
 use super::picture::reduce;
-use crate::align::transform::Transform;
+use crate::align::Transform;
 use crate::plane::Plane;
 
 /// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.

@@ -2,10 +2,9 @@
 //!
 //! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
 
-use crate::align::Status;
 use crate::align::diagnostics::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
 use crate::align::grey::Percentile;
-use crate::align::transform::Transform;
+use crate::align::{Status, Transform};
 use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;

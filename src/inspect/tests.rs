@@ -1,9 +1,9 @@
 //! A bracket with a known motion, inspected: what the tables and sheets say.
 
 use super::*;
+use crate::align;
 use crate::align::scene::{Scene, Shot, rigid};
-use crate::align::transform::Transform;
-use crate::align::{self, Status};
+use crate::align::{Status, Transform};
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{ReferenceChoice, Samples};
 use crate::plane::Plane;

@@ -6,8 +6,7 @@
 use super::noise::Noise;
 use super::weight::Weight;
 use crate::align::resampling::{resample_rows, rows_under};
-use crate::align::transform::Transform;
-use crate::align::{Alignment, Status};
+use crate::align::{Alignment, Status, Transform};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};

@@ -138,8 +138,7 @@ pub struct MergeReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::transform::Transform;
-    use crate::align::{Alignment, Status};
+    use crate::align::{Alignment, Status, Transform};
     use crate::bracket::Bracket;
     use crate::response::ResponseCurve;
     use crate::response::tests::still;

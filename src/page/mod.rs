@@ -23,8 +23,7 @@ mod summary;
 mod viewer;
 mod words;
 
-use crate::align::transform::Transform;
-use crate::align::{AlignOptions, Alignment, Rect, Status};
+use crate::align::{AlignOptions, Alignment, Rect, Status, Transform};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};

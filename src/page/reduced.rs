@@ -5,9 +5,8 @@
 //! three bytes for each pixel of what comes out. Every pixel counts for the part of it that lies in a cell, in whole numbers, so that fine
 //! patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
 
-use crate::align::Rect;
 use crate::align::resampling::{resample_rows, rows_under};
-use crate::align::transform::Transform;
+use crate::align::{Rect, Transform};
 use crate::bracket::Frame;
 use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};

@@ -4,8 +4,7 @@
 //! for each frame towards the reference; and the fusion.
 
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
-use crate::align::transform::Transform;
-use crate::align::{Alignment, Rect};
+use crate::align::{Alignment, Rect, Transform};
 use crate::bracket::colour::{Conversion, Transfer};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;

@@ -305,7 +305,7 @@ fn text(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::transform::Transform;
+    use crate::align::Transform;
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{ReferenceChoice, Samples};
 

@@ -5,8 +5,7 @@
 
 use super::{Metadata, Pending, RowWriter, Written, tiff};
 use crate::align::resampling::{OUTSIDE, resample_rows};
-use crate::align::transform::Transform;
-use crate::align::{Alignment, Rect};
+use crate::align::{Alignment, Rect, Transform};
 use crate::bracket::{Bracket, Codes, Window};
 use crate::error::{Error, Result};
 use crate::plane::BAND_ROWS;

@@ -1,8 +1,9 @@
 //! Agreement: a local check of a transform, tile by tile, by a measure that no other method has optimised.
 //!
-//! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the displacement of those that
-//! agree. Cost: some twenty correlations of each tile, of three multiply-adds a pixel. Source: normalised cross-correlation (Lewis, "Fast
-//! Normalized Cross-Correlation", Vision Interface 1995), which does not depend on gain and offset, within a few pixels about the place.
+//! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the
+//! displacement of those that agree. Cost: some twenty correlations of each tile, of three multiply-adds a pixel.
+//! Source: normalised cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), which does
+//! not depend on gain and offset, within a few pixels about the place.
 
 mod tile;
 mod tile_fit;
@@ -56,8 +57,9 @@ impl Agreement {
 const ENOUGH_PARTS: usize = 4;
 
 impl TileCheck {
-    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both: the sum of the logarithms of the ratio
-    /// of what the two leave unexplained of a tile's pattern. Positive for this, negative for the other.
+    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both: the sum of
+    /// the logarithms of the ratio of what the two leave unexplained of a tile's pattern. Positive for this, negative
+    /// for the other.
     pub fn evidence_over(&self, other: &TileCheck) -> f64 {
         let left = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
@@ -73,9 +75,11 @@ const UNEXPLAINED: f64 = 0.05;
 pub struct TileDisplacement {
     /// Its centre in the reference, in pixels of the planes.
     pub centre: [f64; 2],
-    /// Minus the second derivatives of its correlation about the best match, [xx, xy, yy], per pixel^2: how sharply it is placed, each way.
+    /// Minus the second derivatives of its correlation about the best match, [xx, xy, yy], per pixel^2: how sharply it
+    /// is placed, each way.
     pub sharpness: [f64; 3],
-    /// `sharpness` times how far it lies from where the transform puts it, in the reference's directions. (Along an edge neither is known.)
+    /// `sharpness` times how far it lies from where the transform puts it, in the reference's directions. (Along an
+    /// edge neither is known.)
     pub pull: [f64; 2],
 }
 
@@ -133,7 +137,8 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     TileCheck { agreement: sum, correlations: each, displacements }
 }
 
-/// The frame on the reference's grid, [`REACH`] pixels of nothing (NaN) around it, and nothing where the frame does not reach.
+/// The frame on the reference's grid, [`REACH`] pixels of nothing (NaN) around it, and nothing where the frame does not
+/// reach.
 fn warped_to_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize)) -> Plane<f32> {
     let margin = REACH as usize;
     let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);

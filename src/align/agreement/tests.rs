@@ -70,7 +70,8 @@ fn plain_and_clipped_pictures_are_silent() {
 fn outside_the_frame_tiles_are_silent() {
     let truth = shift(120.0, 0.0);
     let found = agreement_of(&taken(&Transform::Identity, 0.0), &taken(&truth, 0.5), &truth);
-    // Columns beyond 360 - 3 are not in the frame: four of the sixteen columns of tiles and the one that the border's margin cuts.
+    // Columns beyond 360 - 3 are not in the frame: four of the sixteen columns of tiles and the one that the border's
+    // margin cuts.
     assert!(found.undecided >= 40 && found.agreeing + found.disagreeing <= 120 && found.agreeing > 60, "{found:?}");
     assert_eq!(found.disagreeing, 0, "{found:?}");
 }

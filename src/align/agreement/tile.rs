@@ -1,8 +1,8 @@
 //! One tile: where it correlates best within a few pixels about its place.
 //!
-//! In: two frames at a common exposure, the second warped to the reference's grid, and a tile. Out: whether the tile agrees with its place, and
-//! the paraboloid of its correlations. Cost: some twenty correlations, of three multiply-adds a pixel. Source: Lewis 1995 (see
-//! [`agreement`](crate::align::agreement)).
+//! In: two frames at a common exposure, the second warped to the reference's grid, and a tile. Out: whether the tile
+//! agrees with its place, and the paraboloid of its correlations. Cost: some twenty correlations, of three
+//! multiply-adds a pixel. Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::{REACH, TileDisplacement};
 use crate::align::photometric::CommonExposure;

@@ -1,11 +1,12 @@
 //! The transform that the displacements of the tiles fit best.
 //!
-//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and how well they determine it. Cost:
-//! negligible beside the check. Source: Newton's method on the sum of the correlations; tiles that moved by themselves lose their weight
-//! (Tukey's biweight).
+//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and how well
+//! they determine it. Cost: negligible beside the check. Source: Newton's method on the sum of the correlations; tiles
+//! that moved by themselves lose their weight (Tukey's biweight).
 //!
-//! Flare, motion blur, or noise that bends the intensity map displace the grey values of every edge to the same side, and
-//! [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and offset.
+//! Flare, motion blur, or noise that bends the intensity map displace the grey values of every edge to the same side,
+//! and [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and
+//! offset.
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
@@ -81,7 +82,8 @@ fn times(tile: &TileDisplacement, v: [f64; 2]) -> [f64; 2] {
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
-/// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its sharpness.
+/// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its
+/// sharpness.
 fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
     let mut moved = [0.0; 2];
     for (p, s) in step.iter().enumerate() {

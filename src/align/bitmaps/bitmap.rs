@@ -1,7 +1,8 @@
 //! Packed bitmaps, 64 pixels to a word.
 //!
-//! In: grey planes and the zones at which they are cut. Out: threshold and exclusion bitmaps. Cost: two word operations a pixel (they compile
-//! to byte-wise SIMD). Source: Ward 2003, section 2.1 and its listing (see [`bitmaps`](crate::align::bitmaps)).
+//! In: grey planes and the zones at which they are cut. Out: threshold and exclusion bitmaps. Cost: two word operations
+//! a pixel (they compile to byte-wise SIMD). Source: Ward 2003, section 2.1 and its listing (see
+//! [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::grey::{GreyPyramid, Percentile};
 use crate::plane::Plane;
@@ -51,8 +52,8 @@ impl Bitmap {
     }
 }
 
-/// Bit i is the lowest bit of byte i, whose other bits are 0. The product carries nothing: byte i and factor j meet at bit
-/// 8 i + 7 (8 - j), another for every pair, and the eight with i = j in the top byte.
+/// Bit i is the lowest bit of byte i, whose other bits are 0. The product carries nothing: byte i and factor j meet at
+/// bit 8 i + 7 (8 - j), another for every pair, and the eight with i = j in the top byte.
 #[inline]
 fn gather(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
@@ -83,19 +84,19 @@ pub(super) fn join(low: u64, high: u64, offset: u32) -> u64 {
     (low >> offset) | (high << 1) << (63 - offset)
 }
 
-/// Where a picture is cut into dark and bright, and the grey levels about the cut that do not count.
+/// Where a picture is cut into dark and bright, and the grey values about the cut that do not count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Zone {
-    /// The lowest level that does not count.
+    /// The lowest grey value that does not count.
     pub low: u8,
-    /// The highest level that is dark.
+    /// The highest grey value that is dark.
     pub threshold: u8,
-    /// The highest level that does not count.
+    /// The highest grey value that does not count.
     pub high: u8,
 }
 
 impl Zone {
-    /// The levels up to `tolerance` away from `threshold` do not count.
+    /// The grey values up to `tolerance` away from `threshold` do not count.
     pub fn about(threshold: u8, tolerance: u8) -> Self {
         Zone { low: threshold.saturating_sub(tolerance), threshold, high: threshold.saturating_add(tolerance) }
     }

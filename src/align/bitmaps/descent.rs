@@ -1,10 +1,11 @@
 //! Sub-pixel end of the bitmap search: the minimum of the XOR counts.
 //!
-//! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the fewest pixels differ,
-//! and its error estimate. Cost: a round warps the frame once and counts eight times; two to four rounds are enough. Nothing but the
-//! observations is allocated after [`Descent::new`].
-//! Source: the counts are Ward's (2003, section 2). Where the thesis tries angle after angle (chapter 4), here the counts of each part of the
-//! picture, a pixel or two to either side, give the displacement of that part; shift and rotation are the least-squares fit to all parts.
+//! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the
+//! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts eight times; two to four
+//! rounds are enough. Nothing but the observations is allocated after [`Descent::new`]. Source: the counts are Ward's
+//! (2003, section 2). Where the thesis tries angle after angle (chapter 4), here the counts of each part of the
+//! picture, a pixel or two to either side, give the displacement of that part; shift and rotation are the least-squares
+//! fit to all parts.
 
 use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
@@ -29,14 +30,15 @@ const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0)
 /// Points along a side at which the error is averaged.
 const GRID: usize = 7;
 
-/// A motion's parameters for the fit: what the eight numbers of a homography near none add to the motion along both axes, at places in
-/// heights from the centre; then how much brighter the frame is cut than the reference, as the displacement that this is mistaken for.
+/// A motion's parameters for the fit: what the eight numbers of a homography near none add to the motion along both
+/// axes, at places in heights from the centre; then how much brighter the frame is cut than the reference, as the
+/// displacement that this is mistaken for.
 const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// The observation of one kind of edge of one part along one axis: `row` . parameters = `value`, in pixels, with variance 1 / `weight` if
-/// every differing pixel were independent of the others.
+/// The observation of one kind of edge of one part along one axis: `row` . parameters = `value`, in pixels, with
+/// variance 1 / `weight` if every differing pixel were independent of the others.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,
@@ -86,8 +88,9 @@ impl<'a> Descent<'a> {
         self.rate_beside(0, 0)
     }
 
-    /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts and the angles that
-    /// move a pixel by half of one and by one, in turn. For small pictures, whose parts have too few edges each.
+    /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts
+    /// and the angles that move a pixel by half of one and by one, in turn. For small pictures, whose parts have too
+    /// few edges each.
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
@@ -138,9 +141,9 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level: what the observations leave
-    /// open of a shift and a rotation, and what they would still change about it if they could agree on any homography, less what chance
-    /// makes of that.
+    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level:
+    /// what the observations leave open of a shift and a rotation, and what they would still change about it if they
+    /// could agree on any homography, less what chance makes of that.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -165,16 +168,18 @@ impl<'a> Descent<'a> {
 
     /// The parts' observations of the error of `motion`.
     ///
-    /// Let a part have edges that are brighter on the right, of total height p, and others of total height q. With the frame t to the
-    /// right of where it belongs, it is darker than the reference in p t pixels and brighter in q t; t to the left, the other way round.
-    /// Pixels near the threshold do not count: each number is less by as much as the zones are wide, and if one frame is cut brighter
-    /// than the other by what displaces an edge by c, one kind of number is less by more, the other by less. With D(t), B(t) the numbers
-    /// at displacement t, and o the displacement sought,
+    /// Let a part have edges that are brighter on the right, of total height p, and others of total height q. With the
+    /// frame t to the right of where it belongs, it is darker than the reference in p t pixels and brighter in q t; t
+    /// to the left, the other way round. Pixels near the threshold do not count: each number is less by as much as the
+    /// zones are wide, and if one frame is cut brighter than the other by what displaces an edge by c, one kind of
+    /// number is less by more, the other by less. With D(t), B(t) the numbers at displacement t, and o the displacement
+    /// sought,
     ///
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
     ///
-    /// where p and q are the mean growth from 1 to 2 on either side. This holds exactly for |o| <= 1 where edges are sharp, and for any o where
-    /// the numbers grow as the square. Where the picture is so fine that they grow no farther than to 1, that of 0 to 1 and
+    /// where p and q are the mean growth from 1 to 2 on either side. This holds exactly for |o| <= 1 where edges are
+    /// sharp, and for any o where the numbers grow as the square. Where the picture is so fine that they grow no
+    /// farther than to 1, that of 0 to 1 and
     /// D(1) - B(-1) = -2 p (o - c) say more. At o = 0 the left sides are 0 whatever their form.
     fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
         self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
@@ -329,7 +334,8 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // Slopes of 24 px, wavy so that both axes have a say: three look to the left for every one that looks to the right.
+        // Slopes of 24 px, wavy so that both axes have a say: three look to the left for every one that looks to the
+        // right.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();
             let rise = |at: f64| ((x - at - wave) / 24.0).clamp(0.0, 1.0);

@@ -1,7 +1,8 @@
 //! Bitmaps compared under a shift: by XOR, AND and popcount, 64 pixels at a time.
 //!
-//! In: the bitmaps of two frames, and a shift. Out: how many pixels differ, over the overlap or for each part of it. Cost: about 0.3 word
-//! operations a pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its listing (see [`bitmaps`](crate::align::bitmaps)).
+//! In: the bitmaps of two frames, and a shift. Out: how many pixels differ, over the overlap or for each part of it.
+//! Cost: about 0.3 word operations a pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its listing (see
+//! [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::bitmaps::bitmap::{ThresholdBitmaps, Words, join};
 use crate::simd::{Loops, vectorised};
@@ -32,7 +33,8 @@ pub struct Mismatches {
     pub brighter: u64,
 }
 
-/// The difference when the frame's pixel (x + `dx`, y + `dy`) is held against the reference's (x, y), over the whole overlap.
+/// The difference when the frame's pixel (x + `dx`, y + `dy`) is held against the reference's (x, y), over the whole
+/// overlap.
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
     let mut sum = Difference::default();
     let mut add = |(reference, low, high): (Words<'_>, Words<'_>, Words<'_>)| {
@@ -43,8 +45,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     let (words, stride) = (reference.threshold.stride() as i64 - 2, reference.threshold.stride() as i64);
     let (whole, height) = (dx >> 6, reference.threshold.height() as i64);
     if matches!(whole, -1 | 0) && dy.abs() < height {
-        // What a shift by less than a word takes from beyond a row's end is its padding, so that all rows are one; the outermost words are
-        // padding too.
+        // What a shift by less than a word takes from beyond a row's end is its padding, so that all rows are one; the
+        // outermost words are padding too.
         let near = 0.max(-dy) * stride + 1..(height - 0.max(dy)) * stride - 1;
         add(overlap(reference, frame, near, dy * stride + whole));
         return sum;
@@ -71,7 +73,8 @@ fn overlap<'a>(
     (reference.words(range(0)), frame.words(range(far)), frame.words(range(far + 1)))
 }
 
-/// How many pixels differ and count, and how many count. The words of the frame begin `offset` bits into `low` and end in `high`.
+/// How many pixels differ and count, and how many count. The words of the frame begin `offset` bits into `low` and end
+/// in `high`.
 struct Count<'a> {
     reference: Words<'a>,
     low: Words<'a>,
@@ -98,8 +101,8 @@ impl Loops for Count<'_> {
     }
 }
 
-/// The mismatches under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself: `columns` of them (in whole
-/// words) from left to right, as many rows of them as fit in `parts`, row by row.
+/// The mismatches under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself:
+/// `columns` of them (in whole words) from left to right, as many rows of them as fit in `parts`, row by row.
 pub fn mismatches(
     reference: &ThresholdBitmaps,
     frame: &ThresholdBitmaps,

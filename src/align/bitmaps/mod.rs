@@ -1,12 +1,14 @@
-//! Median threshold bitmaps: shift and rotation between two exposures, from the pixels that are brighter than the median.
+//! Median threshold bitmaps: shift and rotation between two exposures, from the pixels that are brighter than the
+//! median.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a pixel, its error estimate,
-//! and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for 1024 x 768, from two grey planes on.
-//! Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003,
-//! section 2; the rotation is the thesis's (chapter 4).
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a
+//! pixel, its error estimate, and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for
+//! 1024 x 768, from two grey planes on. Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic
+//! Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation is the thesis's (chapter 4).
 //!
-//! On the coarsest level every shift and angle is tried. A few candidates are followed by whole pixels from level to level; where the parts of
-//! the picture have enough edges, the best one is refined to the minimum of the XOR counts (`descent`).
+//! On the coarsest level every shift and angle is tried. A few candidates are followed by whole pixels from level to
+//! level; where the parts of the picture have enough edges, the best one is refined to the minimum of the XOR counts
+//! (`descent`).
 
 pub mod bitmap;
 mod descent;
@@ -50,8 +52,8 @@ impl Default for MtbOptions {
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.
     pub motion: Motion,
-    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by what no shift and
-    /// rotation can follow.
+    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by
+    /// what no shift and rotation can follow.
     pub error_px: f64,
     /// The threshold used in both.
     pub percentile: Percentile,

@@ -1,8 +1,10 @@
-//! Detection of repeating pictures: a frame then matches in more than one place, and the first match need not be the right one.
+//! Detection of repeating pictures: a frame then matches in more than one place, and the first match need not be the
+//! right one.
 //!
-//! In: a grey pyramid. Out: yes or no. Cost: a few milliseconds: one packed comparison for every shift within reach, on a small level.
-//! Source: Ward's bitmaps (2003), of the picture against itself. A picture that does not repeat differs by about half its pixels under a shift,
-//! or by less and less towards none; a facade hardly differs at its period, and much half-way.
+//! In: a grey pyramid. Out: yes or no. Cost: a few milliseconds: one packed comparison for every shift within reach, on
+//! a small level. Source: Ward's bitmaps (2003), of the picture against itself. A picture that does not repeat differs
+//! by about half its pixels under a shift, or by less and less towards none; a facade hardly differs at its period, and
+//! much half-way.
 
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::own_percentile;
@@ -19,7 +21,8 @@ const LEAST: i64 = 5;
 /// Where the picture differs from itself by less than this on the way, it is plain rather than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;
 
-/// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames sought.
+/// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames
+/// sought.
 pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     let fits = |i: &usize| picture.size(*i).0.min(picture.size(*i).1) < SIDE;
     let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);

@@ -1,7 +1,7 @@
 //! The search for the motion under which two bitmaps differ least, from the coarsest level down.
 //!
-//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]; other motions under which the bitmaps nearly agree. Cost: see
-//! [`bitmaps`](crate::align::bitmaps).
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]; other motions under which the bitmaps nearly agree. Cost:
+//! see [`bitmaps`](crate::align::bitmaps).
 
 use crate::align::bitmaps::descent::{Descent, LEAST_COMPARED};
 use crate::align::bitmaps::difference::difference_shifted;
@@ -10,8 +10,8 @@ use crate::align::bitmaps::{Motion, MtbMatch, MtbOptions, Rounding, ThresholdBit
 use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile};
 use crate::plane::Plane;
 
-/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched: 0 for the full
-/// size, or for the largest of at most [`ENOUGH_PIXELS`].
+/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched:
+/// 0 for the full size, or for the largest of at most [`ENOUGH_PIXELS`].
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
     let area = |(width, height): (usize, usize)| width * height;
@@ -66,8 +66,9 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     }
 }
 
-/// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At most `most`,
-/// the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of moderate size.
+/// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At
+/// most `most`, the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of
+/// moderate size.
 pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -118,8 +119,9 @@ impl BitmapPair {
         self.reference.threshold.width().min(self.reference.threshold.height())
     }
 
-    /// The largest shifts sought, to the side and up or down, in pixels of this level: as many as [`MOST_WORK`] allows, and none that
-    /// leaves nothing in common. Neither is of any moment to a picture less than four times as long as it is wide.
+    /// The largest shifts sought, to the side and up or down, in pixels of this level: as many as [`MOST_WORK`] allows,
+    /// and none that leaves nothing in common. Neither is of any moment to a picture less than four times as long as it
+    /// is wide.
     fn reach(&self, max_shift: f64) -> (i64, i64) {
         let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
         let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
@@ -148,8 +150,8 @@ impl BitmapPair {
         rated
     }
 
-    /// Every whole shift within reach, at every angle that moves the rim of the inscribed circle by a pixel: the best few that are not
-    /// neighbours.
+    /// Every whole shift within reach, at every angle that moves the rim of the inscribed circle by a pixel: the best
+    /// few that are not neighbours.
     fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
         let step = 2.0 / self.short_side() as f64;
         let turns = libm::floor(max_angle / step) as i64;
@@ -185,7 +187,7 @@ impl BitmapPair {
     }
 }
 
-/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey levels makes.
+/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey values makes.
 fn exclusion_at(level: usize, exclusion: u8) -> u8 {
     exclusion.div_ceil(1 << level.min(7))
 }
@@ -196,8 +198,8 @@ const SIGNIFICANT: f64 = 2.0;
 /// Short side of the level on which alternatives are sought, in pixels: fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second. Alternatives of a picture of 4:1 take
-/// as many, all others fewer.
+/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second.
+/// Alternatives of a picture of 4:1 take as many, all others fewer.
 const MOST_WORK: i64 = 1 << 29;
 /// To begin a row takes as long as so many words.
 const ROW_WORDS: usize = 8;

@@ -1,10 +1,11 @@
 //! The threshold of a bitmap, its exclusion zone, and both matched between two exposures.
 //!
-//! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward 2003, section 2 (median,
-//! 17th and 83rd percentile; exclusion of 4 grey values).
+//! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward
+//! 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values).
 //!
-//! Both frames are cut at the same radiance, found by the ranks of their pixels; that is ours. A zone of 4 grey values is some stops in a dark
-//! frame and a fraction of one in a bright one, the median depends on what is in the picture, and on smooth surfaces either moves the contours.
+//! Both frames are cut at the same radiance, found by the ranks of their pixels; that is ours. A zone of 4 grey values
+//! is some stops in a dark frame and a fraction of one in a bright one, the median depends on what is in the picture,
+//! and on smooth surfaces either moves the contours.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
@@ -15,11 +16,12 @@ fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
-/// A bitmap with a smaller share of its pixels on one side has too little structure: half of what Ward's outer percentiles can give.
+/// A bitmap with a smaller share of its pixels on one side has too little structure: half of what Ward's outer
+/// percentiles can give.
 const LEAST_BALANCE: f64 = 0.085;
 
-/// The percentile at which both bitmaps have structure: the median unless it is too extreme in either, else of every fifth the one
-/// that parts both best.
+/// The percentile at which both bitmaps have structure: the median unless it is too extreme in either, else of every
+/// fifth the one that parts both best.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -37,8 +39,8 @@ pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
     common_percentile(histogram, histogram, exclusion)
 }
 
-/// The zones of two frames of which the wider, `exclusion` levels to either side of the percentile, gives the ranks, and the other the
-/// levels that have these ranks.
+/// The zones of two frames of which the wider, `exclusion` levels to either side of the percentile, gives the ranks,
+/// and the other the levels that have these ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
     let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {
@@ -58,8 +60,8 @@ pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclu
     }
 }
 
-/// The histograms of what both frames show when the frame lies on the reference by `motion`: of pixels that are pairs, about
-/// `PAIRED` of them.
+/// The histograms of what both frames show when the frame lies on the reference by `motion`: of pixels that are pairs,
+/// about `PAIRED` of them.
 pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Motion) -> (Histogram, Histogram) {
     let (width, height) = (reference.width(), reference.height());
     let step = ((width * height) as f64 / PAIRED as f64).sqrt().max(1.0) as usize;
@@ -132,7 +134,8 @@ mod tests {
 
     #[test]
     fn common_histograms_are_of_what_both_frames_show() {
-        // The frame shows the reference 50 px farther left, and at its right something bright that the reference does not.
+        // The frame shows the reference 50 px farther left, and at its right something bright that the reference does
+        // not.
         let reference = plane(200, 120, |x, _| x as u8);
         let frame = plane(200, 120, |x, _| if x < 150 { x as u8 + 50 } else { 255 });
         let motion = Motion { dx: -50.0, ..Motion::default() };

@@ -1,8 +1,9 @@
 //! Bitmaps warped to another picture's grid by a shift and a rotation.
 //!
-//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, so that every comparison near by is one under a shift.
-//! Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each; nothing is allocated. Source: the thesis rotates the picture pixel by pixel
-//! (chapter 4); the decomposition of a rotated row into pieces of rows is ours.
+//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, so that every comparison near by
+//! is one under a shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each; nothing is allocated. Source: the
+//! thesis rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row into pieces of rows is
+//! ours.
 
 use crate::align::bitmaps::ThresholdBitmaps;
 use crate::align::bitmaps::bitmap::bits_from;
@@ -32,8 +33,9 @@ impl Motion {
 pub enum Rounding {
     /// To the nearest.
     Nearest,
-    /// To either neighbour, the nearer the more often, by a fixed pattern that changes with every word of 64 pixels and every row: what is
-    /// counted then goes evenly with the motion, without the steps of whole pixels, which would draw every result to themselves.
+    /// To either neighbour, the nearer the more often, by a fixed pattern that changes with every word of 64 pixels and
+    /// every row: what is counted then goes evenly with the motion, without the steps of whole pixels, which would draw
+    /// every result to themselves.
     Dithered,
 }
 
@@ -69,8 +71,8 @@ impl PixelMap {
     /// The word of 64 pixels `word` of row `y`.
     #[inline]
     fn block(&self, word: usize, y: usize) -> Block {
-        // What is added before the fraction is cut off. Multiples of the powers of the plastic number and of sqrt 2 and the golden ratio spread
-        // evenly whether one goes along a row, down a column or over the plane.
+        // What is added before the fraction is cut off. Multiples of the powers of the plastic number and of sqrt 2 and
+        // the golden ratio spread evenly whether one goes along a row, down a column or over the plane.
         let (half_x, half_y) = match self.rounding {
             Rounding::Nearest => (1 << 31, 1 << 31),
             Rounding::Dithered => {
@@ -83,7 +85,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// The pixels from `x` on, at most to `end`, that lie in one row next to each other: the end of them, and the column and row of the first.
+    /// The pixels from `x` on, at most to `end`, that lie in one row next to each other: the end of them, and the
+    /// column and row of the first.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -107,10 +110,11 @@ impl PixelMap {
 }
 
 impl ThresholdBitmaps {
-    /// These bitmaps warped to the grid of `onto`, which is of the same size: pixel (x, y) of `onto` becomes the pixel to which
-    /// `motion` takes (x, y), rounded by `rounding`; where there is none it does not count.
+    /// These bitmaps warped to the grid of `onto`, which is of the same size: pixel (x, y) of `onto` becomes the pixel
+    /// to which `motion` takes (x, y), rounded by `rounding`; where there is none it does not count.
     ///
-    /// Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels; each piece between is a packed shift.
+    /// Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels; each piece between is a packed
+    /// shift.
     ///
     /// # Panics
     /// When the sizes differ: a fault of the caller.
@@ -149,7 +153,8 @@ mod tests {
     use crate::align::bitmaps::Bitmap;
     use crate::align::bitmaps::bitmap::tests::bitmaps;
 
-    /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by `PixelMap`.
+    /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by
+    /// `PixelMap`.
     fn warped_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
         let (width, height) = (frame.threshold.width() as i64, frame.threshold.height() as i64);
         let pixel = |i: i64| {

@@ -1,6 +1,7 @@
 //! What the robust estimators share: options, the draws of their trials, and the pairs that agree with a homography.
 //!
-//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: that of a fit for each draw. Source: Fischler & Bolles, CACM 24(6), 1981.
+//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: that of a fit for each draw. Source: Fischler &
+//! Bolles, CACM 24(6), 1981.
 //!
 //! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*): the result is the same on any machine.
 
@@ -39,7 +40,8 @@ pub struct Consensus {
 }
 
 impl Consensus {
-    /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with any.
+    /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with
+    /// any.
     pub(crate) fn new(pairs: &[PointPair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
         let inliers = inliers(pairs, &homography, limit);
         // Four pairs always agree with themselves.
@@ -67,8 +69,9 @@ pub(crate) fn inliers(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> Vec<
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
-/// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) / ln(1 - q) where one trial
-/// does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most those of the options.
+/// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) /
+/// ln(1 - q) where one trial does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most
+/// those of the options.
 pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
     let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
     // Both logarithms are negative, or 0 or infinite at the limits; the ratio that is no number is of q = 0 and p = 1.
@@ -76,7 +79,8 @@ pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u
     if trials < options.max_trials as f64 { (trials as u64).max(1) } else { options.max_trials }
 }
 
-/// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them leaves them.
+/// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them
+/// leaves them.
 fn same_handed(four: &[PointPair; 4]) -> bool {
     let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)].iter().all(|&(i, j, k)| {

@@ -1,6 +1,7 @@
 //! Keypoints and matches that several pictures of one frame have in common, counted once.
 //!
-//! In: keypoints. Out: which of them lie at one place and are of similar scale. Cost: a look-up in a map of squares for each.
+//! In: keypoints. Out: which of them lie at one place and are of similar scale. Cost: a look-up in a map of squares for
+//! each.
 
 use crate::align::features::keypoint::Keypoint;
 use std::collections::BTreeMap;
@@ -64,8 +65,8 @@ impl KeypointIndex {
 pub(super) struct MatchIndex(Squares<(Keypoint, Keypoint)>);
 
 impl MatchIndex {
-    /// Adds the pair of `a` and `b`, unless there is one that joins the same two index: a point found in several pictures, or with two
-    /// directions, is one inlier or none. Returns whether it was added.
+    /// Adds the pair of `a` and `b`, unless there is one that joins the same two index: a point found in several
+    /// pictures, or with two directions, is one inlier or none. Returns whether it was added.
     pub(super) fn add(&mut self, a: &Keypoint, b: &Keypoint) -> bool {
         let is_same = |(c, d): &(Keypoint, Keypoint)| are_within(ONE_PLACE, a, c) && are_within(ONE_PLACE, b, d);
         let is_new = !self.0.about(a).any(is_same);

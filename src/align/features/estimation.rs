@@ -1,7 +1,7 @@
 //! The homography on which the matches of two frames agree, of all their feature sets together.
 //!
-//! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three tables of matches, two of them guided, and a robust fit
-//! each. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
+//! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three tables of matches, two of them
+//! guided, and a robust fit each. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
 
 use crate::align::AlignOptions;
 use crate::align::features::duplicates::MatchIndex;
@@ -22,8 +22,9 @@ pub(crate) fn pairs(
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
-/// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again among the matches
-/// near the index that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6).
+/// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again
+/// among the matches near the index that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman
+/// 2004, algorithm 4.6).
 pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -63,8 +64,8 @@ const LEAST_GUIDES: usize = 8;
 const WIDE_PX: f64 = 10.0;
 /// ... and once more, when the place is known better.
 const NARROW_PX: f64 = 6.0;
-/// How far a keypoint of scale 1 is off, in pixels of the level; one of scale s is by the square root of that as much. Measured on rendered
-/// brackets.
+/// How far a keypoint of scale 1 is off, in pixels of the level; one of scale s is by the square root of that as much.
+/// Measured on rendered brackets.
 const KEYPOINT_PX: f64 = 0.6;
 /// Refits by which the weights settle.
 const REFITS: usize = 8;
@@ -104,8 +105,9 @@ impl Matches {
         Matches { pairs, scales }
     }
 
-    /// `found`, fitted once more to those that agree, each by how well its keypoints are placed: a large one is placed less well, and one
-    /// that is far off counts less (weights of Geman & McClure). `pixel` is the width of a pixel of the level.
+    /// `found`, fitted once more to those that agree, each by how well its keypoints are placed: a large one is placed
+    /// less well, and one that is far off counts less (weights of Geman & McClure). `pixel` is the width of a pixel of
+    /// the level.
     pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
         let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
         let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };

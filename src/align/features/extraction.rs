@@ -1,7 +1,7 @@
 //! The features of a frame: of its grey picture, and of its threshold bitmaps.
 //!
-//! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: a run of [`sift`] over the level, one over a quarter of its samples for each
-//! bitmap.
+//! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: a run of [`sift`] over the level, one over a quarter of
+//! its samples for each bitmap.
 
 use crate::align::features::duplicates::KeypointIndex;
 use crate::align::features::keypoint::{Features, Keypoint};
@@ -41,7 +41,8 @@ pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool>
     points.iter().map(|k| index.has(k)).collect()
 }
 
-/// Percent of the pixels that are not above the threshold of each bitmap: Ward's 17, 50 and 83, those halfway, and two beyond.
+/// Percent of the pixels that are not above the threshold of each bitmap: Ward's 17, 50 and 83, those halfway, and two
+/// beyond.
 pub(super) const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 
 /// Smoothing before the threshold, in pixels: it takes the grain off the bitmap's edges.
@@ -72,7 +73,8 @@ pub(super) fn smoothed(grey: &Plane<u8>) -> Plane<f32> {
     gaussian(&codes, SMOOTHING)
 }
 
-/// Steps of a grey level to which a threshold is known: in a dark frame all percentiles may lie within two or three levels.
+/// Steps of a grey value to which a threshold is known: in a dark frame all percentiles may lie within two or three
+/// levels.
 const STEPS: f32 = 16.0;
 
 /// The level at each of [`PERCENTILES`].
@@ -93,8 +95,9 @@ pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
     })
 }
 
-/// The bitmap at `threshold` as a picture: black below, white above. Within half the exclusion to either side, where noise would decide
-/// (Ward's exclusion bitmap), it goes from one to the other in proportion: noise makes no contrast there, and an edge keeps its place.
+/// The bitmap at `threshold` as a picture: black below, white above. Within half the exclusion to either side, where
+/// noise would decide (Ward's exclusion bitmap), it goes from one to the other in proportion: noise makes no contrast
+/// there, and an edge keeps its place.
 pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plane<u8> {
     let slope = 255.0 / f32::from(exclusion.max(1));
     Plane::from_rows(smooth.width(), smooth.height(), |y, row| {

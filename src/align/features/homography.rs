@@ -1,7 +1,8 @@
 //! The homography from point pairs: the normalised direct linear transformation.
 //!
-//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right number 1. Cost: 45 multiply-adds a
-//! pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.2.
+//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right number 1. Cost: 45
+//! multiply-adds a pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.,
+//! 2004), algorithm 4.2.
 
 use crate::align::transform::map;
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -9,8 +10,9 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 /// A point of the reference and the same point of the frame, in pixels.
 pub type PointPair = ([f64; 2], [f64; 2]);
 
-/// The homography that fits `pairs` best in the algebraic sense after normalisation; none where fewer than four pairs, or their
-/// arrangement (three of four on a line, say), leave it open, or where it would turn a reference point inside out.
+/// The homography that fits `pairs` best in the algebraic sense after normalisation; none where fewer than four pairs,
+/// or their arrangement (three of four on a line, say), leave it open, or where it would turn a reference point inside
+/// out.
 ///
 /// `weights`, if given, has one value of at least 0 for each pair; otherwise all count alike.
 pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {

@@ -1,6 +1,7 @@
 //! Keypoints and descriptors.
 //!
-//! In and out: the types that detection gives and matching takes. Source: Lowe 2004 (see [`features`](crate::align::features)).
+//! In and out: the types that detection gives and matching takes. Source: Lowe 2004 (see
+//! [`features`](crate::align::features)).
 
 /// A point that can be found again.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,7 +14,7 @@ pub struct Keypoint {
     pub scale: f32,
     /// Direction of its dominant gradient, from +x towards +y, in radians, -pi..=pi.
     pub angle: f32,
-    /// |D|, the contrast of the extremum; grey levels are 0..=1.
+    /// |D|, the contrast of the extremum; grey values are 0..=1.
     pub response: f32,
     /// Whether it is brighter than its surroundings, or darker.
     pub bright: bool,

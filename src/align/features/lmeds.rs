@@ -1,12 +1,12 @@
 //! LMedS: the homography with the least median of squared distances.
 //!
-//! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a trial; for a
-//! confidence of 0.9999 some 140 trials, several times that for fewer than ten pairs. Source: Rousseeuw, "Least Median of Squares Regression",
-//! JASA 79(388), 1984; the scale from the median and the refit are Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987,
-//! chapter 5).
+//! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over
+//! the pairs a trial; for a confidence of 0.9999 some 140 trials, several times that for fewer than ten pairs. Source:
+//! Rousseeuw, "Least Median of Squares Regression", JASA 79(388), 1984; the scale from the median and the refit are
+//! Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987, chapter 5).
 //!
-//! Unlike RANSAC it needs no threshold, as the median itself measures the scatter of the inliers; with more than half of the pairs wrong it
-//! finds nothing.
+//! Unlike RANSAC it needs no threshold, as the median itself measures the scatter of the inliers; with more than half
+//! of the pairs wrong it finds nothing.
 
 use crate::align::features::consensus::{guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};

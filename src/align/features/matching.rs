@@ -1,9 +1,10 @@
 //! Matching of descriptors.
 //!
-//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test. Cost: 128 multiply-adds
-//! for every pair of keypoints that may match: about one pair in ten, as a hand-held camera rotates and zooms little, and what is brighter than
-//! its surroundings is so at any exposure. Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004,
-//! section 7.1 (the ratio of the nearest to the second nearest).
+//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
+//! Cost: 128 multiply-adds for every pair of keypoints that may match: about one pair in ten, as a hand-held camera
+//! rotates and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe,
+//! "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest
+//! to the second nearest).
 
 use crate::align::features::{Descriptor, Features, Keypoint};
 use crate::align::transform::map;
@@ -29,9 +30,9 @@ pub struct Guide {
     pub radius: f64,
 }
 
-/// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a `guide`, among those
-/// near its index. Only points that could be one are held against each other: both bright or both dark, turned by no more than 45
-/// degrees (some up to half as much again), and at most twice as large.
+/// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a
+/// `guide`, among those near its index. Only points that could be one are held against each other: both bright or both
+/// dark, turned by no more than 45 degrees (some up to half as much again), and at most twice as large.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
     let table = Table::new(frame);
     let grid = guide.map(|g| (g, Grid::new(&table.points, g.radius)));
@@ -79,7 +80,8 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
 
 /// What one task finds.
 struct Chunk {
-    /// For each of its points of the reference, the place in the table of the frame's point that is if_unambiguous the nearest.
+    /// For each of its points of the reference, the place in the table of the frame's point that is if_unambiguous the
+    /// nearest.
     nearest: Vec<Option<usize>>,
     /// For each point of the table, the nearest among its points of the reference.
     nearest_references: Vec<NearestReference>,
@@ -190,7 +192,8 @@ fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
     sums.iter().sum()
 }
 
-/// The search for the nearest of the frame's points to one of the reference's; updates the nearest reference point of each as well.
+/// The search for the nearest of the frame's points to one of the reference's; updates the nearest reference point of
+/// each as well.
 struct Nearest<'a> {
     point: u32,
     descriptor: &'a WideDescriptor,
@@ -232,8 +235,8 @@ impl<'a> Nearest<'a> {
     }
 }
 
-/// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes: descriptors are 512
-/// long, so this is 2/3 of the distance of two that have nothing in common.
+/// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes:
+/// descriptors are 512 long, so this is 2/3 of the distance of two that have nothing in common.
 const FARTHEST: i32 = 2 * 512 * 512 * 4 / 9;
 
 /// The frame's keypoints in square cells as wide as the guide's radius.

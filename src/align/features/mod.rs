@@ -1,12 +1,14 @@
-//! Features: keypoints of the grey picture and of its threshold bitmaps, and the homography on which their matches agree.
+//! Features: keypoints of the grey picture and of its threshold bitmaps, and the homography on which their matches
+//! agree.
 //!
-//! In: grey pyramids. Out: [`FeatureSets`], and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level on which features are
-//! detected, one over a quarter of its samples for each bitmap; for a pair of frames three tables of matches, two of them guided, and
-//! [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold bitmap has many keypoints where the grey picture is dark or
-//! bright and has few; both together are always enough).
+//! In: grey pyramids. Out: [`FeatureSets`], and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level
+//! on which features are detected, one over a quarter of its samples for each bitmap; for a pair of frames three tables
+//! of matches, two of them guided, and [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold
+//! bitmap has many keypoints where the grey picture is dark or bright and has few; both together are always enough).
 //!
-//! One bitmap has edges at one grey value, and in a dark frame that may lie within the noise. There are seven bitmaps, at fixed percentiles,
-//! Ward's three among them: whatever the exposures, some of them have structure in both frames. Each is matched only with its counterpart.
+//! One bitmap has edges at one grey value, and in a dark frame that may lie within the noise. There are seven bitmaps,
+//! at fixed percentiles, Ward's three among them: whatever the exposures, some of them have structure in both frames.
+//! Each is matched only with its counterpart.
 
 mod consensus;
 mod duplicates;

@@ -1,8 +1,9 @@
 //! RANSAC: the homography on which most matches agree.
 //!
-//! In: pairs of points, many of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a trial; the number
-//! of trials follows the best share of inliers so far. Source: Fischler & Bolles, CACM 24(6), 1981; scored by the truncated sum of Torr &
-//! Zisserman (MSAC, CVIU 78, 2000), refitted on the inliers after every improvement (Chum, Matas & Kittler, DAGM 2003).
+//! In: pairs of points, many of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a
+//! trial; the number of trials follows the best share of inliers so far. Source: Fischler & Bolles, CACM 24(6), 1981;
+//! scored by the truncated sum of Torr & Zisserman (MSAC, CVIU 78, 2000), refitted on the inliers after every
+//! improvement (Chum, Matas & Kittler, DAGM 2003).
 
 use crate::align::features::consensus::{distance_squared, guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};
@@ -71,8 +72,9 @@ mod tests {
             let found = search(&pairs(n, wrong, 0.5), &RansacOptions::default()).unwrap();
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2);
-            // Uniform noise of +-0.5 px has a standard deviation of 0.29 on each axis. Eight numbers fitted to 2 n equations have a mean
-            // leverage of 4 / n, at the corners about six times that: with n >= 60, 0.29 sqrt(2) sqrt(24 / 60) = 0.26 px; three times that.
+            // Uniform noise of +-0.5 px has a standard deviation of 0.29 on each axis. Eight numbers fitted to 2 n
+            // equations have a mean leverage of 4 / n, at the corners about six times that: with n >= 60, 0.29 sqrt(2)
+            // sqrt(24 / 60) = 0.26 px; three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 0.8);

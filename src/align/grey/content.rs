@@ -9,7 +9,8 @@ use crate::error::Result;
 /// How a frame is looked at.
 #[derive(Debug)]
 pub(crate) struct Content {
-    /// The brightening_stops by which its grey picture is brightened, so that neither rounding nor halving takes away what little a dark frame shows.
+    /// The brightening_stops by which its grey picture is brightened, so that neither rounding nor halving takes away
+    /// what little a dark frame shows.
     pub(crate) brightening_stops: Option<u32>,
     /// Whether it is of one tone.
     pub(crate) is_uniform: bool,
@@ -38,14 +39,16 @@ impl Content {
 pub(crate) struct Detail {
     /// Whether the tone is white: the rest is what is darker.
     pub(crate) is_white: bool,
-    /// The value of the picture as it is [looked at](Content::brightening_stops) from which up, or where it is white down, a pixel shows something.
+    /// The value of the picture as it is [looked at](Content::brightening_stops) from which up, or where it is white
+    /// down, a pixel shows something.
     pub(crate) value: u8,
     /// The share of the pixels that do, 0..=1.
     pub(crate) share: f64,
 }
 
 impl Detail {
-    /// What a picture shows of which nearly all values are from `least` to `most`, and which is brightened by `brightening_stops`.
+    /// What a picture shows of which nearly all values are from `least` to `most`, and which is brightened by
+    /// `brightening_stops`.
     fn of(histogram: &Histogram, (least, most): (u8, u8), brightening_stops: Option<u32>) -> Self {
         let brightened = |value: u8| (u32::from(value) << brightening_stops.unwrap_or(0)).min(u8::MAX.into()) as u8;
         // Film and sensors have blacks of their own, above 0.

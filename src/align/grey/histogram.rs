@@ -5,7 +5,8 @@
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey values that is the threshold: the median, or where that is too extreme another (Ward: the 17th or 83rd).
+/// The percentile of the grey values that is the threshold: the median, or where that is too extreme another (Ward: the
+/// 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 

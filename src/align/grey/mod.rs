@@ -1,6 +1,7 @@
 //! Grey pictures of the frames: what every method of this stage measures on.
 //!
-//! In: a frame. Out: its [`GreyPyramid`] with histograms, and how much of the frame is neither black nor white. Cost: one pass over the frame.
+//! In: a frame. Out: its [`GreyPyramid`] with histograms, and how much of the frame is neither black nor white. Cost:
+//! one pass over the frame.
 
 mod content;
 mod histogram;

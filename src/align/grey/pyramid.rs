@@ -1,7 +1,7 @@
 //! The grey pyramid of a frame.
 //!
-//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with the histogram of each. Cost: one mean of four
-//! pixels for each pixel of the smaller levels.
+//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with the histogram of each.
+//! Cost: one mean of four pixels for each pixel of the smaller levels.
 
 use crate::align::grey::histogram::Histogram;
 use crate::budget::Demand;
@@ -9,7 +9,8 @@ use crate::plane::Plane;
 use crate::pyramid;
 use std::sync::OnceLock;
 
-/// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every shift.
+/// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every
+/// shift.
 pub(crate) const COARSEST: usize = 32;
 
 /// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted on first use.
@@ -27,8 +28,8 @@ impl GreyPyramid {
         Self::kept((grey.width(), grey.height()), 0, grey)
     }
 
-    /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is searched, only two rows
-    /// of it are ever there, and level 0 is not available.
+    /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is
+    /// searched, only two rows of it are ever there, and level 0 is not available.
     pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
@@ -87,11 +88,12 @@ impl GreyPyramid {
     }
 }
 
-/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the full size, which takes
-/// four times as long.
+/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the
+/// full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
-/// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features are sought.
+/// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features
+/// are sought.
 const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 
 /// ... and the largest on which single points are compared: more add nothing but time.

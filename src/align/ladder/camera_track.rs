@@ -1,26 +1,28 @@
-//! The camera's track over time: the transform at the time of a frame that shows too little to be aligned, with a bound of its error.
+//! The camera's track over time: the transform at the time of a frame that shows too little to be aligned, with a bound
+//! of its error.
 //!
-//! In: the transforms of the aligned frames, and when each frame was taken. Out: for another time the transform, and the error that 19 of 20
-//! such transforms keep. Cost: negligible.
+//! In: the transforms of the aligned frames, and when each frame was taken. Out: for another time the transform, and
+//! the error that 19 of 20 such transforms keep. Cost: negligible.
 //!
-//! Between two photographs a hand-held camera drifts by a random walk in the picture's plane: the step from frame to frame is normal and
-//! isotropic, with an unknown variance that grows with the time between them. A frame between two others then lies most likely on the line
-//! between them, in proportion to the times; one before the first or after the last where that lies. With K steps observed, the square of the
-//! distance from there, over its expectation from the steps, has the F distribution of 2 and 2 K degrees of freedom (each step gives two
-//! components): Fisher 1925. Its quantiles have a closed form. A tripod's frames do not move, so that their steps are 0 but for the measurement
+//! Between two photographs a hand-held camera drifts by a random walk in the picture's plane: the step from frame to
+//! frame is normal and isotropic, with an unknown variance that grows with the time between them. A frame between two
+//! others then lies most likely on the line between them, in proportion to the times; one before the first or after the
+//! last where that lies. With K steps observed, the square of the distance from there, over its expectation from the
+//! steps, has the F distribution of 2 and 2 K degrees of freedom (each step gives two components): Fisher 1925. Its
+//! quantiles have a closed form. A tripod's frames do not move, so that their steps are 0 but for the measurement
 //! error; steps of many pixels lead to an error that no merge can use.
 //!
-//! Frames of a camera that shakes about one place, or that were scanned, do not drift: each is scattered about the mean of all, independent
-//! of time. Where that makes the observed transforms more likely by a Bayes factor of at least 20 (which Kass & Raftery 1995 call strong), the
-//! mean is taken, with the scatter about it.
+//! Frames of a camera that shakes about one place, or that were scanned, do not drift: each is scattered about the mean
+//! of all, independent of time. Where that makes the observed transforms more likely by a Bayes factor of at least 20
+//! (which Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
 
 use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Transform, distance};
 use crate::bracket::Bracket;
 
-/// The capture time of each frame of `bracket`, in seconds by the camera's clock, where all frames have that to fractions of a second;
-/// where the clock is coarser, its position in the order in which they were taken, names deciding between equal times; without a clock, its
-/// position by rising exposure.
+/// The capture time of each frame of `bracket`, in seconds by the camera's clock, where all frames have that to
+/// fractions of a second; where the clock is coarser, its position in the order in which they were taken, names
+/// deciding between equal times; without a clock, its position by rising exposure.
 pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     let frames = bracket.frames();
     let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();
@@ -64,7 +66,8 @@ pub(crate) struct InferredTransform {
 }
 
 impl InferredTransform {
-    /// The root mean square error that is expected: of a normal error in the plane a share of exp(-r^2) is farther off than r of these.
+    /// The root mean square error that is expected: of a normal error in the plane a share of exp(-r^2) is farther off
+    /// than r of these.
     pub(crate) fn expected_px(&self) -> f64 {
         self.bound_px / (-libm::log(WORSE)).sqrt()
     }
@@ -83,7 +86,8 @@ pub(crate) struct CameraTrack {
 }
 
 impl CameraTrack {
-    /// The track through `known`, the frames of which are of `size`; none through a single transform, which has no step.
+    /// The track through `known`, the frames of which are of `size`; none through a single transform, which has no
+    /// step.
     pub(crate) fn new(mut known: Vec<KnownTransform>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.time.total_cmp(&b.time));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
@@ -117,8 +121,8 @@ impl CameraTrack {
         let unseen = UNMOVED_PX * UNMOVED_PX;
         let scatter =
             self.known.iter().map(|known| self.far(&mean, &known.transform)).sum::<f64>() / count + 0.5 * unseen;
-        // The logarithm of the ratio of the likelihoods of the steps: these are independent in a walk, and have a covariance of determinant `all`
-        // each way if frames scatter.
+        // The logarithm of the ratio of the likelihoods of the steps: these are independent in a walk, and have a
+        // covariance of determinant `all` each way if frames scatter.
         let wander: f64 = self.steps().map(|(_, elapsed)| libm::log(self.variance * elapsed + unseen)).sum();
         let gain = wander - count * libm::log(scatter) - libm::log(all);
         (gain > -libm::log(WORSE)).then_some((mean, scatter))
@@ -176,7 +180,8 @@ fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usi
             let [dx, dy, angle] = std::array::from_fn(|i| a[i] + part * (b[i] - a[i]));
             Transform::Rigid { dx, dy, angle }
         }
-        // Both have 1 at the lower right; of motions as small as those that can be assumed, the mean of matrices is that of places.
+        // Both have 1 at the lower right; of motions as small as those that can be assumed, the mean of matrices is
+        // that of places.
         _ => {
             let (a, b) = (a.matrix(width, height), b.matrix(width, height));
             Transform::Homography(a + (b - a) * part)
@@ -228,7 +233,8 @@ mod tests {
         assert!(track.at(1.0).transform.corner_distance(&shift(3.0, -1.5), SIZE.0, SIZE.1) < 1e-9);
     }
 
-    /// Nineteen of twenty cameras end within the bound, whether they wander or shake, whatever the number of steps seen.
+    /// Nineteen of twenty cameras end within the bound, whether they wander or shake, whatever the number of steps
+    /// seen.
     #[test]
     fn bound_is_kept_by_nineteen_of_twenty_cameras() {
         for (seen, wanders) in [(2, true), (4, true), (8, true), (4, false), (12, false)] {
@@ -250,8 +256,8 @@ mod tests {
                 distance(&place.transform, &truth, SIZE.0, SIZE.1) <= place.bound_px
             };
             let kept = (0..2000).filter(|&seed| walk(seed)).count();
-            // Twice the standard deviation of a count of 2000 at 5 % is 20; a choice between the two kinds of camera that is wrong costs as much, and
-            // what may have moved unseen widens the bound.
+            // Twice the standard deviation of a count of 2000 at 5 % is 20; a choice between the two kinds of camera
+            // that is wrong costs as much, and what may have moved unseen widens the bound.
             assert!((1860..=1990).contains(&kept), "{seen} {wanders}: {kept}");
         }
     }

@@ -24,7 +24,8 @@ pub(crate) struct Candidate {
     pub(crate) by_tiles: bool,
     /// Reliability of the target that it was found against, times the uniqueness of the candidate, 0..=1.
     pub(crate) reliability: f64,
-    /// An error at which the transform is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels across, more for a larger.
+    /// An error at which the transform is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels
+    /// across, more for a larger.
     pub(crate) tolerance_px: f64,
     /// Whether features independently gave the same transform.
     pub(crate) corroborated: bool,

@@ -1,7 +1,8 @@
-//! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the bitmaps' other minima.
+//! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the
+//! bitmaps' other minima.
 //!
-//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times that of a frame that
-//! the bitmaps settle.
+//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times
+//! that of a frame that the bitmaps settle.
 
 use crate::align::grey::GreyPyramid;
 use crate::align::ladder::LEAST_INLIERS;
@@ -24,8 +25,8 @@ use crate::align::result::Verdict;
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
 
-/// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full size for each 1000
-/// of the diagonal.
+/// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full
+/// size for each 1000 of the diagonal.
 const CORROBORATED: f64 = 2.0;
 
 /// Transforms up to this many times as far apart are the same, known less well; others are alternatives.
@@ -119,7 +120,8 @@ impl Search<'_> {
         aligned_verdict(&Candidate { reliability: best.reliability, error_px, ..reduced }, found)
     }
 
-    /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's pixels.
+    /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's
+    /// pixels.
     pub(crate) fn neighbour_target(&self, n: usize, verdict: &Verdict) -> Option<Target<'_>> {
         let transform = verdict.transform?;
         let pyramid = match transform {

@@ -1,12 +1,12 @@
 //! Transforms inferred from the other frames of a bracket, for frames that show too little.
 //!
-//! In: the verdicts on the frames by themselves. Out: those on frames with little detail, by what the camera did while the others were taken.
-//! Cost: that of comparing each such frame with the reference once more, and with its neighbour in exposure on a grid of some ten thousand
-//! samples.
+//! In: the verdicts on the frames by themselves. Out: those on frames with little detail, by what the camera did while
+//! the others were taken. Cost: that of comparing each such frame with the reference once more, and with its neighbour
+//! in exposure on a grid of some ten thousand samples.
 //!
-//! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds the lamps. Where the
-//! camera stood still for the others, or moved little from one to the next, its transform follows from theirs
-//! ([`camera_track`](crate::align::ladder::camera_track)).
+//! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds
+//! the lamps. Where the camera stood still for the others, or moved little from one to the next, its transform follows
+//! from theirs ([`camera_track`](crate::align::ladder::camera_track)).
 
 use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
@@ -22,14 +22,14 @@ pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 const STATIC_PX: f64 = 1.0;
 /// Least confidence of a frame from which others are inferred.
 const LEAST_CONFIDENCE: f64 = 0.5;
-/// An assumed place is merged by where its expected error is no more than so many times that at which a place is half as good: in what it fills
-/// ([`Status::Assumed`]) an error displaces, and cannot smear.
+/// An assumed place is merged by where its expected error is no more than so many times that at which a place is half
+/// as good: in what it fills ([`Status::Assumed`]) an error displaces, and cannot smear.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
-/// A frame of which no more than this share shows something is nearly black or nearly white. Of lamps and windows of interiors it is up to a tenth,
-/// of photographs that were metered nearly all.
+/// A frame of which no more than this share shows something is nearly black or nearly white. Of lamps and windows of
+/// interiors it is up to a tenth, of photographs that were metered nearly all.
 const LITTLE_DETAIL: f64 = 0.25;
-/// What shows in it must be brighter in its neighbour too than what does not, or darker, in this share of all pairs of places: halfway between what chance
-/// gives and all.
+/// What shows in it must be brighter in its neighbour too than what does not, or darker, in this share of all pairs of
+/// places: halfway between what chance gives and all.
 const IN_ORDER: f64 = 0.75;
 /// Places that are looked at along the longer side.
 const GRID: usize = 256;
@@ -37,8 +37,8 @@ const GRID: usize = 256;
 const LEAST_SAMPLES: u64 = 16;
 
 impl Search<'_> {
-    /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to unmoved, unless their tiles
-    /// are decidedly for the motion: little detail is easily misaligned by a pixel.
+    /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to
+    /// unmoved, unless their tiles are decidedly for the motion: little detail is easily misaligned by a pixel.
     pub(crate) fn keep_static_frames_static(&self, verdicts: &mut [Verdict]) {
         let still = |v: &&Verdict| v.transform == Some(Transform::Identity) && v.confidence >= LEAST_CONFIDENCE;
         let sure = verdicts.iter().filter(|v| v.transform.is_some() && v.confidence >= LEAST_CONFIDENCE).count();
@@ -57,7 +57,8 @@ impl Search<'_> {
         }
     }
 
-    /// A frame that could not be aligned is unmoved where all the others are, or as good as, and its own tiles are for it rather than against it.
+    /// A frame that could not be aligned is unmoved where all the others are, or as good as, and its own tiles are for
+    /// it rather than against it.
     pub(crate) fn accept_static(&self, verdicts: &mut [Verdict]) {
         let (width, height) = self.size();
         let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.transform);
@@ -86,7 +87,8 @@ impl Search<'_> {
         verdicts.iter().enumerate().filter_map(known).collect()
     }
 
-    /// Frames that are nearly black or white get the transform that the `known` ones predict, where its error is small enough to merge.
+    /// Frames that are nearly black or white get the transform that the `known` ones predict, where its error is small
+    /// enough to merge.
     pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, verdicts: &mut [Verdict]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };
@@ -118,8 +120,8 @@ impl Search<'_> {
         }
     }
 
-    /// Whether what frame `i` shows at `place` is what its nearest neighbour in exposure has brightest, or darkest where the frame is white. A frame of another
-    /// scene is not.
+    /// Whether what frame `i` shows at `place` is what its nearest neighbour in exposure has brightest, or darkest
+    /// where the frame is white. A frame of another scene is not.
     fn has_same_brightness_order(
         &self,
         i: usize,
@@ -134,8 +136,9 @@ impl Search<'_> {
     }
 }
 
-/// `frame`, which lies in `base` at `place`: of all pairs of a place where it shows something and one where it does not, the share that is in the same order in
-/// `base`, ties counting half; none where too little shows. (The statistic of Mann & Whitney 1947.)
+/// `frame`, which lies in `base` at `place`: of all pairs of a place where it shows something and one where it does
+/// not, the share that is in the same order in `base`, ties counting half; none where too little shows. (The statistic
+/// of Mann & Whitney 1947.)
 fn brightness_order(base: &GreyPyramid, frame: &GreyPyramid, place: &InferredTransform, detail: Detail) -> Option<f64> {
     let level = measured_level(base);
     let (size, (width, height)) = (base.size(0), base.size(level));

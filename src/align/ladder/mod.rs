@@ -1,12 +1,12 @@
 //! The ladder: the order of the methods, from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Verdict`] for each frame. Cost: for a frame that the bitmaps settle that of [`by_bitmaps`]; for
-//! a difficult one some times as much.
+//! In: the grey pyramids of a bracket. Out: a [`Verdict`] for each frame. Cost: for a frame that the bitmaps settle
+//! that of [`by_bitmaps`]; for a difficult one some times as much.
 //!
-//! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not settle it, it is also
-//! compared with its nearest aligned neighbour in exposure, by features, and from the other minima of the bitmaps (`doubtful`); `selection`
-//! chooses among the candidates and `reduction` the smallest sufficient model. Frames with too little detail get the transform that the other
-//! frames suggest (`inferred`, `camera_track`).
+//! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not
+//! settle it, it is also compared with its nearest aligned neighbour in exposure, by features, and from the other
+//! minima of the bitmaps (`doubtful`); `selection` chooses among the candidates and `reduction` the smallest sufficient
+//! model. Frames with too little detail get the transform that the other frames suggest (`inferred`, `camera_track`).
 
 mod camera_track;
 mod candidate;
@@ -124,7 +124,8 @@ impl Search<'_> {
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         let shared = ReferenceFeatures { features, repeats };
-        // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its neighbour placed.
+        // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its
+        // neighbour placed.
         let orders: [Vec<usize>; 2] =
             [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
         let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
@@ -194,8 +195,8 @@ impl Search<'_> {
         evaluate(&FramePair::new(self.base(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
-    /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the nearest before it that was
-    /// placed.
+    /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the
+    /// nearest before it that was placed.
     fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Verdict> {
         let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
         for &i in order {
@@ -214,8 +215,9 @@ impl Search<'_> {
 }
 
 impl Search<'_> {
-    /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can frames that are
-    /// smaller than any level that is searched. Nothing excludes another transform, so the confidence is 0.
+    /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can
+    /// frames that are smaller than any level that is searched. Nothing excludes another transform, so the confidence
+    /// is 0.
     fn leave_uniform_frames_unmoved(&self, verdicts: &mut [Verdict]) {
         let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
         if others().any(|v| v.transform.is_some()) {

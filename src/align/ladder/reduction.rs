@@ -1,7 +1,7 @@
 //! Model selection: the smallest model that explains a motion as well as the homography that was found.
 //!
-//! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement on the finest level
-//! for each smaller model that is near.
+//! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement
+//! on the finest level for each smaller model that is near.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::ladder::candidate::Candidate;

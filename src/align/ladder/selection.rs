@@ -1,6 +1,7 @@
 //! Selection among the candidates of a frame, and the verdict that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Verdict`]. Cost: negligible. A pure function of the candidates.
+//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Verdict`]. Cost: negligible. A pure function
+//! of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::result::{KeypointCounts, Status, Verdict};
@@ -58,9 +59,9 @@ impl Candidates {
         any
     }
 
-    /// The best; or, if another one against the same target with comparable evidence is decidedly better on the tiles that are decided under
-    /// both, the one whose worst comparison with all others is best. (Under a shift by a facade's period other tiles are outside the frame, and
-    /// undecided.)
+    /// The best; or, if another one against the same target with comparable evidence is decidedly better on the tiles
+    /// that are decided under both, the one whose worst comparison with all others is best. (Under a shift by a
+    /// facade's period other tiles are outside the frame, and undecided.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (base, best) = self.best()?;
         let contenders = self.alternatives(base, best, |_| true);
@@ -83,8 +84,8 @@ impl Candidates {
         same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
     }
 
-    /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer `best` to one of the `others`
-    /// by no more than [`DECISIVE`].
+    /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer
+    /// `best` to one of the `others` by no more than [`DECISIVE`].
     pub(super) fn uniqueness(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
         let leads = self.alternatives(base, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);

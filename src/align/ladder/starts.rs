@@ -1,7 +1,8 @@
-//! Candidates from the start of each method: the bitmaps, their other minima, or any given transform; each refined, then checked.
+//! Candidates from the start of each method: the bitmaps, their other minima, or any given transform; each refined,
+//! then checked.
 //!
-//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of [`refine`] and
-//! of the check for each start.
+//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of
+//! [`refine`] and of the check for each start.
 
 use crate::align::agreement::TileFit;
 use crate::align::bitmaps;
@@ -16,7 +17,8 @@ use crate::plane::Plane;
 /// Levels above that of agreement from which refinement starts: a transform that is off by 4 px is off by one there.
 const CAPTURE_LEVELS: usize = 2;
 
-/// The pyramid of `grey`, warped to the reference's grid by `transform`; the border pixel is repeated beyond the border.
+/// The pyramid of `grey`, warped to the reference's grid by `transform`; the border pixel is repeated beyond the
+/// border.
 pub(crate) fn warped_to_reference(grey: &Plane<u8>, transform: &Transform) -> GreyPyramid {
     let rows = BilinearRows::new(grey, transform);
     GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| rows.row(y, row))
@@ -34,7 +36,8 @@ pub(crate) fn by_bitmaps<'a>(
     (pair, candidate)
 }
 
-/// Candidates of the bitmaps' other minima: the best few refined to the end, then the others as far as they were followed.
+/// Candidates of the bitmaps' other minima: the best few refined to the end, then the others as far as they were
+/// followed.
 pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> =
@@ -57,10 +60,12 @@ const MOST_ALTERNATIVES: usize = 8;
 /// ... and of these refined to the end.
 const REFINED_ALTERNATIVES: usize = 2;
 
-/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; follows the tiles where they measure a displacement.
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; follows the
+/// tiles where they measure a displacement.
 pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
-    // What is little determined at first may be well determined after the first step; a smaller model holds where a larger runs away.
+    // What is little determined at first may be well determined after the first step; a smaller model holds where a
+    // larger runs away.
     let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
         let found = refine(pair, start, model, levels)?;
         is_sane(&found.transform, pair.size()).then_some(found)
@@ -101,7 +106,8 @@ const LEAST_SIGNIFICANCE: f64 = 2.0;
 /// ... and by more than this, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;
 
-/// Whether a camera held in hands could have done this: no corner farther than a third of the diagonal, no side half or twice as long.
+/// Whether a camera held in hands could have done this: no corner farther than a third of the diagonal, no side half or
+/// twice as long.
 pub(super) fn is_sane(transform: &Transform, (width, height): (usize, usize)) -> bool {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     let h = transform.matrix(width, height);

@@ -30,7 +30,8 @@ fn the_smallest_model_that_explains_is_chosen() {
         let chosen = reduce(&pair, whole);
         let model = Model::of(&chosen.transform);
         assert_eq!(model, expected, "{:?}", chosen.transform);
-        // A homography's corners are good to 0.05 px here (see `refine`), and a smaller model is taken where it is as near as the error.
+        // A homography's corners are good to 0.05 px here (see `refine`), and a smaller model is taken where it is as
+        // near as the error.
         let error = chosen.transform.corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1, "{error} px for {expected:?}");
         assert!(chosen.confidence() > 0.8, "{chosen:?}");

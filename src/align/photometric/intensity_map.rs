@@ -1,8 +1,9 @@
 //! The intensity mapping function: which grey value of the frame goes with which of the reference.
 //!
-//! In: pairs of grey values at some places of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one pass over them.
-//! Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI 25(11), 2003, section 5: two
-//! exposures of one scene have the same ranks, so the map follows from the two histograms, and small misalignments do not matter.
+//! In: pairs of grey values at some places of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one
+//! pass over them. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI
+//! 25(11), 2003, section 5: two exposures of one scene have the same ranks, so the map follows from the two histograms,
+//! and small misalignments do not matter.
 
 /// Grey values of the reference at which the map is kept.
 const KNOTS: usize = 256;
@@ -16,7 +17,8 @@ pub struct IntensityMap {
 }
 
 impl IntensityMap {
-    /// The map that takes the distribution of the first of each pair to that of the second; the identity without samples.
+    /// The map that takes the distribution of the first of each pair to that of the second; the identity without
+    /// samples.
     pub fn from_samples(samples: &[(u8, u8)]) -> Self {
         if samples.is_empty() {
             return IntensityMap { values: (0..KNOTS).map(|v| v as f32).collect() };
@@ -64,7 +66,8 @@ impl IntensityMap {
     }
 }
 
-/// Grey values that do not occur are interpolated between those that do; before the first and after the last they are constant.
+/// Grey values that do not occur are interpolated between those that do; before the first and after the last they are
+/// constant.
 fn fill_gaps(values: &mut [f32]) {
     let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
     let (Some(&first), Some(&last)) = (known.first(), known.last()) else {

@@ -28,7 +28,8 @@ pub struct ToneTables {
 }
 
 impl ToneTables {
-    /// The tones of `reference` and `frame`, with `h` (reference -> frame) about right: the two histograms decide, not the places.
+    /// The tones of `reference` and `frame`, with `h` (reference -> frame) about right: the two histograms decide, not
+    /// the places.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let samples = sample(reference, frame, h);
         let identity = std::array::from_fn(|v| v as f32);
@@ -46,8 +47,8 @@ impl ToneTables {
         }
     }
 
-    /// The weight of grey value `v`, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with it; 0 near
-    /// the ends of either frame's range.
+    /// The weight of grey value `v`, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with
+    /// it; 0 near the ends of either frame's range.
     #[inline]
     pub fn weight(&self, v: f32) -> f32 {
         self.weights[usize::from(v as u8)]
@@ -70,8 +71,8 @@ fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8
     samples
 }
 
-/// Whether the second of each pair, the frame's grey value, is the brighter on average. Every sample counts once: grey values that do not
-/// occur have no part in it.
+/// Whether the second of each pair, the frame's grey value, is the brighter on average. Every sample counts once: grey
+/// values that do not occur have no part in it.
 fn is_brighter(samples: &[(u8, u8)]) -> bool {
     samples.iter().map(|&(reference, frame)| i64::from(frame) - i64::from(reference)).sum::<i64>() >= 0
 }
@@ -116,7 +117,8 @@ mod tests {
                 }
             }
             assert!(3 * trusted > size.0 * size.1, "{trusted}");
-            // Rounding to codes leaves 0.25 in each on average, some times that where the darker is brightened; smoothing takes most off.
+            // Rounding to codes leaves 0.25 in each on average, some times that where the darker is brightened;
+            // smoothing takes most off.
             assert!(apart / (trusted as f32) < 0.5, "{a} {b}: {}", apart / trusted as f32);
         }
         // What is clipped in the brighter, or black in the darker, is worth nothing.

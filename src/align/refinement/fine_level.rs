@@ -1,8 +1,8 @@
 //! The finest level of a large picture, read only at the points that are compared.
 //!
-//! In: a [`FramePair`] with its points on the level on which agreement is measured. Out: points of the finest level, one near each of them, and
-//! the residuals at them under a transform. Cost: some 150 pixels a point, whatever the size of the picture; read again only when a point leaves
-//! its patch.
+//! In: a [`FramePair`] with its points on the level on which agreement is measured. Out: points of the finest level,
+//! one near each of them, and the residuals at them under a transform. Cost: some 150 pixels a point, whatever the size
+//! of the picture; read again only when a point leaves its patch.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::refinement::FramePair;
@@ -14,12 +14,14 @@ use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Side of the smoothed patch of the reference: 4 x 4 pixels among which the point is chosen, and those around them for gradients.
+/// Side of the smoothed patch of the reference: 4 x 4 pixels among which the point is chosen, and those around them for
+/// gradients.
 const CHOICE: usize = 6;
 /// Points that are looked at together, by one thread.
 const PIECE: usize = 1024;
 
-/// Near each point of the level on which agreement is measured, the point of the finest level with the largest weighted gradient.
+/// Near each point of the level on which agreement is measured, the point of the finest level with the largest weighted
+/// gradient.
 pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
@@ -57,8 +59,8 @@ impl Loops for Around<'_> {
     }
 }
 
-/// The frame's level less the reference's at every point under `h`, on the finest level; not a number where the frame does not reach. What
-/// the frame shows there is read into `seen` where it is not there yet.
+/// The frame's level less the reference's at every point under `h`, on the finest level; not a number where the frame
+/// does not reach. What the frame shows there is read into `seen` where it is not there yet.
 pub(crate) fn residuals(pair: &FramePair, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
@@ -102,7 +104,8 @@ impl Loops for Piece<'_> {
     }
 }
 
-/// The grey value at (u, v) of a patch that is placed so that (u, v) lies in its middle; none where the frame does not reach.
+/// The grey value at (u, v) of a patch that is placed so that (u, v) lies in its middle; none where the frame does not
+/// reach.
 #[inline(always)]
 fn read_anew(
     plane: &Plane<u8>,
@@ -178,8 +181,8 @@ mod tests {
             assert!((p.value - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
-        // Twice: from new patches, and from those that are there; then from such as must be read again; and by another refinement, to which
-        // what is there is as good as new.
+        // Twice: from new patches, and from those that are there; then from such as must be read again; and by another
+        // refinement, to which what is there is as good as new.
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for (h, is_another) in [(h, false), (h, false), (away, false), (h, true)] {
             if is_another {

@@ -1,7 +1,9 @@
-//! A pair of frames for refinement: both at a common exposure on every level, and the points at which they are compared.
+//! A pair of frames for refinement: both at a common exposure on every level, and the points at which they are
+//! compared.
 //!
-//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames on each level that is asked for, and its
-//! points; each computed once. Cost: that of [`CommonExposure`], and one pass over the reference for the points.
+//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames on each level that
+//! is asked for, and its points; each computed once. Cost: that of [`CommonExposure`], and one pass over the reference
+//! for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};
@@ -12,9 +14,11 @@ use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which only lead to it.
+/// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which
+/// only lead to it.
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
-/// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one of the frames.
+/// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one
+/// of the frames.
 const JITTER: f32 = 0.15;
 
 /// A pixel of the reference that is compared.
@@ -28,8 +32,8 @@ pub struct Point {
     pub value: f32,
     /// Its gradient, in levels a pixel.
     pub gradient: [f32; 2],
-    /// 1 / standard deviation of what noise alone would leave here, in units of the darker frame's noise or so: the noise of both, and
-    /// what aliasing and blur make of a strong gradient.
+    /// 1 / standard deviation of what noise alone would leave here, in units of the darker frame's noise or so: the
+    /// noise of both, and what aliasing and blur make of a strong gradient.
     pub precision: f32,
 }
 
@@ -92,8 +96,8 @@ impl<'a> FramePair<'a> {
         self.frame
     }
 
-    /// What brings both to a common exposure on level `i`. Halving averages noise, and black is not black where there is noise: each
-    /// level has its own.
+    /// What brings both to a common exposure on level `i`. Halving averages noise, and black is not black where there
+    /// is noise: each level has its own.
     pub fn tones(&self, i: usize) -> &ToneTables {
         let h = || on_level(&self.start, i);
         self.tones[i].get_or_init(|| ToneTables::between(self.reference.level(i), self.frame.level(i), &h()))
@@ -104,8 +108,8 @@ impl<'a> FramePair<'a> {
         self.fine_points.get_or_init(choose)
     }
 
-    /// What was read of the frame about its places of the [`fine_points`](Self::fine_points) when they were last refined; what `unread`
-    /// gives, the first time. The places are much the same each time, and what is read there is.
+    /// What was read of the frame about its places of the [`fine_points`](Self::fine_points) when they were last
+    /// refined; what `unread` gives, the first time. The places are much the same each time, and what is read there is.
     pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
         self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::anew)
     }

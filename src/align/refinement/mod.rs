@@ -1,9 +1,9 @@
 //! Refinement: iterative photometric alignment, from about a pixel to the noise limit.
 //!
-//! In: a [`FramePair`] and an approximate transform. Out: the transform of a chosen model under which the pixels of both agree best, and how
-//! well the pixels determine it. Cost: two planes at a common exposure for each level up to [`measured_level`], then some 16,000 patches of the
-//! finest level; 0.1 us a point and step.
-//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
+//! In: a [`FramePair`] and an approximate transform. Out: the transform of a chosen model under which the pixels of
+//! both agree best, and how well the pixels determine it. Cost: two planes at a common exposure for each level up to
+//! [`measured_level`], then some 16,000 patches of the finest level; 0.1 us a point and step. Source: Baker & Matthews,
+//! "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
 mod fine_level;
 mod frame_pair;
@@ -24,12 +24,13 @@ use rayon::prelude::*;
 
 /// Steps at each level, at the most.
 const MOST_STEPS: usize = 12;
-/// A step that moves no corner by more than this ends the level, in pixels of the level: the finest, and those that only lead to it.
+/// A step that moves no corner by more than this ends the level, in pixels of the level: the finest, and those that
+/// only lead to it.
 const STILL: (f64, f64) = (0.005, 0.05);
 /// Fewest points for a solution.
 const LEAST_POINTS: usize = 50;
-/// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what it would leave if
-/// it were. Measured on rendered brackets.
+/// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what
+/// it would leave if it were. Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
 /// A refined transform and how well the pixels determine it. All lengths are in pixels of level 0.
 #[derive(Debug, Clone)]
@@ -40,8 +41,8 @@ pub struct Refined {
     pub error_px: f64,
 }
 
-/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a transform of `model`. Of the levels larger than
-/// [`measured_level`] only [`finest_level`] is used, in patches, if `finest` is below it.
+/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a transform of `model`. Of the levels
+/// larger than [`measured_level`] only [`finest_level`] is used, in patches, if `finest` is below it.
 ///
 /// None where the overlap holds too little to go by, or the steps run away.
 pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
@@ -111,8 +112,9 @@ impl<'a> Stage<'a> {
         (points.len() >= LEAST_POINTS).then_some(Stage { points, level, size: (plane.width(), plane.height()), still })
     }
 
-    /// Steps of Gauss and Newton with Tukey's weights until no corner moves. `residuals` gives the frame's level less the reference's
-    /// at every point under a transform; not a number where the frame does not reach. Gives the transform, and [`Refined::error_px`].
+    /// Steps of Gauss and Newton with Tukey's weights until no corner moves. `residuals` gives the frame's level less
+    /// the reference's at every point under a transform; not a number where the frame does not reach. Gives the
+    /// transform, and [`Refined::error_px`].
     fn solve(
         &self,
         h_full: Matrix3<f64>,
@@ -147,7 +149,8 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// The robust standard deviation of the weighted residuals: 1.4826 times the median of their absolutes, at least half a grey value.
+/// The robust standard deviation of the weighted residuals: 1.4826 times the median of their absolutes, at least half a
+/// grey value.
 fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
     // The bits of parameters that are not negative are ordered as they are.
     let seen = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());

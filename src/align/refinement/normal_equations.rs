@@ -1,8 +1,8 @@
 //! The normal equations of a step of refinement.
 //!
-//! In: for each point the derivatives of its grey value by the parameters, its residual and its precision. Out: A = sum w J^T g g^T J and
-//! b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004,
-//! section 4.1 (iteratively reweighted least squares); Tukey's biweight.
+//! In: for each point the derivatives of its grey value by the parameters, its residual and its precision. Out: A = sum
+//! w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews,
+//! "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
@@ -11,8 +11,8 @@ use nalgebra::{DMatrix, DVector};
 /// Tukey's constant: 95 % efficient on normal noise.
 const TUKEY: f32 = 4.685;
 
-/// A and b of the first `n` parameters, with residuals in units of `noise`. `rows` has J^T g of each point, zero beyond `n`; `residuals`
-/// the frame's level less the reference's, or not a number where the frame does not reach.
+/// A and b of the first `n` parameters, with residuals in units of `noise`. `rows` has J^T g of each point, zero beyond
+/// `n`; `residuals` the frame's level less the reference's, or not a number where the frame does not reach.
 pub(crate) fn equations(
     n: usize,
     points: &[Point],

@@ -1,8 +1,9 @@
 //! A patch: a few smoothed pixels of a level, computed without the rest of it.
 //!
-//! In: a grey plane, a table of grey values and a place. Out: the smoothed values about it, and interpolation between them. Cost: 12 x 12
-//! look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in it.
-//! Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see [`cubic`](crate::align::resampling::cubic)).
+//! In: a grey plane, a table of grey values and a place. Out: the smoothed values about it, and interpolation between
+//! them. Cost: 12 x 12 look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in
+//! it. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
+//! [`cubic`](crate::align::resampling::cubic)).
 
 use crate::align::resampling::cubic::keys;
 use crate::plane::Plane;
@@ -29,7 +30,8 @@ impl<const N: usize> Patch<N> {
         left >= reach && top >= reach && left + far <= plane.width() as i64 && top + far <= plane.height() as i64
     }
 
-    /// The patch of `plane` by `table` at `origin`, where it [`fits`](Self::fits), smoothed as the whole level would be.
+    /// The patch of `plane` by `table` at `origin`, where it [`fits`](Self::fits), smoothed as the whole level would
+    /// be.
     #[inline(always)]
     pub(crate) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
         let (left, top) = (left as usize, top as usize);
@@ -57,8 +59,8 @@ impl<const N: usize> Patch<N> {
 }
 
 impl Patch<FRAME_PATCH> {
-    /// Keys' cubic convolution at (u, v), in pixels of the level, the patch being at `origin`; none where it does not hold all sixteen
-    /// samples.
+    /// Keys' cubic convolution at (u, v), in pixels of the level, the patch being at `origin`; none where it does not
+    /// hold all sixteen samples.
     #[inline(always)]
     pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
@@ -78,8 +80,9 @@ impl Patch<FRAME_PATCH> {
     }
 }
 
-/// Patches of the frame, one for each of some points: where each was read last, what it holds, and whether the refinement that runs put
-/// it there. What an earlier one read is not read again at the same place, but no more is made of it.
+/// Patches of the frame, one for each of some points: where each was read last, what it holds, and whether the
+/// refinement that runs put it there. What an earlier one read is not read again at the same place, but no more is made
+/// of it.
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,

@@ -1,7 +1,8 @@
 //! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure in place of the reference.
 //!
-//! In: a grey plane and a [`Transform`] into it. Out: the rows of the grid, one at a time, so that they need not all be kept. Cost: two
-//! divisions and four pixels read for each. Source: textbook bilinear interpolation; the border pixel is repeated beyond the border.
+//! In: a grey plane and a [`Transform`] into it. Out: the rows of the grid, one at a time, so that they need not all be
+//! kept. Cost: two divisions and four pixels read for each. Source: textbook bilinear interpolation; the border pixel
+//! is repeated beyond the border.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;

@@ -11,7 +11,8 @@ use std::sync::LazyLock;
 pub(crate) const TAPS: usize = 6;
 /// Of these, how many lie before the pixel that the place falls behind.
 pub(crate) const BEFORE: usize = 2;
-/// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the steepest edge.
+/// Positions of the kernel between two pixels: 1/1024 px apart, so that the rounding is under a tenth of a code at the
+/// steepest edge.
 const PHASES: usize = 1024;
 
 /// The first pixel under the kernel at `place`, brought into 0..=`last`, and the phase.

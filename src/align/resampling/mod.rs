@@ -1,9 +1,9 @@
 //! Resampling: a frame's code values on the reference's grid, in a single step.
 //!
-//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame has no pixel.
-//! Cost: at most 36 multiply-adds a value; fewer where the transform is near a shift; a copy for the identity.
-//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos' kernel (`lanczos`) for
-//! photographs.
+//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame
+//! has no pixel. Cost: at most 36 multiply-adds a value; fewer where the transform is near a shift; a copy for the
+//! identity. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos'
+//! kernel (`lanczos`) for photographs.
 
 pub(crate) mod bilinear;
 pub(crate) mod cubic;
@@ -49,7 +49,8 @@ pub fn rows_under(
     first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)
 }
 
-/// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by rows into `out`.
+/// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by
+/// rows into `out`.
 ///
 /// A pixel whose place lies outside the rectangle of the frame's pixel centres is [`OUTSIDE`] in all channels.
 ///

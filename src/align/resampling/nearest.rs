@@ -1,8 +1,8 @@
 //! Nearest-neighbour access to the aligned frames.
 //!
-//! In: a bracket and its alignment. Out: of each aligned frame the codes of some rows, and the index of the reference's pixels in them. Cost:
-//! a matrix product for each pixel asked for. For uses that tolerate half a pixel: flat places, and counts over many pixels; for others see
-//! [`resampling`](crate::align::resampling).
+//! In: a bracket and its alignment. Out: of each aligned frame the codes of some rows, and the index of the reference's
+//! pixels in them. Cost: a matrix product for each pixel asked for. For uses that tolerate half a pixel: flat places,
+//! and counts over many pixels; for others see [`resampling`](crate::align::resampling).
 
 use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;
@@ -55,8 +55,8 @@ pub struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// Where in the window's codes the square of `side` pixels begins that lies on that whose top-left pixel is (x, y) of the reference; none where the
-    /// frame does not have all of it.
+    /// Where in the window's codes the square of `side` pixels begins that lies on that whose top-left pixel is (x, y)
+    /// of the reference; none where the frame does not have all of it.
     pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
         let (width, height) = (self.window.width(), self.window.height());
         let (x, y) = match &self.matrix {

@@ -50,13 +50,15 @@ fn agrees_with_the_textbook_sum() {
             continue;
         }
         for c in 0..3 {
-            // The phase is rounded by at most 1/2048 px on each axis; the kernel's slope times the picture's is under 150 codes/px.
+            // The phase is rounded by at most 1/2048 px on each axis; the kernel's slope times the picture's is under
+            // 150 codes/px.
             assert!((f64::from(pixel[c]) - textbook(&f, u, v, c)).abs() < 2.0 * 150.0 / 2048.0);
         }
     }
 }
 
-/// The sum of one pixel by itself takes the same steps in the same order: what tiles, windows and shared sums do must not show.
+/// The sum of one pixel by itself takes the same steps in the same order: what tiles, windows and shared sums do must
+/// not show.
 #[test]
 fn tiles_give_the_same_bits_as_pixels_by_themselves() {
     let f = frame(300, 90, |x, y| 128.0 + 127.0 * (1.3 * x).sin() * (0.9 * y + 0.1 * x).cos());
@@ -113,7 +115,8 @@ fn eight_and_sixteen_bit_frames_agree() {
     }
 }
 
-/// A window of no more than the rows said to be read gives what the whole frame does: else the slices would be out of bounds.
+/// A window of no more than the rows said to be read gives what the whole frame does: else the slices would be out of
+/// bounds.
 #[test]
 fn the_rows_under_a_strip_are_enough() {
     let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());

@@ -1,10 +1,11 @@
 //! Lanczos resampling of rows, tile by tile.
 //!
-//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the reference's grid. Cost: see
-//! [`resampling`](crate::align::resampling).
+//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the
+//! reference's grid. Cost: see [`resampling`](crate::align::resampling).
 //!
-//! Columns are summed first, then rows. The part of the frame under a tile is converted to floats once, the border repeated beyond it;
-//! neighbouring pixels that lie between the same rows at the same phase share the sums of their columns.
+//! Columns are summed first, then rows. The part of the frame under a tile is converted to floats once, the border
+//! repeated beyond it; neighbouring pixels that lie between the same rows at the same phase share the sums of their
+//! columns.
 
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, LANCZOS3, TAPS, place};
@@ -17,8 +18,8 @@ use std::ops::Range;
 /// Columns and rows of a tile, at most: what it needs stays in the nearer caches.
 const TILE: (usize, usize) = (136, 36);
 
-/// Columns and rows that a tile may see of the frame. Warps that make it smaller by more than a fourth, or turn it by more than some 20
-/// degrees, go pixel by pixel.
+/// Columns and rows that a tile may see of the frame. Warps that make it smaller by more than a fourth, or turn it by
+/// more than some 20 degrees, go pixel by pixel.
 const WINDOW: (usize, usize) = (192, 96);
 
 /// Values that are summed at once.
@@ -82,7 +83,8 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         &self.codes[from..from + 3 * self.size.0]
     }
 
-    /// The value at (u, v), which lies within the rectangle of pixel centres. The outermost pixel stands for those beyond it.
+    /// The value at (u, v), which lies within the rectangle of pixel centres. The outermost pixel stands for those
+    /// beyond it.
     #[inline(always)]
     pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
         let ((column, wx), (row, wy)) = (LANCZOS3.place(u), LANCZOS3.place(v));
@@ -265,7 +267,8 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
     }
 }
 
-/// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for those beyond it.
+/// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for
+/// those beyond it.
 #[inline(always)]
 fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Range<i32>, window: &mut [f32]) {
     let (width, height) = (source.size.0 as i32, source.size.1 as i32);

@@ -1,6 +1,8 @@
-//! The result of the alignment: for each frame its status, its transform and how certain it is; the area that all frames cover.
+//! The result of the alignment: for each frame its status, its transform and how certain it is; the area that all
+//! frames cover.
 //!
-//! In: transforms. Out: [`Verdict`] and [`Alignment`]; the common [`Rect`] and the warnings that follow from them. Cost: negligible.
+//! In: transforms. Out: [`Verdict`] and [`Alignment`]; the common [`Rect`] and the warnings that follow from them.
+//! Cost: negligible.
 
 mod overlap;
 pub(crate) mod warnings;
@@ -20,13 +22,13 @@ pub enum Status {
     Aligned,
     /// Found not to have moved: its transform is exactly the identity.
     Unmoved,
-    /// Too dark or too bright to be aligned: its transform is inferred from the other frames; it is merged only where all of them clip, or are
-    /// black. Its error is a bound that 19 of 20 such transforms keep.
+    /// Too dark or too bright to be aligned: its transform is inferred from the other frames; it is merged only where
+    /// all of them clip, or are black. Its error is a bound that 19 of 20 such transforms keep.
     Assumed,
     /// Could not be aligned; it is not merged.
     Rejected,
-    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
-    /// ([`RejectedBy`]).
+    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by
+    /// another key ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
     Excluded,
     /// Excluded because the flash fired in it, unlike in the others; by the same name in files.
@@ -82,8 +84,8 @@ pub struct Verdict {
     pub inliers: Option<usize>,
     /// Keypoints in this frame; none where features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Estimate of the root mean square error of the transform over the picture, in pixels; none where it is unknown. Of a place that is
-    /// [assumed](Status::Assumed) the error that 19 of 20 such places keep.
+    /// Estimate of the root mean square error of the transform over the picture, in pixels; none where it is unknown.
+    /// Of a place that is [assumed](Status::Assumed) the error that 19 of 20 such places keep.
     pub error_px: Option<f64>,
     /// Confidence, 0..1: under 0.5 is uncertain; 1 where the user has set it.
     pub confidence: f64,

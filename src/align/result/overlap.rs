@@ -2,9 +2,10 @@
 //!
 //! In: transforms. Out: a [`Rect`], or none. Cost: some thousand evaluations of the frames' edges.
 //!
-//! A frame covers the half-planes on the inner side of its four edges, which a homography keeps straight. For given left and right edges the
-//! best upper and lower edges follow directly; the logarithm of the area is concave in the other two, so that ternary search finds its only
-//! maximum. Where the height is negative it is itself concave, which leads the search back; vertical edges bound the search.
+//! A frame covers the half-planes on the inner side of its four edges, which a homography keeps straight. For given
+//! left and right edges the best upper and lower edges follow directly; the logarithm of the area is concave in the
+//! other two, so that ternary search finds its only maximum. Where the height is negative it is itself concave, which
+//! leads the search back; vertical edges bound the search.
 
 use crate::align::transform::Transform;
 use nalgebra::Vector3;
@@ -34,11 +35,12 @@ impl Rect {
     }
 }
 
-/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames; none where the frames
-/// have no pixel in common.
+/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames;
+/// none where the frames have no pixel in common.
 pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-    // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is positive.
+    // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is
+    // positive.
     let (upright, sloping): (Vec<_>, Vec<_>) = transforms
         .iter()
         .filter(|w| **w != Transform::Identity)
@@ -74,7 +76,8 @@ fn inwards_down(v: f64) -> f64 {
     (v + WHOLE).floor()
 }
 
-/// The first and the last column, of those up to `right`, that are within all `upright` edges (n.y = 0); none where there is no such column.
+/// The first and the last column, of those up to `right`, that are within all `upright` edges (n.y = 0); none where
+/// there is no such column.
 fn horizontal_span(upright: &[Vector3<f64>], right: f64) -> Option<(f64, f64)> {
     let (mut x0, mut x1) = (0.0f64, right);
     for n in upright {

@@ -1,7 +1,7 @@
 //! Warnings about an alignment: rejected and uncertain frames, and a small overlap.
 //!
-//! In: a bracket and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover. Cost: that of the
-//! [overlap](overlap::largest).
+//! In: a bracket and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover.
+//! Cost: that of the [overlap](overlap::largest).
 
 use crate::align::result::{Rect, Status, Verdict, overlap};
 use crate::align::transform::Transform;
@@ -10,8 +10,9 @@ use crate::error::{Error, Result, Warning};
 
 /// Confidence below which a frame has a warning.
 const DOUBT: f64 = 0.5;
-/// Share of the reference below which the overlap has a warning: most of the reference is lost. Two frames that lie as far apart as the bitmaps seek
-/// ([`MtbOptions::max_shift`](crate::align::bitmaps::search::MtbOptions::max_shift) each way along the long side) leave 0.7.
+/// Share of the reference below which the overlap has a warning: most of the reference is lost. Two frames that lie as
+/// far apart as the bitmaps seek ([`MtbOptions::max_shift`](crate::align::bitmaps::search::MtbOptions::max_shift) each
+/// way along the long side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// The warnings of single frames.

@@ -1,22 +1,25 @@
 //! Small changes of a transform as parameters: what refinement solves for.
 //!
-//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given parameters, the prior of
-//! a hand-held camera, and what a covariance of the parameters means in pixels. Cost: negligible.
-//! Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of warps.
+//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given
+//! parameters, the prior of a hand-held camera, and what a covariance of the parameters means in pixels. Cost:
+//! negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of
+//! warps.
 
 use crate::align::transform::{Model, Transform, centre};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
-/// Prior of a hand-held camera beside its rotation about the optical axis, as standard deviations: change of scale by some thousandths; almost
-/// no stretch or shear; rotation aside by some tenths of a degree, which is perspective. A frame with detail everywhere determines these a hundred
-/// times as precisely; with detail in a strip only, the prior keeps the rest near.
+/// Prior of a hand-held camera beside its rotation about the optical axis, as standard deviations: change of scale by
+/// some thousandths; almost no stretch or shear; rotation aside by some tenths of a degree, which is perspective. A
+/// frame with detail everywhere determines these a hundred times as precisely; with detail in a strip only, the prior
+/// keeps the rest near.
 const SCALE: f64 = 0.0025;
 /// See [`SCALE`].
 const STRETCH: f64 = 0.001;
 /// See [`SCALE`].
 const PERSPECTIVE: f64 = 0.005;
 
-/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all parameters are alike in size.
+/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all parameters
+/// are alike in size.
 pub(crate) struct Increment {
     model: Model,
     centre: (f64, f64),
@@ -74,8 +77,9 @@ impl Increment {
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
-    /// Adds to A and b the prior of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise that is
-    /// independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too much, and so must this.
+    /// Adds to A and b the prior of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise
+    /// that is independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too
+    /// much, and so must this.
     pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {
             return;
@@ -161,7 +165,8 @@ impl Increment {
         (sum / (GRID * GRID) as f64).sqrt()
     }
 
-    /// The root mean square over the picture of the error that A^-1, the covariance of the parameters, stands for, in pixels.
+    /// The root mean square over the picture of the error that A^-1, the covariance of the parameters, stands for, in
+    /// pixels.
     pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
         let mut sum = 0.0;

@@ -1,8 +1,8 @@
 //! Transforms: reference pixel -> frame pixel.
 //!
-//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, shift, rotation, distance to another transform, and the
-//! same between the levels of a pyramid. Cost: negligible.
-//! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, shift, rotation, distance to
+//! another transform, and the same between the levels of a pyramid. Cost: negligible. Source: Hartley & Zisserman,
+//! Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 mod increment;
 mod model;
@@ -14,8 +14,8 @@ pub(crate) use model::{restrict, to_transform};
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
 
-/// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at the centre
-/// of the top-left one.
+/// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at
+/// the centre of the top-left one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Transform {
     /// The frame did not move.
@@ -151,7 +151,8 @@ mod tests {
     #[test]
     fn corner_distance_is_that_of_the_worst_corner() {
         let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
-        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01 along.
+        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01
+        // along.
         let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
         let worst = Transform::Homography(h).corner_distance(&Transform::Identity, 101, 51);
         assert!((worst - across.hypot(along)).abs() < 1e-9);

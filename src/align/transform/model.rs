@@ -1,7 +1,8 @@
 //! The models of a transform: unmoved, shift, rigid, homography; and the nearest transform of a model.
 //!
-//! In: a transform, or its matrix. Out: the smallest [`Model`] that it is of; the nearest one of a smaller model. Cost: negligible.
-//! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
+//! In: a transform, or its matrix. Out: the smallest [`Model`] that it is of; the nearest one of a smaller model. Cost:
+//! negligible. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of
+//! transformations).
 
 use super::Transform;
 use nalgebra::Matrix3;

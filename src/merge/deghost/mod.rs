@@ -28,8 +28,7 @@ mod region;
 mod structure;
 mod usual;
 
-use crate::align::transform::Transform;
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect, Status, Transform};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};

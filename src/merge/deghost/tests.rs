@@ -1,5 +1,5 @@
 use super::*;
-use crate::align::transform::Transform;
+use crate::align::Transform;
 use crate::bracket::Samples;
 use crate::bracket::exposure::Exposure;
 use crate::merge::weight::Weight;

@@ -53,7 +53,8 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
 }
 
-/// The dark and the bright photograph of a scene, the second under `transform`: two stops apart, the second clipped in its lights.
+/// The dark and the bright photograph of a scene, the second under `transform`: two stops apart, the second clipped in
+/// its lights.
 fn pair(size: (usize, usize), transform: &Transform) -> (GreyPyramid, GreyPyramid) {
     let take = |transform: &Transform, ev| GreyPyramid::new(Scene::new(5).photograph(size, transform, Shot::at(ev)));
     (take(&Transform::Identity, -1.0), take(transform, 1.0))
@@ -95,7 +96,8 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
         ratios.push(found.error_px / error);
     }
     assert!(worst < 0.1, "{worst} px");
-    // The estimate is of a root mean square: the error itself is within a third and three times of it in four cases of five.
+    // The estimate is of a root mean square: the error itself is within a third and three times of it in four cases of
+    // five.
     let fair = ratios.iter().filter(|r| (0.33..4.0).contains(*r)).count();
     assert!(fair >= 7, "{ratios:?}");
 }
@@ -115,7 +117,8 @@ fn what_no_rotation_can_follow_is_part_of_the_error() {
 
 #[test]
 fn a_smooth_slope_does_not_pull() {
-    // All is brighter at the top, as in fog; the frame is burnt out in its upper third and cut elsewhere by its own median. Small things move.
+    // All is brighter at the top, as in fog; the frame is burnt out in its upper third and cut elsewhere by its own
+    // median. Small things move.
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
     let truth = shift(5.3, -11.6);
@@ -162,7 +165,8 @@ fn where_no_rotation_is_allowed_none_is_found() {
     assert!(search(&a, &b, 0, &MtbOptions::default()).motion.angle > 0.9f64.to_radians());
 }
 
-/// Ward's loop as printed, pixel by pixel: for each shift, the share of the pixels that count which differ; 1 where under a tenth count.
+/// Ward's loop as printed, pixel by pixel: for each shift, the share of the pixels that count which differ; 1 where
+/// under a tenth count.
 fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64, i64, i64)> {
     let median = |p: &Plane<u8>| {
         let mut sorted = p.as_slice().to_vec();
@@ -236,7 +240,8 @@ fn rivals_are_the_periods_of_a_facade() {
     }
 }
 
-/// All shifts of 15 % of 65,500 px both ways would be 386 million, of 32 bytes each; photographs of 3:1 are searched as far as ever.
+/// All shifts of 15 % of 65,500 px both ways would be 386 million, of 32 bytes each; photographs of 3:1 are searched as
+/// far as ever.
 #[test]
 fn strips_are_searched_within_bounds() {
     let pair = |width: usize, height: usize| {

@@ -66,8 +66,9 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
     vector.map(|v| (v * LENGTH + 0.5) as u8)
 }
 
-/// Samples of a row, each with its place among the histograms: the first number that it adds to, how far it is on the way to the next cell
-/// to the right, the next below and the next direction, and what it weighs. Used again for the next row.
+/// Samples of a row, each with its place among the histograms: the first number that it adds to, how far it is on the
+/// way to the next cell to the right, the next below and the next direction, and what it weighs. Used again for the
+/// next row.
 #[derive(Default)]
 struct Samples {
     at: Vec<i32>,
@@ -107,8 +108,8 @@ impl Samples {
     }
 }
 
-/// From where a row of samples is seen: the centre's column, how far below it the row lies, the sine and cosine of the direction over the
-/// width of a cell, the direction, and what the row weighs.
+/// From where a row of samples is seen: the centre's column, how far below it the row lies, the sine and cosine of the
+/// direction over the width of a cell, the direction, and what the row weighs.
 struct From {
     x: f64,
     dy: f32,
@@ -157,8 +158,9 @@ impl Loops for Placing<'_> {
     }
 }
 
-/// The columns, and one more at either end, in which the row `dy` below a centre at column `x` crosses the turned square of which no
-/// side is farther from the centre than `side`; sine and cosine are divided by the length of which the side is counted.
+/// The columns, and one more at either end, in which the row `dy` below a centre at column `x` crosses the turned
+/// square of which no side is farther from the centre than `side`; sine and cosine are divided by the length of which
+/// the side is counted.
 fn crossing(x: f64, dy: f32, (sin, cos): (f32, f32), side: f32) -> Range<usize> {
     let (mut low, mut high) = (f32::NEG_INFINITY, f32::INFINITY);
     // |cos dx + sin dy| < side, and |cos dy - sin dx| < side.

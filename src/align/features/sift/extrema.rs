@@ -58,7 +58,8 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
                 let mut window = Window::new(octave, interval);
                 for y in rows {
                     window.go_to(y);
-                    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the contrast.
+                    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the
+                    // contrast.
                     window.mark((0.5 * options.contrast) as f32);
                     find_in_row(space, index, interval, y, options, &window.candidates, &mut band);
                 }
@@ -103,8 +104,8 @@ impl<'a> Window<'a> {
         self.next = Some(y + 1);
     }
 
-    /// Marks where D is larger than `least` and no smaller than its four neighbours in the plane, or the same below zero: few samples
-    /// are left for closer looks.
+    /// Marks where D is larger than `least` and no smaller than its four neighbours in the plane, or the same below
+    /// zero: few samples are left for closer looks.
     fn mark(&mut self, least: f32) {
         let Window { up, here, down, candidates, .. } = self;
         vectorised(Marks { up, here, down, least, candidates });
@@ -184,7 +185,8 @@ fn find_in_row(
     }
 }
 
-/// Fits D with a quadratic and moves to the sample nearest its extremum (section 4, eq. 2 and 3): interval, x, y, offset, D there.
+/// Fits D with a quadratic and moves to the sample nearest its extremum (section 4, eq. 2 and 3): interval, x, y,
+/// offset, D there.
 fn localise(
     octave: &Octave,
     mut interval: usize,

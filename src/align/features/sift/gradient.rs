@@ -68,7 +68,8 @@ pub(super) fn atan2(y: f32, x: f32) -> f32 {
     if y < 0.0 { -r } else { r }
 }
 
-/// The Gaussian's weights, 1 at its centre, at whole places `places` for a centre at `centre`, -d^2 `falloff` being the exponent.
+/// The Gaussian's weights, 1 at its centre, at whole places `places` for a centre at `centre`, -d^2 `falloff` being the
+/// exponent.
 pub(super) fn weights(places: Range<usize>, centre: f64, falloff: f32) -> Vec<f32> {
     places
         .map(|p| {

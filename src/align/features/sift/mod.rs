@@ -1,8 +1,8 @@
 //! SIFT: keypoints that survive scale, rotation and, up to a point, exposure.
 //!
-//! In: a grey picture. Out: its [`Features`]. Cost: five Gaussians an octave over the picture (four thirds of it in all, 16/3 where it
-//! is doubled first), then some thousand operations a keypoint. Source: Lowe, "Distinctive Image Features from Scale-Invariant
-//! Keypoints", IJCV 60(2), 2004; each child is one of its sections.
+//! In: a grey picture. Out: its [`Features`]. Cost: five Gaussians an octave over the picture (four thirds of it in
+//! all, 16/3 where it is doubled first), then some thousand operations a keypoint. Source: Lowe, "Distinctive Image
+//! Features from Scale-Invariant Keypoints", IJCV 60(2), 2004; each child is one of its sections.
 
 mod descriptor;
 mod extrema;
@@ -24,7 +24,7 @@ pub struct SiftOptions {
     pub sigma: f64,
     /// Whether the picture is doubled first, for the features of smallest scale (section 3.3).
     pub double: bool,
-    /// Least |D| at an extremum, grey levels being 0..=1 (section 4).
+    /// Least |D| at an extremum, grey values being 0..=1 (section 4).
     pub contrast: f64,
     /// r: largest ratio of the principal curvatures (section 4.1).
     pub edge_ratio: f64,
@@ -38,7 +38,8 @@ impl Default for SiftOptions {
     }
 }
 
-/// The features of `grey`, sorted by place. The options are within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
+/// The features of `grey`, sorted by place. The options are within the ranges of
+/// [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     let base = Plane::from_rows(grey.width(), grey.height(), |y, row| {
         for (v, g) in row.iter_mut().zip(grey.row(y)) {
@@ -72,7 +73,8 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
 /// Cells along the long side in which keypoints are rationed.
 const CELLS: usize = 12;
 
-/// Keeps at most `most` of `found`: in each of the picture's cells the strongest, with what poor cells leave given to the rich ones.
+/// Keeps at most `most` of `found`: in each of the picture's cells the strongest, with what poor cells leave given to
+/// the rich ones.
 fn spread<T>(found: &mut Vec<T>, width: usize, height: usize, most: usize, keypoint: impl Fn(&T) -> Keypoint) {
     if found.len() <= most {
         return;

@@ -11,7 +11,8 @@ const WINDOW: f64 = 1.5;
 /// Peaks as high as this share of the highest make keypoints of their own.
 const PEAK: f32 = 0.8;
 
-/// The directions of `extremum`, in radians, -pi..=pi: the highest peak of the histogram of gradients, and those nearly as high.
+/// The directions of `extremum`, in radians, -pi..=pi: the highest peak of the histogram of gradients, and those nearly
+/// as high.
 pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
     let sigma = WINDOW * extremum.sigma;
     let reach = libm::ceil(3.0 * sigma) as isize;

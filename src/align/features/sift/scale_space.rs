@@ -9,8 +9,8 @@ const CAMERA_SIGMA: f64 = 0.5;
 /// Short side under which an octave holds no more extrema worth having, in pixels.
 const LEAST_SIDE: usize = 16;
 
-/// One octave: s + 3 Gaussians L. The s + 2 differences D between them are taken where they are looked at: to keep them would take as much
-/// memory again, and more time than to subtract.
+/// One octave: s + 3 Gaussians L. The s + 2 differences D between them are taken where they are looked at: to keep them
+/// would take as much memory again, and more time than to subtract.
 pub(super) struct Octave {
     pub(super) gaussians: Vec<Plane<f32>>,
 }
