@@ -67,14 +67,14 @@ impl Search<'_> {
         let (width, height) = self.size();
         let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
         let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
-        let reference = Target { pyramid: Cow::Borrowed(self.base()), error_px: 0.0, confidence: 1.0 };
+        let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
         let mut targets = vec![reference];
         targets.extend(neighbour);
         let mut candidates = Candidates::default();
         candidates.add(0, first);
-        for (b, base) in targets.iter().enumerate().skip(1) {
-            let (_, found) = by_bitmaps(&base.pyramid, frame, &self.options.mtb);
-            candidates.add(b, found.map(|c| base.discount(c)));
+        for (b, target) in targets.iter().enumerate().skip(1) {
+            let (_, found) = by_bitmaps(&target.pyramid, frame, &self.options.mtb);
+            candidates.add(b, found.map(|c| target.discount(c)));
         }
         let mut found = FeatureCounts::default();
         let mut is_corroborated = false;
@@ -88,9 +88,9 @@ impl Search<'_> {
                 is_corroborated =
                     inliers >= 2 * LEAST_INLIERS && candidates.corroborate(|c| alike(&c.transform, &start));
                 if !is_corroborated {
-                    for (b, base) in targets.iter().enumerate() {
-                        let candidate = by_start(&base.compare(frame, &start), &start, 0);
-                        candidates.add(b, candidate.map(|c| base.discount(c)));
+                    for (b, target) in targets.iter().enumerate() {
+                        let candidate = by_start(&target.compare(frame, &start), &start, 0);
+                        candidates.add(b, candidate.map(|c| target.discount(c)));
                     }
                 }
             }
@@ -99,9 +99,9 @@ impl Search<'_> {
         if shared.repeats || !(is_settled(&candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
-            for (b, base) in targets.iter().enumerate() {
-                for alternative in by_alternatives(&base.compare(frame, &start), angle, &self.options.mtb) {
-                    candidates.add(b, Some(base.discount(alternative)));
+            for (b, target) in targets.iter().enumerate() {
+                for alternative in by_alternatives(&target.compare(frame, &start), angle, &self.options.mtb) {
+                    candidates.add(b, Some(target.discount(alternative)));
                 }
             }
         }

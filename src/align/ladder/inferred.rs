@@ -131,19 +131,24 @@ impl Search<'_> {
     ) -> bool {
         let is_known = |&n: &usize| n != i && verdicts[n].transform.is_some();
         let nearest = (0..verdicts.len()).filter(is_known).min_by_key(|&n| (n.abs_diff(i), n));
-        let Some(base) = nearest.and_then(|n| self.neighbour_target(n, &verdicts[n])) else { return true };
-        brightness_order(&base.pyramid, &self.pyramids[i], place, detail).is_none_or(|share| share >= IN_ORDER)
+        let Some(target) = nearest.and_then(|n| self.neighbour_target(n, &verdicts[n])) else { return true };
+        brightness_order(&target.pyramid, &self.pyramids[i], place, detail).is_none_or(|share| share >= IN_ORDER)
     }
 }
 
-/// `frame`, which lies in `base` at `place`: of all pairs of a place where it shows something and one where it does
-/// not, the share that is in the same order in `base`, ties counting half; none where too little shows. (The statistic
+/// `frame`, which lies in `target` at `place`: of all pairs of a place where it shows something and one where it does
+/// not, the share that is in the same order in `target`, ties counting half; none where too little shows. (The statistic
 /// of Mann & Whitney 1947.)
-fn brightness_order(base: &GreyPyramid, frame: &GreyPyramid, place: &InferredTransform, detail: Detail) -> Option<f64> {
-    let level = measured_level(base);
-    let (size, (width, height)) = (base.size(0), base.size(level));
+fn brightness_order(
+    target: &GreyPyramid,
+    frame: &GreyPyramid,
+    place: &InferredTransform,
+    detail: Detail,
+) -> Option<f64> {
+    let level = measured_level(target);
+    let (size, (width, height)) = (target.size(0), target.size(level));
     let h = on_level(&place.transform.matrix(size.0, size.1), level);
-    let (base, frame) = (base.level(level), frame.level(level));
+    let (target, frame) = (target.level(level), frame.level(level));
     let step = width.max(height).div_ceil(GRID);
     // By the target's grey value, where the frame shows nothing and where it shows something.
     let mut counts = [[0u64; 2]; 256];
@@ -154,7 +159,7 @@ fn brightness_order(base: &GreyPyramid, frame: &GreyPyramid, place: &InferredTra
             if u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64 {
                 let code = frame.at(u as usize, v as usize);
                 let shows = if detail.is_white { code <= detail.value } else { code >= detail.value };
-                counts[usize::from(base.at(x, y))][usize::from(shows)] += 1;
+                counts[usize::from(target.at(x, y))][usize::from(shows)] += 1;
             }
         }
     }
@@ -191,7 +196,7 @@ mod tests {
     fn order_of_brightness_is_kept_by_the_same_scene_and_by_no_other() {
         let transform = shift(3.0, -2.0);
         let take = |seed, ev| Scene::new(seed).photograph(SIZE, &transform, Shot::at(ev));
-        let base = GreyPyramid::new(Scene::new(41).photograph(SIZE, &Transform::Identity, Shot::at(0.0)));
+        let target = GreyPyramid::new(Scene::new(41).photograph(SIZE, &Transform::Identity, Shot::at(0.0)));
         let place = InferredTransform { transform, bound_px: 1.0 };
         for (ev, is_white) in [(-5.0, false), (3.0, true)] {
             let in_order = |seed| {
@@ -200,13 +205,13 @@ mod tests {
                 let histogram = Histogram::of(&frame);
                 let level = (0..=u8::MAX).find(|&v| histogram.share(0..=v) > if is_white { 0.1 } else { 0.9 }).unwrap();
                 let detail = Detail { is_white, value: level, share: 0.1 };
-                brightness_order(&base, &GreyPyramid::new(frame), &place, detail).unwrap()
+                brightness_order(&target, &GreyPyramid::new(frame), &place, detail).unwrap()
             };
             let (same, other) = (in_order(41), in_order(42));
             assert!(same > 0.9 && other < IN_ORDER, "{ev}: {same} {other}");
         }
         let nothing = Detail { is_white: false, value: u8::MAX, share: 0.0 };
         let black = GreyPyramid::new(crate::plane::Plane::filled(SIZE.0, SIZE.1, 0));
-        assert_eq!(brightness_order(&base, &black, &place, nothing), None);
+        assert_eq!(brightness_order(&target, &black, &place, nothing), None);
     }
 }

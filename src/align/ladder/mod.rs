@@ -80,7 +80,7 @@ impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
     pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
         self.each(|i| {
-            let found = bitmaps::search(self.base(), &self.pyramids[i], 0, &self.options.mtb);
+            let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
             let checked = self.evaluate(i, found.transform());
             // Each measures errors that the other does not.
             aligned_verdict(
@@ -119,7 +119,7 @@ impl Search<'_> {
             self.leave_uniform_frames_unmoved(&mut verdicts);
             return verdicts;
         }
-        let repeats = bitmaps::repeats(self.base(), &self.options.mtb);
+        let repeats = bitmaps::repeats(self.reference_pyramid(), &self.options.mtb);
         let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
@@ -150,7 +150,7 @@ impl Search<'_> {
         if let Some(given) = &self.given[i] {
             return FirstResult::Settled(given.clone());
         }
-        let (pair, candidate) = by_bitmaps(self.base(), &self.pyramids[i], &self.options.mtb);
+        let (pair, candidate) = by_bitmaps(self.reference_pyramid(), &self.pyramids[i], &self.options.mtb);
         match candidate {
             Some(c) if c.is_settled() && !repeats => {
                 FirstResult::Settled(aligned_verdict(&reduce(&pair, c), FeatureCounts::default()))
@@ -159,12 +159,12 @@ impl Search<'_> {
         }
     }
 
-    pub(crate) fn base(&self) -> &GreyPyramid {
+    pub(crate) fn reference_pyramid(&self) -> &GreyPyramid {
         &self.pyramids[self.reference]
     }
 
     pub(crate) fn size(&self) -> (usize, usize) {
-        self.base().size(0)
+        self.reference_pyramid().size(0)
     }
 
     /// `verdict` of every frame but the reference, in parallel.
@@ -179,20 +179,20 @@ impl Search<'_> {
     }
 
     fn features(&self, i: usize) -> FeatureSets {
-        let level = measured_level(self.base());
+        let level = measured_level(self.reference_pyramid());
         features::features(&self.pyramids[i], level, &self.options.sift, self.options.mtb.exclusion)
     }
 
     /// The homography that the matches agree on, and how many do.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
-        let to_full = level_to_full(measured_level(self.base()));
+        let to_full = level_to_full(measured_level(self.reference_pyramid()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
     /// Frame `i` placed by `transform`, as the tiles see it.
     pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
-        evaluate(&FramePair::new(self.base(), &self.pyramids[i], &transform), transform, 0.0)
+        evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
     /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the

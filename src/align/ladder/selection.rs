@@ -36,8 +36,8 @@ pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
 pub(super) struct Candidates(Vec<(usize, Candidate)>);
 
 impl Candidates {
-    pub(super) fn add(&mut self, base: usize, candidate: Option<Candidate>) {
-        self.0.extend(candidate.map(|c| (base, c)));
+    pub(super) fn add(&mut self, target: usize, candidate: Option<Candidate>) {
+        self.0.extend(candidate.map(|c| (target, c)));
     }
 
     /// The one with the most evidence; of nearly equals the first, which was found more directly.
@@ -63,31 +63,31 @@ impl Candidates {
     /// that are decided under both, the one whose worst comparison with all others is best. (Under a shift by a
     /// facade's period other tiles are outside the frame, and undecided.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
-        let (base, best) = self.best()?;
-        let contenders = self.alternatives(base, best, |_| true);
+        let (target, best) = self.best()?;
+        let contenders = self.alternatives(target, best, |_| true);
         let worst_lead = |c: &Candidate| {
             let others = contenders.iter().filter(|o| !alike(o, c));
             others.map(|o| c.tiles.evidence_over(&o.tiles)).fold(f64::INFINITY, f64::min)
         };
         if worst_lead(best) >= -DECISIVE {
-            return Some((base, best));
+            return Some((target, best));
         }
         let leads = contenders.iter().map(|c| (worst_lead(c), *c));
         let winner = leads.reduce(|w, c| if c.0 > w.0 { c } else { w })?;
-        Some((base, winner.1))
+        Some((target, winner.1))
     }
 
     /// Those against the same target with comparable evidence for which `is_other` holds; `best` itself may be one.
-    fn alternatives(&self, base: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
+    fn alternatives(&self, target: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = COMPARABLE_EVIDENCE * best.evidence();
-        let same_base = self.0.iter().filter(|(b, _)| *b == base).map(|(_, c)| c);
-        same_base.filter(|c| c.evidence() >= least && is_other(c)).collect()
+        let same_target = self.0.iter().filter(|(b, _)| *b == target).map(|(_, c)| c);
+        same_target.filter(|c| c.evidence() >= least && is_other(c)).collect()
     }
 
     /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer
     /// `best` to one of the `others` by no more than [`DECISIVE`].
-    pub(super) fn uniqueness(&self, (base, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
-        let leads = self.alternatives(base, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
+    pub(super) fn uniqueness(&self, (target, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
+        let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
         if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
     }
