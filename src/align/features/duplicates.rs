@@ -77,5 +77,6 @@ impl MatchIndex {
     }
 }
 
-/// Keypoints no farther apart are at one place, in pixels of the level: about twice what each is off ([`KEYPOINT_PX`]).
+/// Keypoints no farther apart are at one place, in pixels of the level: about twice what each is off (`KEYPOINT_PX` of
+/// `estimation`).
 const ONE_PLACE: f32 = 1.5;

@@ -1,7 +1,7 @@
 //! Features: keypoints of the grey picture and of its threshold bitmaps, and the homography on which their matches
 //! agree.
 //!
-//! In: grey pyramids. Out: [`FeatureSets`], and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level
+//! In: grey pyramids. Out: `FeatureSets`, and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level
 //! on which features are detected, one over a quarter of its samples for each bitmap; for a pair of frames three tables
 //! of matches, two of them guided, and [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold
 //! bitmap has many keypoints where the grey picture is dark or bright and has few; both together are always enough).

@@ -18,7 +18,7 @@ use crate::error::Result;
 /// The grey pyramid in which the motion of `frame` is sought, with all its levels.
 ///
 /// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
+/// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
 pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
     let brightening_stops = Content::of(&frame.whole()?).brightening_stops;
     Ok(GreyPyramid::new(frame.greys(brightening_stops)?))
@@ -27,7 +27,7 @@ pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
 /// The same as the search has it: of a large frame without the full size, which takes most of the memory.
 ///
 /// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
+/// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
 pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
     Ok(content_and_pyramid(frame)?.1)
 }

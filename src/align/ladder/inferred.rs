@@ -137,8 +137,8 @@ impl Search<'_> {
 }
 
 /// `frame`, which lies in `target` at `place`: of all pairs of a place where it shows something and one where it does
-/// not, the share that is in the same order in `target`, ties counting half; none where too little shows. (The statistic
-/// of Mann & Whitney 1947.)
+/// not, the share that is in the same order in `target`, ties counting half; none where too little shows. (The
+/// statistic of Mann & Whitney 1947.)
 fn brightness_order(
     target: &GreyPyramid,
     frame: &GreyPyramid,

@@ -101,7 +101,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
 
 /// Steps that the tiles may take.
 const TILE_STEPS: usize = 5;
-/// The tiles are followed where they measure a displacement of so many times their error ([`TileFit::surprise`]),
+/// The tiles are followed where they measure a displacement of so many times their error ([`TileFit::significance`]),
 const LEAST_SIGNIFICANCE: f64 = 2.0;
 /// ... and by more than this, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;

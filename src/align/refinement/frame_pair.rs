@@ -14,7 +14,7 @@ use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// About so many cells, of which each gives a point: on the level of [`MEASURED_PIXELS`], and on those above, which
+/// About so many cells, of which each gives a point: on the level of [`measured_level`], and on those above, which
 /// only lead to it.
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
 /// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one
@@ -103,7 +103,7 @@ impl<'a> FramePair<'a> {
         self.tones[i].get_or_init(|| ToneTables::between(self.reference.level(i), self.frame.level(i), &h()))
     }
 
-    /// The points of [`finest_level`]: what `choose` returns, called once.
+    /// The points of [`finest_level`](crate::align::grey::finest_level): what `choose` returns, called once.
     pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }

@@ -11,7 +11,7 @@ use crate::error::{Error, Result, Warning};
 /// Confidence below which a frame has a warning.
 const DOUBT: f64 = 0.5;
 /// Share of the reference below which the overlap has a warning: most of the reference is lost. Two frames that lie as
-/// far apart as the bitmaps seek ([`MtbOptions::max_shift`](crate::align::bitmaps::search::MtbOptions::max_shift) each
+/// far apart as the bitmaps seek ([`MtbOptions::max_shift`](crate::align::bitmaps::MtbOptions::max_shift) each
 /// way along the long side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
