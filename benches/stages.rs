@@ -3,24 +3,20 @@
 //! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use hdralign::align::agreement::survey;
-use hdralign::align::common_exposure::{CommonExposure, Tones};
-use hdralign::align::comparison::Comparison;
-use hdralign::align::features::{Features, Guide, match_mutual};
-use hdralign::align::homography::Pair;
-use hdralign::align::lmeds;
-use hdralign::align::mtb::{self, GreyPyramid, MtbOptions};
-use hdralign::align::ransac::{self, RansacOptions};
-use hdralign::align::refine::refine;
-use hdralign::align::resample::resample_rows;
-use hdralign::align::sift::{SiftOptions, detect};
-use hdralign::align::threshold::Percentile;
-use hdralign::align::{AlignOptions, Alignment, Model, align, grey_pyramid};
+use hdralign::align::agreement::check_tiles;
+use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
+use hdralign::align::features::homography::PointPair;
+use hdralign::align::features::sift::{SiftOptions, detect};
+use hdralign::align::features::{Features, Guide, RansacOptions, lmeds, match_mutual, ransac};
+use hdralign::align::grey::Percentile;
+use hdralign::align::photometric::{CommonExposure, ToneTables};
+use hdralign::align::refinement::{FramePair, refine};
+use hdralign::align::resampling::resample_rows;
+use hdralign::align::{AlignOptions, Alignment, GreyPyramid, Model, align, bitmaps, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::calibration::Unit;
-use hdralign::merge::deghost;
 use hdralign::merge::statistics::Statistics;
-use hdralign::merge::{MergeOptions, flare, merge, weight::Weight};
+use hdralign::merge::{MergeOptions, deghost, flare, merge, weight::Weight};
 use hdralign::pipeline;
 use hdralign::plane::Plane;
 use hdralign::pyramid::gaussian;
@@ -96,13 +92,13 @@ fn bitmaps(c: &mut Criterion) {
         });
         let both = planes.clone().map(pyramid);
         group.bench_function(format!("bitmaps {name}"), |b| {
-            b.iter(|| black_box(&both[0]).bitmaps(0, Percentile::MEDIAN, 4));
+            b.iter(|| ThresholdBitmaps::of_level(black_box(&both[0]), 0, Percentile::MEDIAN, 4));
         });
         for (what, max_rotation_deg) in [("shift", 0.0), ("shift and rotation", 5.0)] {
             let options = MtbOptions { max_rotation_deg, ..MtbOptions::default() };
             let search = |planes: [Plane<u8>; 2]| {
                 let [a, b] = planes.map(pyramid);
-                mtb::search(&a, &b, 0, &options)
+                bitmaps::search(&a, &b, 0, &options)
             };
             group.bench_function(format!("{what} {name}"), |b| b.iter_batched(fresh, search, BatchSize::LargeInput));
         }
@@ -123,11 +119,11 @@ fn alignment(c: &mut Criterion) {
         b.iter(|| gaussian(black_box(&levels), 1.6));
     });
     let options = MtbOptions::default();
-    let start = mtb::search(&reference, &frame, 0, &options).warp();
+    let start = bitmaps::search(&reference, &frame, 0, &options).transform();
     for (name, model) in [("refine rigid", Model::Rigid), ("refine homography", Model::Homography)] {
         group.bench_function(name, |b| {
             b.iter(|| {
-                let pair = Comparison::new(&reference, &frame, black_box(&start));
+                let pair = FramePair::new(&reference, &frame, black_box(&start));
                 refine(&pair, &start, model, (3, 0))
             })
         });
@@ -135,13 +131,13 @@ fn alignment(c: &mut Criterion) {
     let h = start.matrix(bracket.width(), bracket.height());
     group.bench_function("common exposure", |b| {
         b.iter(|| {
-            let tones = Tones::between(reference.level(0), frame.level(0), black_box(&h));
+            let tones = ToneTables::between(reference.level(0), frame.level(0), black_box(&h));
             CommonExposure::new(reference.level(0), frame.level(0), &tones)
         });
     });
-    let tones = Tones::between(reference.level(0), frame.level(0), &h);
+    let tones = ToneTables::between(reference.level(0), frame.level(0), &h);
     let both = CommonExposure::new(reference.level(0), frame.level(0), &tones);
-    group.bench_function("agreement", |b| b.iter(|| survey(&both, black_box(&h))));
+    group.bench_function("agreement", |b| b.iter(|| check_tiles(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
     let window = bracket.frames()[3].whole().expect("in memory");
     group.bench_function("resample", |b| {
@@ -173,7 +169,7 @@ fn features(c: &mut Criterion) {
     group.throughput(Throughput::Elements(sets[0].len() as u64));
     group.bench_function("match", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, None)));
     let place = |set: &Features, i: usize| [f64::from(set.keypoints[i].x), f64::from(set.keypoints[i].y)];
-    let pairs: Vec<Pair> = match_mutual(&sets[0], &sets[1], 0.8, None)
+    let pairs: Vec<PointPair> = match_mutual(&sets[0], &sets[1], 0.8, None)
         .iter()
         .map(|m| (place(&sets[0], m.reference), place(&sets[1], m.frame)))
         .collect();

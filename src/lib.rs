@@ -74,7 +74,7 @@
 //! - **Code value** Z: what is in the file, 0..=255 or 0..=65535, encoded by the camera.
 //! - **Exposure** X = E Δt: the light that fell on a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**: log2 of it.
 //! - **Response** g(Z) = ln X: what a code value means. **Radiance** E: what is left when the exposure is divided out.
-//! - **Warp**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
+//! - **Transform**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
 //! - **MTB**: median threshold bitmap (Ward 2003): which pixels are brighter than the median; with it the exclusion bitmap of those too near.
 //!
 //! # The layers

@@ -18,7 +18,7 @@ mod results;
 mod slabs;
 mod tonemapping;
 
-use crate::align::given::SavedAlignment;
+use crate::align::transforms_file::SavedAlignment;
 use crate::align::{AlignMode, AlignOptions, Alignment};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
@@ -481,7 +481,7 @@ fn check_taken(taken: &Taken, bracket: &Bracket) -> Result<()> {
 
 /// Whether there is more to merge than the reference.
 fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
-    if alignment.verdicts.iter().filter(|v| v.warp.is_some()).count() > 1 {
+    if alignment.verdicts.iter().filter(|v| v.transform.is_some()).count() > 1 {
         return Ok(());
     }
     let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();

@@ -4,7 +4,8 @@
 //! bracket with finite radiance or an error; a step's brackets have its inputs; a name stays below its folder.
 #![no_main]
 
-use hdralign::align::given::{Given, SavedAlignment};
+use hdralign::align::preset::Preset;
+use hdralign::align::transforms_file::SavedAlignment;
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::batch::name::{Template, Values, plain};
 use hdralign::batch::plan::Step;
@@ -42,7 +43,7 @@ fn transforms(content: &[u8]) {
     // Whatever it is said to be of, its places are tried on a bracket of three.
     let frames = bracket();
     let places = saved.frames.into_iter().zip([&frames[0], &frames[2]]);
-    let given = places.map(|(given, path)| Given { path: path.clone(), ..given }).collect();
+    let given = places.map(|(given, path)| Preset { path: path.clone(), ..given }).collect();
     let options = Options {
         load: LoadOptions {
             ev: Some(vec![-1.0, 0.0, 1.0]),

@@ -1,66 +1,49 @@
-//! Alignment: where every frame's pixels lie in the reference, and how sure that is.
+//! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: a [`Verdict`] for each frame, by the smallest [`Model`] that explains its motion, each
-//! straight to the reference. Cost: some 0.1 s of one core for a frame of 1.5 MP that settles at once, up to ten times as much for one in doubt;
-//! 0.3 s for one of 8 MP.
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Verdict`] with the transform of the smallest sufficient
+//! [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first
+//! method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
 //!
-//! `auto` goes from cheap to dear and stops where the picture's tiles agree: bitmaps ([`mtb`]) refined on the pixels ([`refine`]), and by
-//! the tiles where these see it off; the same against a neighbour in exposure, laid on the reference's grid, where the reference itself
-//! shows too little of what the frame shows; features ([`sift`] on the plain picture and on its bitmaps); the bitmaps' other minima. What a
-//! stage finds is only ever a start for [`refine`]; [`agreement`] says whether it is right, and which of several is; of a picture that
-//! repeats itself all are asked for.
+//! The sub-modules, each using only those before it:
+//!
+//! 1. [`transform`](mod@transform): transforms and their models. `result`: what the alignment gives back.
+//! 2. [`grey`]: grey pyramids. [`resampling`]: kernels and rows. [`photometric`]: two frames at a common exposure.
+//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, matching, RANSAC, LMedS. Neither uses the other.
+//! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
+//! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
+//! 6. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
+//!
+//! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree:
+//! bitmaps, refined on the pixels; features; the other minima of the bitmap search. Every result is refined and then
+//! checked by [`agreement`].
 
 pub mod agreement;
-mod assumed;
-mod basis;
-mod bilinear;
-pub mod bitmap;
-pub mod common_exposure;
-pub mod comparison;
-mod cubic;
-mod descent;
-pub mod evidence;
-mod feature_sets;
+pub mod bitmaps;
+pub(crate) mod diagnostics;
 pub mod features;
-pub mod given;
-pub mod homography;
-pub mod intensity_map;
-pub(crate) mod lanczos;
-pub mod lay;
-pub mod lmeds;
-pub mod mtb;
-pub mod nearest;
-mod neighbours;
-mod normal;
-mod overlap;
-mod patch;
-pub mod patches;
-mod period;
-mod place;
-pub mod ransac;
-pub mod refine;
-pub mod resample;
+pub mod grey;
+mod ladder;
+pub mod photometric;
+pub mod preset;
+pub mod refinement;
+pub mod resampling;
+mod result;
 #[cfg(test)]
 pub(crate) mod scene;
-mod search;
-mod seen;
-pub mod sift;
-pub mod threshold;
-mod tile_fit;
-mod warnings;
-pub mod warp;
+pub mod transform;
+pub mod transforms_file;
 
-use crate::bracket::{Bracket, Frame};
+use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
-use crate::plane::Plane;
-use given::Given;
-use mtb::{GreyPyramid, MtbOptions};
-use ransac::RansacOptions;
-use search::Search;
-use seen::{Seen, look, turns};
-use sift::SiftOptions;
-use std::sync::{Mutex, PoisonError};
-use warp::Warp;
+use bitmaps::MtbOptions;
+pub use features::RobustMethod;
+use features::{RansacOptions, SiftOptions};
+pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
+use ladder::search;
+use preset::Preset;
+pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
+use result::{unmoved_but, warnings};
+pub use transform::{Model, Transform};
 
 /// Alignment method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -79,19 +62,6 @@ pub enum AlignMode {
     None,
 }
 
-/// Robust estimator for feature matches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
-#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum RobustMethod {
-    /// The transform with the most inliers; up to four fifths of the matches may be wrong.
-    #[default]
-    Ransac,
-    /// The transform with the least median of squares, without a threshold; fewer than half of the matches may be wrong.
-    Lmeds,
-}
-
 /// How frames are aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignOptions {
@@ -103,8 +73,8 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
-    /// Frames whose place is not sought but given; the first word on a frame counts.
-    pub given: Vec<Given>,
+    /// Transforms that are preset instead of estimated; of several for one frame the first counts.
+    pub given: Vec<Preset>,
     /// The method of the robust fit.
     pub robust: RobustMethod,
     /// The robust fit; its threshold is in pixels of the level on which features are sought.
@@ -159,195 +129,14 @@ impl AlignOptions {
     }
 }
 
-/// What became of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Status {
-    /// The frame that the others are aligned to.
-    Reference,
-    /// Moved, and placed by a warp.
-    Aligned,
-    /// Found not to have moved: its warp is exactly the identity.
-    Unmoved,
-    /// Too dark or too bright to be aligned, and taken to lie where the other frames let expect; it is merged only where all of them clip, or are
-    /// black. Its error is one that 19 of 20 such places keep.
-    Assumed,
-    /// Could not be placed; it takes no part in what follows.
-    Rejected,
-    /// Excluded by the user, and takes no part either. Files of the versions 1 have both by one name, and who did it by another key
-    /// ([`RejectedBy`]).
-    #[serde(rename = "rejected", skip_deserializing)]
-    Excluded,
-    /// Excluded because the flash fired in it, unlike in the others; by the same name in files.
-    #[serde(rename = "rejected", skip_deserializing)]
-    Flash,
-}
-
-/// Who took a frame out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RejectedBy {
-    /// The alignment, which could not place it.
-    Alignment,
-    /// The user.
-    User,
-    /// The flash, which fired in this frame alone.
-    Flash,
-}
-
-impl Status {
-    /// Who took the frame out; none where it takes part.
-    pub fn rejected_by(self) -> Option<RejectedBy> {
-        match self {
-            Status::Reference | Status::Aligned | Status::Unmoved | Status::Assumed => None,
-            Status::Rejected => Some(RejectedBy::Alignment),
-            Status::Excluded => Some(RejectedBy::User),
-            Status::Flash => Some(RejectedBy::Flash),
-        }
-    }
-}
-
-/// What a warp is allowed to do, from the least to the most.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// Nothing.
-    Unmoved,
-    /// Shift: two numbers.
-    Shift,
-    /// Shift and rotation about the centre: three numbers.
-    Rigid,
-    /// Any view of a plane, or any turn of the camera: eight numbers.
-    Homography,
-}
-
-impl Model {
-    /// The model that `warp` is of.
-    pub fn of(warp: &Warp) -> Self {
-        match *warp {
-            Warp::Identity => Model::Unmoved,
-            Warp::Rigid { angle: 0.0, .. } => Model::Shift,
-            Warp::Rigid { .. } => Model::Rigid,
-            Warp::Homography(_) => Model::Homography,
-        }
-    }
-}
-
-/// Keypoints found in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub struct KeypointCounts {
-    /// In the plain picture.
-    pub plain: usize,
-    /// In its median threshold bitmap.
-    pub mtb: usize,
-    /// In both together, points found twice counted once.
-    pub merged: usize,
-}
-
-/// A rectangle of pixels: columns `x0..x1`, rows `y0..y1` of the reference.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct Rect {
-    /// First column.
-    pub x0: usize,
-    /// First row.
-    pub y0: usize,
-    /// Column after the last.
-    pub x1: usize,
-    /// Row after the last.
-    pub y1: usize,
-}
-
-impl Rect {
-    /// Width in pixels.
-    pub fn width(&self) -> usize {
-        self.x1 - self.x0
-    }
-
-    /// Height in pixels.
-    pub fn height(&self) -> usize {
-        self.y1 - self.y0
-    }
-}
-
-/// What is known of one frame's place.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Verdict {
-    /// What became of the frame.
-    pub status: Status,
-    /// The smallest model that explains its motion; none where it takes no part.
-    pub model: Option<Model>,
-    /// Its warp, reference pixel -> frame pixel; none where it takes no part.
-    pub warp: Option<Warp>,
-    /// Matches that RANSAC agreed on; none where features were not needed.
-    pub inliers: Option<usize>,
-    /// Keypoints in this frame; none where features were not needed.
-    pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error of the warp over the picture, in pixels; none where nothing can be said. Of a place that is
-    /// [assumed](Status::Assumed) the error that 19 of 20 such places keep.
-    pub error_px: Option<f64>,
-    /// How sure it is, 0..1: under 0.5 is doubtful; 1 where the user said so.
-    pub confidence: f64,
-    /// Why it was rejected, or taken as it lies although nothing shows that it lies so, or what its place is assumed from.
-    pub reason: Option<String>,
-}
-
-impl Verdict {
-    /// A frame that lies as the reference does, because it is the reference or because the user says so.
-    fn by_definition(status: Status) -> Self {
-        Verdict {
-            status,
-            model: Some(Model::Unmoved),
-            warp: Some(Warp::Identity),
-            inliers: None,
-            keypoints: None,
-            error_px: (status == Status::Reference).then_some(0.0),
-            confidence: 1.0,
-            reason: None,
-        }
-    }
-}
-
-/// The place of every frame of a bracket.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Alignment {
-    /// One verdict per frame, in the order of [`Bracket::frames`].
-    pub verdicts: Vec<Verdict>,
-    /// The largest rectangle of the reference that all placed frames cover.
-    pub overlap: Rect,
-}
-
-impl Alignment {
-    /// Every frame of `bracket` as it lies, unseen: for a tripod that can be trusted.
-    pub fn unmoved(bracket: &Bracket) -> Self {
-        Alignment {
-            verdicts: unmoved_but(bracket, &vec![None; bracket.frames().len()]),
-            overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() },
-        }
-    }
-
-    /// The frames of `bracket` that take part in what follows: the index of each, the frame, and its warp.
-    pub fn placed<'a>(&'a self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Warp)> {
-        let all = bracket.frames().iter().zip(&self.verdicts).enumerate();
-        all.filter_map(|(i, (frame, verdict))| Some((i, frame, verdict.warp?)))
-    }
-}
-
-/// Every frame of `bracket` as it lies, but for those whose verdict is `given`.
-fn unmoved_but(bracket: &Bracket, given: &[Option<Verdict>]) -> Vec<Verdict> {
-    let status = |i| if i == bracket.reference_index() { Status::Reference } else { Status::Unmoved };
-    let verdict =
-        |(i, given): (usize, &Option<Verdict>)| given.clone().unwrap_or_else(|| Verdict::by_definition(status(i)));
-    given.iter().enumerate().map(verdict).collect()
-}
-
 /// Places every frame of `bracket`.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in common; [`Error::Scratch`].
-/// That a frame cannot be placed is no error, but a verdict and a warning.
+/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
+/// common; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
-    let given = given::verdicts(bracket, &options.given)?;
+    let given = preset::verdicts(bracket, &options.given)?;
     let verdicts = match options.mode {
         AlignMode::None => unmoved_but(bracket, &given),
         AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,
@@ -358,60 +147,6 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
     let (overlap, small) = warnings::common_overlap(bracket, &verdicts)?;
     warnings.extend(small);
     Ok((Alignment { verdicts, overlap }, warnings))
-}
-
-/// What `find` makes of the bracket, where nothing is `given`.
-fn search(
-    bracket: &Bracket,
-    options: &AlignOptions,
-    given: &[Option<Verdict>],
-    find: fn(&Search) -> Vec<Verdict>,
-) -> Result<Vec<Verdict>> {
-    let looked = bracket.map_whole(look);
-    let (seen, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let turns = turns(bracket);
-    let is_plain = seen.iter().all(|s| s.is_plain);
-    // The search asks for a whole picture now and then, far inside; where it cannot be had, nothing that is found then counts.
-    let failed = Mutex::new(None);
-    let grey = |i: usize| {
-        bracket.frames()[i].greys(seen[i].stops).unwrap_or_else(|error| {
-            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-            Plane::filled(bracket.width(), bracket.height(), 0)
-        })
-    };
-    let found = find(&Search {
-        pyramids: &pyramids,
-        grey: &grey,
-        seen: &seen,
-        turns: &turns,
-        is_plain,
-        compared_at_once: bracket.at_once(),
-        detected_at_once: bracket.detected_at_once(),
-        reference: bracket.reference_index(),
-        given,
-        options,
-    });
-    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        None => Ok(found),
-        Some(error) => Err(error),
-    }
-}
-
-/// The grey pyramid in which the motion of `frame` is sought, with all its levels.
-///
-/// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
-pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    let stops = Seen::of(&frame.whole()?).stops;
-    Ok(GreyPyramid::new(frame.greys(stops)?))
-}
-
-/// The same as the search has it: of a large frame without the full size, which takes most of the memory.
-///
-/// # Errors
-/// [`Error::Scratch`], where the frame is on disk.
-pub fn searched_pyramid(frame: &Frame) -> Result<GreyPyramid> {
-    Ok(look(frame)?.1)
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! A scene for the tests of this stage: random, smooth, with edges, at many scales, and known at every place, not only at pixels, so
-//! that a photograph of it under any warp and exposure can be computed without resampling.
+//! A scene for the tests of this stage: random, smooth, with edges, at many scales, and known at every place, not only
+//! at pixels, so that a photograph of it under any transform and exposure can be computed without resampling.
 //!
-//! In: a seed, a warp, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
+//! In: a seed, a transform, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
 
-use super::warp::{Warp, map};
+use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
 
 /// What there is to see.
@@ -29,7 +29,8 @@ impl Shot {
     }
 }
 
-/// Lattice spacing in pixels and weight in stops of each layer of noise. The finest has features of about 5 px: well sampled.
+/// Lattice spacing in pixels and weight in stops of each layer of noise. The finest has features of about 5 px: well
+/// sampled.
 const LAYERS: [(f64, f64); 5] = [(150.0, 2.0), (61.0, 2.0), (27.0, 1.7), (12.0, 1.2), (5.3, 0.7)];
 
 impl Scene {
@@ -61,20 +62,21 @@ impl Scene {
         top + v * (bottom - top)
     }
 
-    /// The photograph of a camera under `warp`, which takes a place of the scene (a pixel of an unmoved camera) to a pixel.
-    pub(crate) fn photograph(&self, size: (usize, usize), warp: &Warp, shot: Shot) -> Plane<u8> {
-        photograph(size, warp, shot, |x, y| self.radiance(x, y))
+    /// The photograph of a camera under `transform`, which takes a place of the scene (a pixel of an unmoved camera) to
+    /// a pixel.
+    pub(crate) fn photograph(&self, size: (usize, usize), transform: &Transform, shot: Shot) -> Plane<u8> {
+        photograph(size, transform, shot, |x, y| self.radiance(x, y))
     }
 }
 
 /// The photograph of any radiance.
 pub(crate) fn photograph(
     (width, height): (usize, usize),
-    warp: &Warp,
+    transform: &Transform,
     shot: Shot,
     radiance: impl Fn(f64, f64) -> f64 + Sync,
 ) -> Plane<u8> {
-    let back = warp.matrix(width, height).try_inverse().unwrap();
+    let back = transform.matrix(width, height).try_inverse().unwrap();
     let gain = 0.18 * shot.ev.exp2();
     Plane::from_rows(width, height, |y, row| {
         for (x, v) in row.iter_mut().enumerate() {
@@ -101,16 +103,16 @@ pub(crate) fn uniform(seed: u64, i: i64, j: i64) -> f64 {
 }
 
 /// A shift.
-pub(crate) fn shift(dx: f64, dy: f64) -> Warp {
-    Warp::Rigid { dx, dy, angle: 0.0 }
+pub(crate) fn shift(dx: f64, dy: f64) -> Transform {
+    Transform::Rigid { dx, dy, angle: 0.0 }
 }
 
 /// A shift and a rotation in degrees.
-pub(crate) fn rigid(dx: f64, dy: f64, degrees: f64) -> Warp {
-    Warp::Rigid { dx, dy, angle: degrees.to_radians() }
+pub(crate) fn rigid(dx: f64, dy: f64, degrees: f64) -> Transform {
+    Transform::Rigid { dx, dy, angle: degrees.to_radians() }
 }
 
-/// A perspective warp whose corners move by some pixels, each its own way, on a picture of some hundred pixels.
-pub(crate) fn perspective() -> Warp {
-    Warp::Homography(nalgebra::Matrix3::new(1.004, 0.006, -2.3, -0.005, 0.997, 3.1, 1.2e-5, -1.6e-5, 1.0))
+/// A perspective transform whose corners move by some pixels, each its own way, on a picture of some hundred pixels.
+pub(crate) fn perspective() -> Transform {
+    Transform::Homography(nalgebra::Matrix3::new(1.004, 0.006, -2.3, -0.005, 0.997, 3.1, 1.2e-5, -1.6e-5, 1.0))
 }

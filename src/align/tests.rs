@@ -1,7 +1,8 @@
 //! Whole brackets: every frame's verdict.
 
-use super::scene::{Scene, Shot, rigid, shift};
 use super::*;
+use crate::align::scene::{Scene, Shot, rigid, shift};
+use crate::align::transform::distance;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
 use crate::plane::Plane;
@@ -14,12 +15,14 @@ fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
     Frame::new(name.into(), grey.width(), grey.height(), Samples::Eight(codes), Exposure::given(ev).unwrap())
 }
 
-/// A bracket of the scene under these warps and exposures; the frame given first is the reference.
-fn bracket(shots: &[(Warp, f64)]) -> Bracket {
+/// A bracket of the scene under these transforms and exposures; the frame given first is the reference.
+fn bracket(shots: &[(Transform, f64)]) -> Bracket {
     let frames = shots
         .iter()
         .enumerate()
-        .map(|(i, (warp, ev))| frame(&format!("{i}"), &Scene::new(41).photograph(SIZE, warp, Shot::at(*ev)), *ev))
+        .map(|(i, (transform, ev))| {
+            frame(&format!("{i}"), &Scene::new(41).photograph(SIZE, transform, Shot::at(*ev)), *ev)
+        })
         .collect();
     Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap()
 }
@@ -31,7 +34,7 @@ fn statuses(alignment: &Alignment) -> Vec<Status> {
 #[test]
 fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
     let (dark, bright) = (rigid(5.5, -3.2, 0.5), shift(-8.3, 4.6));
-    let bracket = bracket(&[(Warp::Identity, 0.0), (bright, 1.5), (dark, -1.5)]);
+    let bracket = bracket(&[(Transform::Identity, 0.0), (bright, 1.5), (dark, -1.5)]);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| align(&bracket, &AlignOptions::default()).unwrap())
@@ -41,13 +44,13 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
     assert!(warnings.is_empty(), "{warnings:?}");
     // By rising exposure, whatever the order given.
     assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Aligned]);
-    assert_eq!(alignment.verdicts[1].warp, Some(Warp::Identity));
+    assert_eq!(alignment.verdicts[1].transform, Some(Transform::Identity));
     assert_eq!(alignment.verdicts[1].error_px, Some(0.0));
     for (i, truth, model) in [(0, dark, Model::Rigid), (2, bright, Model::Shift)] {
         let verdict = &alignment.verdicts[i];
         assert_eq!(verdict.model, Some(model));
         // As for `refine`'s own tests.
-        let error = verdict.warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        let error = verdict.transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1 && verdict.confidence > 0.8, "{error} {verdict:?}");
     }
     let overlap = alignment.overlap;
@@ -57,17 +60,17 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
 #[test]
 fn a_frame_of_another_scene_is_rejected_and_told() {
     let own = Scene::new(41);
-    let take = |scene: &Scene, warp: &Warp, ev| scene.photograph(SIZE, warp, Shot::at(ev));
+    let take = |scene: &Scene, transform: &Transform, ev| scene.photograph(SIZE, transform, Shot::at(ev));
     let frames = vec![
         frame("dark", &take(&own, &shift(3.0, 2.0), -1.0), -1.0),
-        frame("middle", &take(&own, &Warp::Identity, 0.0), 0.0),
-        frame("stranger", &take(&Scene::new(42), &Warp::Identity, 1.0), 1.0),
+        frame("middle", &take(&own, &Transform::Identity, 0.0), 0.0),
+        frame("stranger", &take(&Scene::new(42), &Transform::Identity, 1.0), 1.0),
     ];
     let bracket = Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap();
     let (alignment, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
     assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Rejected]);
     let verdict = &alignment.verdicts[2];
-    assert!(verdict.warp.is_none() && verdict.model.is_none() && verdict.reason.is_some(), "{verdict:?}");
+    assert!(verdict.transform.is_none() && verdict.model.is_none() && verdict.reason.is_some(), "{verdict:?}");
     assert!(
         matches!(&warnings[..], [Warning::FrameRejected { path, reason }] if path.to_str() == Some("stranger") && !reason.is_empty()),
         "{warnings:?}"
@@ -78,16 +81,17 @@ fn a_frame_of_another_scene_is_rejected_and_told() {
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
 }
 
-/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to go by.
+/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to
+/// go by.
 const NEARLY_BLACK: f64 = -16.0;
 
 #[test]
 fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
-    let still = [(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, NEARLY_BLACK)];
+    let still = [(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, NEARLY_BLACK)];
     let (alignment, warnings) = align(&bracket(&still), &AlignOptions::default()).unwrap();
     let verdict = &alignment.verdicts[0];
     assert_eq!(statuses(&alignment), [Status::Assumed, Status::Reference, Status::Unmoved], "{verdict:?}");
-    assert_eq!((verdict.warp, verdict.model), (Some(Warp::Identity), Some(Model::Unmoved)));
+    assert_eq!((verdict.transform, verdict.model), (Some(Transform::Identity), Some(Model::Unmoved)));
     assert!(verdict.error_px.is_some_and(|error| error < 1.0) && verdict.confidence > 0.5, "{verdict:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_dark: true, is_still: true, .. }]), "{warnings:?}");
     assert!(!warnings[0].degrades() && warnings[0].to_string().contains("stood still in the other 2 frames"));
@@ -102,7 +106,7 @@ fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
     let (alignment, warnings) = align(&bracket(&shots), &AlignOptions::default()).unwrap();
     let verdict = &alignment.verdicts[0];
     assert_eq!(verdict.status, Status::Assumed, "{verdict:?}");
-    let error = place::distance(&verdict.warp.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
+    let error = distance(&verdict.transform.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
     assert!(error <= verdict.error_px.unwrap() && verdict.error_px.unwrap() < 3.0, "{error} {verdict:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_still: false, .. }]), "{warnings:?}");
     assert!(warnings[0].degrades());
@@ -110,7 +114,7 @@ fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
 
 #[test]
 fn a_black_frame_among_others_that_moved_is_rejected() {
-    let moved = [(Warp::Identity, 0.0), (shift(6.0, -4.0), 1.0), (shift(-3.0, 5.0), NEARLY_BLACK)];
+    let moved = [(Transform::Identity, 0.0), (shift(6.0, -4.0), 1.0), (shift(-3.0, 5.0), NEARLY_BLACK)];
     let bracket = bracket(&moved);
     let (alignment, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
     assert_eq!(
@@ -120,37 +124,39 @@ fn a_black_frame_among_others_that_moved_is_rejected() {
         alignment.verdicts[0]
     );
     // It takes no part in what follows.
-    let placed: Vec<_> = alignment.placed(&bracket).map(|(i, frame, warp)| (i, frame.path(), Some(warp))).collect();
-    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.verdicts[i].warp));
+    let placed: Vec<_> =
+        alignment.placed(&bracket).map(|(i, frame, transform)| (i, frame.path(), Some(transform))).collect();
+    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.verdicts[i].transform));
     assert_eq!(placed, expected);
     assert!(warnings.iter().any(|w| matches!(w, Warning::FrameRejected { .. })));
 }
 
 #[test]
 fn without_alignment_frames_lie_as_they_are() {
-    let bracket = bracket(&[(Warp::Identity, 0.0), (shift(6.0, -4.0), 1.0)]);
+    let bracket = bracket(&[(Transform::Identity, 0.0), (shift(6.0, -4.0), 1.0)]);
     let options = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
     let (alignment, warnings) = align(&bracket, &options).unwrap();
     assert_eq!(statuses(&alignment), [Status::Reference, Status::Unmoved]);
-    assert!(warnings.is_empty() && alignment.verdicts.iter().all(|v| v.warp == Some(Warp::Identity)));
+    assert!(warnings.is_empty() && alignment.verdicts.iter().all(|v| v.transform == Some(Transform::Identity)));
     assert_eq!(alignment.overlap, Rect { x0: 0, y0: 0, x1: SIZE.0, y1: SIZE.1 });
 }
 
 #[test]
 fn each_method_by_itself_finds_the_motion() {
     let truth = rigid(7.0, -5.0, 0.6);
-    let bracket = bracket(&[(Warp::Identity, 0.0), (truth, 1.0)]);
-    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel each.
+    let bracket = bracket(&[(Transform::Identity, 0.0), (truth, 1.0)]);
+    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel
+    // each.
     for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
-        let error = alignment.verdicts[1].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        let error = alignment.verdicts[1].transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < tolerance, "{mode:?}: {error} px");
     }
 }
 
 #[test]
 fn option_out_of_range_is_an_error_that_names_it() {
-    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0)]);
+    let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0)]);
     let refused = |expected: &str, set: &dyn Fn(&mut AlignOptions)| {
         let mut options = AlignOptions { mode: AlignMode::Sift, ..AlignOptions::default() };
         set(&mut options);
@@ -177,16 +183,16 @@ fn option_out_of_range_is_an_error_that_names_it() {
 
 #[test]
 fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
-    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0)]);
-    let by_user = Verdict::by_definition(Status::Aligned);
-    let with = |dx| Verdict { warp: Some(shift(dx, 0.0)), ..by_user.clone() };
+    let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0)]);
+    let by_user = Verdict::with_identity(Status::Aligned);
+    let with = |dx| Verdict { transform: Some(shift(dx, 0.0)), ..by_user.clone() };
     for (verdict, says) in [
         (with(f64::NAN), "homography"),
-        (Verdict { warp: None, ..by_user.clone() }, "no homography"),
+        (Verdict { transform: None, ..by_user.clone() }, "no homography"),
         (Verdict { status: Status::Rejected, ..by_user.clone() }, "has a place"),
         (Verdict { confidence: f64::NAN, ..by_user.clone() }, "confidence"),
     ] {
-        let given = vec![Given { path: "1".into(), place: given::Place::Found(verdict) }];
+        let given = vec![Preset { path: "1".into(), place: preset::PresetTransform::Known(verdict) }];
         let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
         assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
         assert!(error.to_string().contains(says), "{error}");
@@ -195,11 +201,15 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
 
 #[test]
 fn small_overlap_is_warned_of_and_none_is_an_error() {
-    let bracket = bracket(&[(Warp::Identity, 0.0), (Warp::Identity, 1.0), (Warp::Identity, 2.0)]);
+    let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, 2.0)]);
     let align = |shifts: [f64; 2]| {
-        let place =
-            |dx| given::Place::Found(Verdict { warp: Some(shift(dx, 0.0)), ..Verdict::by_definition(Status::Aligned) });
-        let given = [1, 2].map(|i| Given { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
+        let place = |dx| {
+            preset::PresetTransform::Known(Verdict {
+                transform: Some(shift(dx, 0.0)),
+                ..Verdict::with_identity(Status::Aligned)
+            })
+        };
+        let given = [1, 2].map(|i| Preset { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };
     // 384 pixels wide. Half of them are enough.
@@ -221,18 +231,20 @@ fn small_overlap_is_warned_of_and_none_is_an_error() {
 
 #[test]
 fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
-    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame between.
+    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame
+    // between.
     let truth = shift(11.0, -7.0);
-    let take =
-        |name: &str, seed, warp: &Warp, ev| frame(name, &Scene::new(seed).photograph(SIZE, warp, Shot::at(ev)), ev);
-    let reference = || take("reference", 41, &Warp::Identity, -7.0);
+    let take = |name: &str, seed, transform: &Transform, ev| {
+        frame(name, &Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)), ev)
+    };
+    let reference = || take("reference", 41, &Transform::Identity, -7.0);
     let bright = || take("bright", 41, &truth, 7.0);
     let align = |frames| {
         let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
         align(&bracket, &AlignOptions::default()).unwrap().0
     };
     assert_eq!(statuses(&align(vec![reference(), bright()])), [Status::Reference, Status::Rejected]);
-    let between = [take("middle", 41, &shift(-9.0, 6.0), 0.0), take("stranger", 42, &Warp::Identity, 2.0)];
+    let between = [take("middle", 41, &shift(-9.0, 6.0), 0.0), take("stranger", 42, &Transform::Identity, 2.0)];
     let alignment = align([vec![reference()], between.into(), vec![bright()]].concat());
     assert_eq!(
         statuses(&alignment),
@@ -240,6 +252,6 @@ fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
         "{:?}",
         alignment.verdicts
     );
-    let error = alignment.verdicts[3].warp.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+    let error = alignment.verdicts[3].transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
     assert!(error < 2.0, "{error} px");
 }

@@ -5,8 +5,8 @@ use super::heading::{ALIGNMENT, INPUT, OUTPUT, RESOURCES};
 use super::memory;
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use hdralign::align::given::{Given, Place};
-use hdralign::align::mtb::MtbOptions;
+use hdralign::align::bitmaps::MtbOptions;
+use hdralign::align::preset::{Preset, PresetTransform};
 use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::limits::Limits;
@@ -224,11 +224,11 @@ impl Aligned {
     }
 
     /// What the user says of single frames.
-    fn given(&self) -> Vec<Given> {
-        let all = |paths: &[PathBuf], place: Place| {
-            paths.iter().map(|p| Given { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
+    fn given(&self) -> Vec<Preset> {
+        let all = |paths: &[PathBuf], place: PresetTransform| {
+            paths.iter().map(|p| Preset { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
         };
-        [all(&self.leave_out, Place::LeftOut), all(&self.unmoved, Place::Unmoved)].concat()
+        [all(&self.leave_out, PresetTransform::Excluded), all(&self.unmoved, PresetTransform::Unmoved)].concat()
     }
 
     /// A number, unless a file of that name was given.

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_psnr_and_signs_are_by_definition() {
+    fn codes_psnr_and_signs_are_with_identity() {
         let a = eight(|_| 100);
         let b = eight(|i| if i % 3 == 1 { 104 } else { 100 });
         let found = measure(&a, &b);

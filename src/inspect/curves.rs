@@ -5,7 +5,7 @@
 
 use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
-use crate::align::evidence::{Curve, XorCurves};
+use crate::align::diagnostics::{Curve, XorCurves};
 
 const CURVE: Colour = Colour(0, 114, 178);
 const FOUND: Colour = Colour(213, 94, 0);

@@ -7,8 +7,9 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::{png_rgb, reduce};
-use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
-use crate::align::warp::{Warp, map};
+use crate::align::Transform;
+use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
+use crate::align::transform::map;
 use crate::bracket::Frame;
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
@@ -38,7 +39,7 @@ pub(super) struct Couple<'a> {
     pub(super) reference_grey: &'a Plane<u8>,
     pub(super) frame_grey: &'a Plane<u8>,
     /// Reference pixel -> frame pixel; none where the frame was rejected.
-    pub(super) warp: Option<Warp>,
+    pub(super) warp: Option<Transform>,
 }
 
 /// The edges of the couple.
@@ -50,8 +51,8 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
     let moving = reduce(couple.frame_grey, SIDE);
     let after =
         couple.warp.map(|warp| (warp, "after: aligned", laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
-    let before = (Warp::Identity, "before: as photographed", Grey::whole(moving).edges(LEAST_FULL));
-    let views: Vec<(Warp, &str, Edges)> = [Some(before), after].into_iter().flatten().collect();
+    let before = (Transform::Identity, "before: as photographed", Grey::whole(moving).edges(LEAST_FULL));
+    let views: Vec<(Transform, &str, Edges)> = [Some(before), after].into_iter().flatten().collect();
     let boxes =
         views.last().map_or_else(Vec::new, |(_, _, view)| details(&reference.strength, &view.strength, size, couple));
 
@@ -82,7 +83,8 @@ pub(super) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
             page.drawing.outline(place, Pen { colour: BOX, width: 1.6, opacity: 1.0 });
             let (width, height) = ((detail.width * MAGNIFIED) as f64, (detail.height * MAGNIFIED) as f64);
             let (x, y) = (corner.0 + i as f64 * (width + DETAIL_GAP), corner.1 + size.1 + DETAIL_GAP);
-            let still = detail.grey(couple.reference, &Warp::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
+            let still =
+                detail.grey(couple.reference, &Transform::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
             let moved = detail.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
             page.drawing.picture(Area { x, y, width, height }, &png_rgb(&two_colours(&still, &moved))?);
         }
@@ -110,7 +112,7 @@ impl Detail {
     }
 
     /// Grey levels of `frame` there, resampled as merging does.
-    pub(super) fn grey(&self, frame: &Frame, warp: &Warp) -> Result<Grey, String> {
+    pub(super) fn grey(&self, frame: &Frame, warp: &Transform) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
         let under = rows_under(warp, (frame.width(), frame.height()), &columns, &rows);
@@ -165,7 +167,7 @@ pub(super) fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64),
 const APART: f64 = 0.35;
 
 /// `small`, a reduced frame, on the reference's grid reduced alike.
-pub(super) fn laid(small: &Plane<u8>, warp: &Warp, reference: &Frame) -> Grey {
+pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Grey {
     let (width, height) = (small.width(), small.height());
     let h = warp.matrix(reference.width(), reference.height());
     let (sx, sy) = (reference.width() as f64 / width as f64, reference.height() as f64 / height as f64);
@@ -294,7 +296,8 @@ mod tests {
     #[test]
     fn edges_are_alike_in_two_exposures_and_coincide_once_aligned() {
         let (size, scene, truth) = ((360, 240), Scene::new(3), rigid(14.0, -9.0, 1.0));
-        let reference = Grey::whole(scene.photograph(size, &Warp::Identity, Shot::at(0.0))).edges(LEAST_FULL).strength;
+        let reference =
+            Grey::whole(scene.photograph(size, &Transform::Identity, Shot::at(0.0))).edges(LEAST_FULL).strength;
         let grey = scene.photograph(size, &truth, Shot::at(-2.0));
         let samples = crate::bracket::Samples::Eight(vec![0; 3 * size.0 * size.1]);
         let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();

@@ -10,9 +10,8 @@ use super::{Inspection, Sheet, SheetKind};
 use crate::error::{Error, Result};
 use crate::write::{self, NewFolder, Target, Whole};
 use rayon::prelude::*;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 /// Files in memory.
 type Named = Vec<(PathBuf, Vec<u8>)>;

@@ -6,7 +6,7 @@
 use super::drawing::{Colour, Drawing, Path, Pen};
 use super::page::{Entry, Mark, Page};
 use super::picture::Photograph;
-use crate::align::evidence::FrameFeatures;
+use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
 
 /// Keypoints of the plain picture alone: vermilion, lightened.

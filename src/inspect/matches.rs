@@ -5,7 +5,7 @@
 use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
 use super::page::{Entry, Mark, Page, TEXT};
 use super::picture::Photograph;
-use crate::align::evidence::Matching;
+use crate::align::diagnostics::Matching;
 
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);
@@ -79,7 +79,7 @@ pub(super) fn draw(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::Warp;
+    use crate::align::Transform;
     use crate::plane::Plane;
 
     #[test]
@@ -90,7 +90,7 @@ mod tests {
         let pairs: Vec<_> =
             (0..321).map(|i| ([f64::from(i % 300), f64::from(i / 3)], [f64::from(i % 290), 50.0])).collect();
         let inlier = (0..321).map(|i| i % 2 == 0).collect();
-        let matching = Matching { pairs, inlier, warp: Some(Warp::Identity) };
+        let matching = Matching { pairs, inlier, transform: Some(Transform::Identity) };
         let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
         // Circles are arcs, two each; lines have an L. Every third match has a line.
         let count =

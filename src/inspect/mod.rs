@@ -19,13 +19,11 @@ pub mod response_plot;
 pub mod tables;
 pub(crate) mod text;
 
-use crate::align::evidence::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
-use crate::align::mtb::GreyPyramid;
-use crate::align::{AlignOptions, Alignment, grey_pyramid, searched_pyramid};
+use crate::align::diagnostics::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
+use crate::align::{AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Result, Warning};
-use crate::plane::Plane;
-use crate::plane::map_at_once;
+use crate::plane::{Plane, map_at_once};
 use crate::report::{Report, WarningReport};
 use drawing::Drawing;
 use edges::Couple;
@@ -167,7 +165,7 @@ fn gathered<'a>(
     });
     let against = map_at_once(pyramids.len(), bracket.at_once(), |i| {
         (i != base).then(|| Against {
-            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].warp.as_ref(), options),
+            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].transform.as_ref(), options),
             matchings: matchings(&features[base], &features[i], options),
         })
     });
@@ -189,7 +187,7 @@ fn gathered<'a>(
             features: &evidence.features,
             xor: evidence.against.as_ref().map(|a| &a.xor),
             matchings: evidence.against.as_ref().map(|a| &a.matchings),
-            warp: verdict.warp.as_ref(),
+            warp: verdict.transform.as_ref(),
         })
         .collect();
     let mut report = Report::new(bracket, alignment, alignment.overlap);
@@ -235,7 +233,7 @@ impl Inspection<'_> {
                 drawn(matches::draw(&title, both, &against.matchings[FeatureKind::Merged as usize])?)
             }
             (SheetKind::Xor, Some(against)) => {
-                let placed = self.alignment.verdicts[i].warp.is_some();
+                let placed = self.alignment.verdicts[i].transform.is_some();
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
             (SheetKind::Edges, Some(_)) => drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?),
@@ -287,7 +285,7 @@ impl Inspection<'_> {
             frame: self.frame(i),
             reference_grey: self.pyramids[self.bracket.reference_index()].largest(),
             frame_grey: self.pyramids[i].largest(),
-            warp: self.alignment.verdicts[i].warp,
+            warp: self.alignment.verdicts[i].transform,
         }
     }
 

@@ -8,7 +8,7 @@ use super::edges::{
     BOX, Couple, DETAIL_GAP, Detail, FAINT_DETAIL, Grey, LEAST_FULL, MAGNIFIED, details, laid, two_colours,
 };
 use super::picture::reduce;
-use crate::align::warp::Warp;
+use crate::align::Transform;
 use crate::plane::Plane;
 
 /// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.
@@ -33,18 +33,19 @@ pub(super) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
     let reference = Grey::whole(reduce(couple.reference_grey, side)).edges(LEAST_FULL);
     let moving = reduce(couple.frame_grey, side);
     let aligned = couple.warp.map(|warp| (warp, laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
-    let photographed = (Warp::Identity, Grey::whole(moving).edges(LEAST_FULL));
+    let photographed = (Transform::Identity, Grey::whole(moving).edges(LEAST_FULL));
     let (width, height) = (reference.strength.width(), reference.strength.height());
     let last = &aligned.as_ref().unwrap_or(&photographed).1;
     let places = details(&reference.strength, &last.strength, (width as f64, height as f64), couple);
-    let picture = |(warp, view): &(Warp, super::edges::Edges)| -> Result<Plane<[u8; 3]>, String> {
+    let picture = |(warp, view): &(Transform, super::edges::Edges)| -> Result<Plane<[u8; 3]>, String> {
         let gap = DETAIL_GAP as usize;
         let below = places.first().map_or(0, |p| gap + p.height * MAGNIFIED);
         let mut sheet = Plane::filled(width, height + below, [0u8; 3]);
         put(&mut sheet, (0, 0), 1, &two_colours(&plain(&reference.strength), &plain(&view.strength)));
         for (k, place) in places.iter().enumerate() {
             frame_place(&mut sheet, place, (width, height), (couple.reference.width(), couple.reference.height()));
-            let still = place.grey(couple.reference, &Warp::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
+            let still =
+                place.grey(couple.reference, &Transform::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
             let moved = place.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
             let corner = (k * (place.width * MAGNIFIED + gap), height + gap);
             put(&mut sheet, corner, MAGNIFIED, &two_colours(&plain(&still), &plain(&moved)));
@@ -106,7 +107,7 @@ mod tests {
     #[test]
     fn what_is_apart_before_is_together_after() {
         let (size, scene, truth) = ((900, 600), Scene::new(3), rigid(14.0, -9.0, 1.0));
-        let greys = [Warp::Identity, truth].map(|w| scene.photograph(size, &w, Shot::at(0.0)));
+        let greys = [Transform::Identity, truth].map(|w| scene.photograph(size, &w, Shot::at(0.0)));
         let frame = |grey: &Plane<u8>| {
             let codes = grey.as_slice().iter().flat_map(|v| [*v; 3]).collect();
             Frame::new("x".into(), size.0, size.1, Samples::Eight(codes), Exposure::given(0.0).unwrap())

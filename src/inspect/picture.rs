@@ -3,7 +3,7 @@
 //! In: grey planes of any size. Out: [`Photograph`]s, PNG bytes. Cost: a pass over the plane and the deflation of what is left.
 
 use super::drawing::{Area, Drawing};
-use crate::align::bitmap::Bitmap;
+use crate::align::bitmaps::Bitmap;
 use crate::plane::Plane;
 use crate::write::Metadata;
 use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
@@ -168,7 +168,7 @@ fn png(size: (usize, usize), colour: ColorType, depth: BitDepth, data: &[u8]) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::bitmap::{ThresholdBitmaps, Zone};
+    use crate::align::bitmaps::{ThresholdBitmaps, Zone};
 
     #[test]
     fn areas_keep_their_mean() {

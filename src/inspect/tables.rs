@@ -2,10 +2,9 @@
 //!
 //! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
 
-use crate::align::Status;
-use crate::align::evidence::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
-use crate::align::threshold::Percentile;
-use crate::align::warp::Warp;
+use crate::align::diagnostics::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
+use crate::align::grey::Percentile;
+use crate::align::{Status, Transform};
 use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -154,7 +153,7 @@ pub(super) struct Found<'a> {
     pub(super) features: &'a FrameFeatures,
     pub(super) xor: Option<&'a XorCurves>,
     pub(super) matchings: Option<&'a [Matching; 3]>,
-    pub(super) warp: Option<&'a Warp>,
+    pub(super) warp: Option<&'a Transform>,
 }
 
 impl Tables {
@@ -223,7 +222,7 @@ fn feature_table(found: &Found, size: (usize, usize)) -> FeatureTable {
         let Some(matchings) = found.matchings else { return blank };
         let matching = &matchings[kind as usize];
         let inliers = matching.inliers();
-        let motion = matching.warp.filter(|_| inliers >= LEAST_INLIERS);
+        let motion = matching.transform.filter(|_| inliers >= LEAST_INLIERS);
         let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, place, size));
         let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
         let verdict = match (motion, off_px) {

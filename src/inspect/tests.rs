@@ -1,9 +1,9 @@
 //! A bracket with a known motion, inspected: what the tables and sheets say.
 
 use super::*;
+use crate::align;
 use crate::align::scene::{Scene, Shot, rigid};
-use crate::align::warp::Warp;
-use crate::align::{self, Status};
+use crate::align::{Status, Transform};
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{ReferenceChoice, Samples};
 use crate::plane::Plane;
@@ -13,14 +13,14 @@ const SIZE: (usize, usize) = (420, 300);
 /// Three exposures of a scene; the second is the reference.
 fn bracket() -> Bracket {
     let scene = Scene::new(11);
-    let frame = |name: &str, ev: f64, warp: Warp| {
+    let frame = |name: &str, ev: f64, warp: Transform| {
         let grey: Plane<u8> = scene.photograph(SIZE, &warp, Shot::at(ev));
         let rgb = grey.as_slice().iter().flat_map(|v| [*v; 3]).collect();
         Frame::new(name.into(), SIZE.0, SIZE.1, Samples::Eight(rgb), Exposure::given(ev).unwrap())
     };
     let frames = vec![
         frame("dark <1>.png", -2.0, rigid(7.0, 4.0, 1.2)),
-        frame("middle.png", 0.0, Warp::Identity),
+        frame("middle.png", 0.0, Transform::Identity),
         frame("bright.png", 2.0, rigid(-3.0, 5.0, -0.8)),
     ];
     Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap()
@@ -122,7 +122,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let mut alignment = Alignment::unmoved(&bracket);
     alignment.verdicts[0].status = Status::Rejected;
-    alignment.verdicts[0].warp = None;
+    alignment.verdicts[0].transform = None;
     alignment.verdicts[0].reason = Some("a reason".into());
     let inspection = inspect(&bracket, &alignment, &options, &[]).unwrap();
     assert!(inspection.tables().to_text().contains("dark <1>.png: left out: a reason"));
@@ -140,7 +140,7 @@ fn bitmaps_that_speak_against_a_place_are_told() {
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
     let told = "its bitmap differs more as aligned than unmoved";
     assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(told));
-    alignment.verdicts[0].warp = Some(rigid(-40.0, 30.0, -3.0));
+    alignment.verdicts[0].transform = Some(rigid(-40.0, 30.0, -3.0));
     let text = inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text();
     assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
 }

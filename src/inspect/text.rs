@@ -4,7 +4,7 @@
 //! what they are worth, for the plain picture, for its bitmap, and for both merged.
 
 use super::tables::{FrameTable, KindTable, KindVerdict, Tables};
-use crate::align::threshold::Percentile;
+use crate::align::grey::Percentile;
 use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
 use std::path::Path;

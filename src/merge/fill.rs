@@ -151,7 +151,7 @@ mod tests {
         for i in [0, 4] {
             alignment.verdicts[i].status = status;
             if status == Status::Rejected {
-                alignment.verdicts[i].warp = None;
+                alignment.verdicts[i].transform = None;
             }
         }
         alignment
@@ -189,7 +189,7 @@ mod tests {
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
         let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
-        alignment.verdicts[0].warp = Some(crate::align::warp::Warp::Rigid { dx: -10.0, dy: 0.0, angle: 0.0 });
+        alignment.verdicts[0].transform = Some(crate::align::Transform::Rigid { dx: -10.0, dy: 0.0, angle: 0.0 });
         let (filled, _) = merged(&bracket, &with(&alignment, Status::Assumed));
         for x in 10..SIZE.0 - 10 {
             let (old, new) = (without[x][1], filled[x][1]);

@@ -5,9 +5,8 @@
 
 use super::noise::Noise;
 use super::weight::Weight;
-use crate::align::resample::{resample_rows, rows_under};
-use crate::align::warp::Warp;
-use crate::align::{Alignment, Status};
+use crate::align::resampling::{resample_rows, rows_under};
+use crate::align::{Alignment, Status, Transform};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
@@ -207,7 +206,7 @@ pub(super) enum Fill {
 /// A frame that takes part.
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
-    warp: Warp,
+    warp: Transform,
     is_reference: bool,
     /// By channel and code.
     entries: [Vec<Entry>; 3],
@@ -295,9 +294,9 @@ pub(super) fn layers<'a>(
         let fill = if i < bracket.reference_index() { Fill::Clipped } else { Fill::Black };
         (alignment.verdicts[i].status == Status::Assumed).then_some(fill)
     };
-    let seen = |(i, frame, warp): (usize, &'a Frame, Warp)| {
+    let seen = |(i, frame, warp): (usize, &'a Frame, Transform)| {
         let noise = match weight {
-            Weight::Noise => Noise::of(frame, warp != Warp::Identity)?,
+            Weight::Noise => Noise::of(frame, warp != Transform::Identity)?,
             _ => Noise::least(),
         };
         Ok((frame, warp, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
@@ -316,7 +315,7 @@ pub(super) fn layers<'a>(
 /// `frame`, exposed `time` times as long as the reference and as noisy as told; weights are divided by `most`.
 fn layer<'a>(
     frame: &'a Frame,
-    warp: Warp,
+    warp: Transform,
     (time, noise): (f64, &Noise),
     curve: &ResponseCurve,
     weight: Weight,
@@ -347,7 +346,7 @@ fn layer<'a>(
         warp,
         is_reference: false,
         // A frame of 8 bit that did not move has whole codes alone.
-        last: if frame.max() == u16::from(u8::MAX) && warp == Warp::Identity { 255.0 } else { 254.0 },
+        last: if frame.max() == u16::from(u8::MAX) && warp == Transform::Identity { 255.0 } else { 254.0 },
         say: weight.say(curve, time, noise) / most,
         fill: None,
         black: (0..3).map(|c| curve.black(c)).fold(0.0, f64::max) as f32,

@@ -9,7 +9,7 @@
 use super::gamut::weights;
 use super::weight::Weight;
 use super::{MergeOptions, merge};
-use crate::align::nearest::{Placed, placed};
+use crate::align::resampling::nearest::{Placed, placed};
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Frame, ReferenceChoice, Samples};
 use crate::error::Result;
@@ -109,7 +109,7 @@ mod tests {
     fn a_curve_of_twice_the_exposure_is_off_by_a_stop_in_every_pixel() {
         let (bracket, mut alignment) =
             still((300, 200), &[0.25, 1.0, 4.0], |x, y| [0.01 * x as f64, 0.02 * y as f64, 0.3]);
-        alignment.verdicts[0].warp = Some(crate::align::warp::Warp::Rigid { dx: 3.4, dy: -2.0, angle: 0.0 });
+        alignment.verdicts[0].transform = Some(crate::align::Transform::Rigid { dx: 3.4, dy: -2.0, angle: 0.0 });
         alignment.overlap = Rect { x0: 4, y0: 2, x1: 290, y1: 190 };
         let miniature = Miniature::of(&bracket, &alignment, 2000).unwrap().unwrap();
         let pixels = miniature.bracket.width();

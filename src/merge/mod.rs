@@ -147,8 +147,7 @@ pub struct MergeReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::Warp;
-    use crate::align::{Alignment, Status};
+    use crate::align::{Alignment, Status, Transform};
     use crate::bracket::Bracket;
     use crate::response::ResponseCurve;
     use crate::response::tests::still;
@@ -210,7 +209,7 @@ mod tests {
         assert!(refused.contains("--deghost") && refused.contains("columns 8..40"), "{refused}");
         let mut fewer = alignment.clone();
         fewer.verdicts[0].status = Status::Rejected;
-        fewer.verdicts[0].warp = None;
+        fewer.verdicts[0].transform = None;
         assert!(merged(&fewer, region).is_err_and(|e| e.to_string().contains("other frames")));
     }
 
@@ -219,15 +218,15 @@ mod tests {
         let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let (exact, _) = run(&bracket, &alignment, Weight::Hat);
         // Moved by nothing: the interpolated tables must give what the exact ones do.
-        alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
+        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let (moved, _) = run(&bracket, &alignment, Weight::Hat);
         for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
             assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
         }
         // Moved out of the picture, it is as if it were rejected.
-        alignment.verdicts[0].warp = Some(Warp::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
+        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
-        alignment.verdicts[0].warp = None;
+        alignment.verdicts[0].transform = None;
         let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((outside.pixels, report.frames), (rejected.pixels, 2));
     }

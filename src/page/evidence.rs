@@ -9,7 +9,7 @@ use super::is_sought;
 use super::markup::escape;
 use super::plot::{Axis, Plot};
 use super::{COARSE, DRAWING};
-use crate::align::evidence::{Curve, FrameBitmaps, Matching, XorCurves};
+use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::{Alignment, Status};
 use crate::bracket::Bracket;
 use crate::inspect::Inspection;
@@ -85,7 +85,7 @@ pub(super) fn gather(
     let needed = |i: usize| needs_features(alignment, i);
     let of = |i: usize| -> Result<Evidence, String> {
         let bitmaps = inspection.bitmaps(i);
-        let is_placed = verdicts[i].warp.is_some();
+        let is_placed = verdicts[i].transform.is_some();
         let (grey, brightened) = inspection.photograph(i, (DRAWING, DRAWING));
         let scale = grey.width() as f64 / bracket.width() as f64;
         let photograph = || grey_jpeg(&grey, COARSE);
@@ -262,7 +262,7 @@ mod tests {
     fn lines_are_few_and_dots_are_all() {
         let photograph = Picture { address: "data:,".into(), width: 200, height: 100 };
         let pairs = (0..361).map(|i| ([f64::from(i), 5.0], [f64::from(i), 9.0])).collect();
-        let matching = Matching { pairs, inlier: (0..361).map(|i| i % 2 == 0).collect(), warp: None };
+        let matching = Matching { pairs, inlier: (0..361).map(|i| i % 2 == 0).collect(), transform: None };
         let svg = matched(&matching, &[photograph.clone(), photograph], 0.5);
         // Every fourth has a line; every one two dots.
         assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));

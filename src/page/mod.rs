@@ -23,8 +23,7 @@ mod summary;
 mod viewer;
 mod words;
 
-use crate::align::warp::Warp;
-use crate::align::{AlignOptions, Alignment, Rect, Status};
+use crate::align::{AlignOptions, Alignment, Rect, Status, Transform};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
@@ -220,11 +219,11 @@ impl Page {
 fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
-    let of = |(frame, warp): (&Frame, Option<Warp>)| {
-        let pixels = reduced::frame(frame, &warp.unwrap_or(Warp::Identity), region, size)?;
+    let of = |(frame, warp): (&Frame, Option<Transform>)| {
+        let pixels = reduced::frame(frame, &warp.unwrap_or(Transform::Identity), region, size)?;
         Ok(Photograph { pixels, icc: icc(frame) })
     };
-    bracket.frames().iter().zip(alignment.verdicts.iter().map(|verdict| verdict.warp)).map(of).collect()
+    bracket.frames().iter().zip(alignment.verdicts.iter().map(|verdict| verdict.transform)).map(of).collect()
 }
 
 /// The bytes of the frame's profile.

@@ -5,9 +5,8 @@
 //! three bytes for each pixel of what comes out. Every pixel counts for the part of it that lies in a cell, in whole numbers, so that fine
 //! patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
 
-use crate::align::Rect;
-use crate::align::resample::{resample_rows, rows_under};
-use crate::align::warp::Warp;
+use crate::align::resampling::{resample_rows, rows_under};
+use crate::align::{Rect, Transform};
 use crate::bracket::Frame;
 use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};
@@ -112,7 +111,7 @@ impl Reduced {
 /// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it
 /// does not reach. Read in bands,
 /// so that a frame on disk need not fit into memory.
-pub(super) fn frame(frame: &Frame, warp: &Warp, region: Rect, size: (usize, usize)) -> Result<Plane<[u8; 3]>> {
+pub(super) fn frame(frame: &Frame, warp: &Transform, region: Rect, size: (usize, usize)) -> Result<Plane<[u8; 3]>> {
     let (width, height) = (region.width(), region.height());
     let mut reduced = Reduced::new((width, height), size);
     let mut rows = vec![[0u8; 3]; width * height.min(AT_ONCE * BAND_ROWS)];

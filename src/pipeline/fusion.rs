@@ -3,9 +3,8 @@
 //! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
-use crate::align::resample::{OUTSIDE, resample_rows, rows_under};
-use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect};
+use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
+use crate::align::{Alignment, Rect, Transform};
 use crate::bracket::colour::{Conversion, Transfer};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
@@ -106,7 +105,7 @@ impl Aligned<'_> {
 }
 
 /// A placed frame: its number in the bracket, itself, and where it lies.
-type Placed<'a> = (usize, &'a Frame, Warp);
+type Placed<'a> = (usize, &'a Frame, Transform);
 
 /// The way from the codes of a frame to those of the picture, both 0 to 1: the measures of fusion are made for what a display shows.
 struct ToShown {

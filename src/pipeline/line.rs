@@ -10,7 +10,7 @@ use super::referred;
 use super::results::Results;
 use super::slabs::{Room, Slabs};
 use super::{Options, Progress, Stage};
-use crate::align::given::SavedAlignment;
+use crate::align::transforms_file::SavedAlignment;
 use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;

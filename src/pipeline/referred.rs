@@ -8,8 +8,9 @@
 //! beside it the one that sees the most is tried, and taken where more are surely placed beside that. A reference of the user's choice stays.
 
 use super::Options;
-use crate::align::given::Place;
-use crate::align::{self, AlignMode, Alignment};
+use crate::align;
+use crate::align::preset::PresetTransform;
+use crate::align::{AlignMode, Alignment};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
 
@@ -60,7 +61,7 @@ fn is_open(options: &Options) -> bool {
     let is_ours = matches!(options.load.reference, ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_));
     is_ours
         && options.align.mode == AlignMode::Auto
-        && options.align.given.iter().all(|given| given.place == Place::LeftOut)
+        && options.align.given.iter().all(|given| given.place == PresetTransform::Excluded)
 }
 
 /// Which frames are left out: those that the user names, and those that are excluded by themselves.
@@ -72,7 +73,7 @@ fn left_out(bracket: &Bracket, options: &Options) -> Vec<bool> {
 
 /// How many frames take part, with the reference, of which the place is known with `least` confidence.
 fn count(alignment: &Alignment, least: f64) -> usize {
-    alignment.verdicts.iter().filter(|verdict| verdict.warp.is_some() && verdict.confidence >= least).count()
+    alignment.verdicts.iter().filter(|verdict| verdict.transform.is_some() && verdict.confidence >= least).count()
 }
 
 fn mark(alignment: &Alignment, done: &mut [bool]) {
@@ -80,6 +81,6 @@ fn mark(alignment: &Alignment, done: &mut [bool]) {
         .verdicts
         .iter()
         .zip(done)
-        .filter(|(verdict, _)| verdict.warp.is_some())
+        .filter(|(verdict, _)| verdict.transform.is_some())
         .for_each(|(_, done)| *done = true);
 }

@@ -282,12 +282,12 @@ fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize
             status: verdict.status,
             rejected_by: verdict.status.rejected_by(),
             model: verdict.model,
-            homography: verdict.warp.map(|w| {
+            homography: verdict.transform.map(|w| {
                 let h = w.matrix(width, height);
                 std::array::from_fn(|i| h[(i / 3, i % 3)])
             }),
-            shift_px: verdict.warp.map(|w| w.shift_px(width, height).into()),
-            rotation_deg: verdict.warp.map(|w| w.rotation_deg(width, height)),
+            shift_px: verdict.transform.map(|w| w.shift_px(width, height).into()),
+            rotation_deg: verdict.transform.map(|w| w.rotation_deg(width, height)),
             inliers: verdict.inliers,
             keypoints: verdict.keypoints,
             error_px: verdict.error_px,
@@ -305,7 +305,7 @@ fn text(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::warp::Warp;
+    use crate::align::Transform;
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{ReferenceChoice, Samples};
 
@@ -326,7 +326,7 @@ mod tests {
         let verdict = |status, warp| Verdict {
             status,
             model: None,
-            warp,
+            transform: warp,
             inliers: None,
             keypoints: Some(KeypointCounts { plain: 1, mtb: 2, merged: 3 }),
             error_px: None,
@@ -335,7 +335,7 @@ mod tests {
         };
         let whole = Rect { x0: 0, y0: 0, x1: 4, y1: 2 };
         let alignment = Alignment {
-            verdicts: vec![verdict(Status::Rejected, None), verdict(Status::Reference, Some(Warp::Identity))],
+            verdicts: vec![verdict(Status::Rejected, None), verdict(Status::Reference, Some(Transform::Identity))],
             overlap: whole,
         };
         let json: serde_json::Value =

@@ -6,7 +6,7 @@
 //! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
 //! means over patches, by the thousand.
 
-use crate::align::nearest::{Strip, placed};
+use crate::align::resampling::nearest::{Strip, placed};
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes};
 use crate::error::Result;

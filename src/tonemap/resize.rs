@@ -8,7 +8,7 @@
 //! Linear light has no upper end near its middle: beside a window the kernel's negative lobes would draw a black line. What comes of them is
 //! therefore kept within what the kernel's main lobe sees.
 
-use crate::align::lanczos::lanczos3;
+use crate::align::resampling::lanczos::lanczos3;
 use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::ops::Range;

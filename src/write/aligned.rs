@@ -4,9 +4,8 @@
 //! one resampling of every frame, by bands.
 
 use super::{Metadata, Pending, RowWriter, Written, tiff};
-use crate::align::resample::{OUTSIDE, resample_rows};
-use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect};
+use crate::align::resampling::{OUTSIDE, resample_rows};
+use crate::align::{Alignment, Rect, Transform};
 use crate::bracket::{Bracket, Codes, Window};
 use crate::error::{Error, Result};
 use crate::plane::BAND_ROWS;
@@ -51,7 +50,7 @@ pub fn write(
 ) -> Result<Vec<Written>> {
     let mut files = Vec::new();
     for (frame, verdict) in bracket.frames().iter().zip(&alignment.verdicts) {
-        let Some(warp) = verdict.warp else { continue };
+        let Some(warp) = verdict.transform else { continue };
         let path = name(prefix, frame.path());
         let size = (region.width(), region.height());
         let metadata = Metadata { profile: frame.profile.clone(), ..metadata.clone() };
@@ -77,7 +76,7 @@ const BANDS_AT_ONCE: usize = 8;
 fn push<T: Copy + Send + Sync>(
     mut writer: Box<dyn RowWriter<[T; 3]> + '_>,
     window: &Window,
-    warp: &Warp,
+    warp: &Transform,
     region: Rect,
     round: impl Fn(f32) -> T + Sync,
 ) -> Result<Written> {

@@ -2,7 +2,8 @@
 //!
 //! `PROPTEST_CASES=5000 cargo test --test library properties` tries more of them.
 
-use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
+use hdralign::align::features::RobustMethod;
+use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::bracket::LoadOptions;
 use hdralign::bracket::colour::{Primaries, Space};
 use hdralign::compare;

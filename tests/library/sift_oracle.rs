@@ -1,7 +1,7 @@
 //! Our SIFT against OpenCV's, an independent implementation, on a picture that both were given (`tests/fixtures/README.md`).
 
+use hdralign::align::features::sift::{SiftOptions, detect};
 use hdralign::align::features::{Descriptor, Keypoint};
-use hdralign::align::sift::{SiftOptions, detect};
 use hdralign::plane::Plane;
 use std::path::Path;
 

@@ -6,8 +6,8 @@
 //! Means are of exposures, not of codes: the mean code of an edge means another exposure in every frame. Of a cell with a clipped code the
 //! mean is a lower bound, of one with a black code an upper one.
 
-use super::{CODES, Layer, Plane, Rect, ResponseCurve, Warp};
-use crate::align::warp::map;
+use super::{CODES, Layer, Plane, Rect, ResponseCurve, Transform};
+use crate::align::transform::map;
 use crate::bracket::Codes;
 use crate::error::Result;
 
@@ -157,7 +157,7 @@ fn averaged<T: Copy + Sync>(
     let (width, height) = (frame.width(), frame.height());
     let (right, bottom) = ((width - 1) as f64, (height - 1) as f64);
     let h = warp.matrix(width, height);
-    let still = *warp == Warp::Identity;
+    let still = *warp == Transform::Identity;
     let blocks = blocks(side);
     let share = 1.0 / blocks.len() as f32;
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {

@@ -28,8 +28,7 @@ mod region;
 mod structure;
 mod usual;
 
-use crate::align::warp::Warp;
-use crate::align::{Alignment, Rect, Status};
+use crate::align::{Alignment, Rect, Status, Transform};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};
@@ -132,7 +131,7 @@ fn limits(strength: f64) -> (f32, f32) {
 /// A placed frame as it is compared.
 pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
-    warp: Warp,
+    warp: Transform,
     pub(super) meaning: Meaning,
     /// Whether its place is but [assumed](Status::Assumed): it shows what no other does, and is not compared.
     is_assumed: bool,
@@ -149,7 +148,7 @@ pub(super) fn layers<'a>(
     let mut layers = Vec::new();
     let mut reference = 0;
     for (index, (frame, verdict)) in placed {
-        if let Some(warp) = verdict.warp {
+        if let Some(warp) = verdict.transform {
             if index == bracket.reference_index() {
                 reference = layers.len();
             }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::align::warp::Warp;
+use crate::align::Transform;
 use crate::bracket::Samples;
 use crate::bracket::exposure::Exposure;
 use crate::merge::weight::Weight;
@@ -301,9 +301,9 @@ fn cells_are_the_means_of_exposures() {
                 let meaning = Meaning::of(&curve, 0.5);
                 cells::average(&Layer { frame: &frame, warp, meaning, is_assumed: false }, region, side, 0).unwrap()
             };
-            let cells = seen(Warp::Identity);
+            let cells = seen(Transform::Identity);
             // By a shift of no pixels too, which goes another way.
-            let still = Warp::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
+            let still = Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
             assert_eq!(cells, seen(still));
             // Of cells of up to 4x4 pixels all are looked at.
             for (j, i, c) in [(0, 0, 0), (1, 1, 2), (0, 1, 1)] {
@@ -347,7 +347,8 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let codes: Vec<u8> = (0..64).flat_map(|i| [if (i / 8, i % 8) == (1, 1) { 255 } else { 100 }; 3]).collect();
     let frame = Frame::new("a".into(), 8, 8, Samples::Eight(codes), Exposure::given(0.0).unwrap());
     let curve = ResponseCurve::srgb();
-    let layer = Layer { frame: &frame, warp: Warp::Identity, meaning: Meaning::of(&curve, 1.0), is_assumed: false };
+    let layer =
+        Layer { frame: &frame, warp: Transform::Identity, meaning: Meaning::of(&curve, 1.0), is_assumed: false };
     let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
     // Four blocks of four pixels, and one of these is clipped.
     let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;

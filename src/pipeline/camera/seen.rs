@@ -3,12 +3,11 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
-use super::super::curves;
 use super::super::doubts::processing;
 use super::super::line::Line;
-use super::super::{check_placed, in_pool};
+use super::super::{check_placed, curves, in_pool};
 use super::{BracketReport, Options, PATCHES};
-use crate::align::given::Given;
+use crate::align::preset::Preset;
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use crate::merge::miniature::Miniature;
@@ -76,7 +75,7 @@ fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -
     let mut own = options.line.clone();
     let bracket = line.load(paths, &own.aligning(), &own)?;
     if brackets > 1 {
-        own.align.given.retain(|given: &Given| bracket.named(&given.path).is_some());
+        own.align.given.retain(|given: &Preset| bracket.named(&given.path).is_some());
     }
     let (mut bracket, alignment, mut places) = in_pool(bracket.threads(), || {
         let (bracket, alignment) = line.align(bracket, &own)?;

@@ -33,8 +33,9 @@ const LAYERS: [&str; 23] = [
 ];
 
 /// Ways to do one thing, which know nothing of each other.
-const RIVALS: [(&str, &[&str]); 3] = [
-    ("align", &["mtb", "sift"]),
+const RIVALS: [(&str, &[&str]); 4] = [
+    ("align", &["bitmaps", "features"]),
+    ("align::features", &["ransac", "lmeds"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
     ("tonemap", &["natural", "reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),
 ];

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 pub struct Source {
     /// From the package's folder, with `/`.
     pub path: String,
-    /// The module, from the crate's root: `["align", "sift", "extrema"]`; the crate's root and `main` have none.
+    /// The module, from the crate's root: `["align", "features", "sift", "extrema"]`; the crate's root and `main` have none.
     pub module: Vec<String>,
     /// Its lines, all of them.
     pub lines: usize,

@@ -1,0 +1,101 @@
+//! The transform that the displacements of the tiles fit best.
+//!
+//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and how well
+//! they determine it. Cost: negligible beside the check. Source: Newton's method on the sum of the correlations; tiles
+//! that moved by themselves lose their weight (Tukey's biweight).
+//!
+//! Flare, motion blur, or noise that bends the intensity map displace the grey values of every edge to the same side,
+//! and [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and
+//! offset.
+
+use crate::align::agreement::{TileCheck, TileDisplacement};
+use crate::align::transform::{Increment, Model};
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Fewest tiles for a fit.
+const LEAST_TILES: usize = 8;
+/// Tukey's constant: 95 % efficient on normal noise.
+const TUKEY: f64 = 4.685;
+/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
+const MEDIAN_SQUARE: f64 = 1.386;
+/// What neighbouring tiles have in common makes the error so many times what it would be if they had nothing.
+const CORRELATION_FACTOR: f64 = 1.5;
+/// Rounds of weighting.
+const ROUNDS: usize = 5;
+
+/// The transform that the displacements of the tiles fit.
+#[derive(Debug, Clone)]
+pub(crate) struct TileFit {
+    /// That transform, in pixels of the planes.
+    pub(crate) h: Matrix3<f64>,
+    /// Its distance from the one that was checked, as root mean square over the picture, in pixels of the planes.
+    pub(crate) moved: f64,
+    /// Its error estimate, the same way.
+    pub(crate) error: f64,
+    /// The change in units of its error: about 1 if the transform is the same.
+    pub(crate) significance: f64,
+}
+
+/// The fit to the displacements of the tiles of planes of `size` under the transform `h`; none where they are too few.
+pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
+    let tiles = &check_tiles.displacements;
+    if tiles.len() < LEAST_TILES {
+        return None;
+    }
+    let basis = Increment::new(Model::Homography, size.0, size.1);
+    let n = basis.parameters();
+    let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
+    let mut step = DVector::zeros(n);
+    let mut normal = DMatrix::identity(n, n);
+    for _ in 0..ROUNDS {
+        let misfits: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| misfit(t, j, &step)).collect();
+        let mut sorted = misfits.clone();
+        sorted.sort_by(f64::total_cmp);
+        let variance = (sorted[sorted.len() / 2] / MEDIAN_SQUARE).max(1e-12);
+        let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for ((tile, j), misfit) in tiles.iter().zip(&places).zip(&misfits) {
+            let t = (misfit / variance).sqrt() / TUKEY;
+            let inside = (1.0 - t * t).max(0.0);
+            let weight = inside * inside / variance;
+            for p in 0..n {
+                // Displacements are in the reference's pixels: a tile found to the right moves the transform that way.
+                b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
+                let pulled = times(tile, j[p]);
+                for q in 0..n {
+                    a[(p, q)] += weight * (j[q][0] * pulled[0] + j[q][1] * pulled[1]);
+                }
+            }
+        }
+        basis.add_prior(h, CORRELATION_FACTOR, &mut a, &mut b);
+        step = basis.solve(a.clone(), b)?;
+        normal = a;
+    }
+    let moved = h * basis.matrix(&step);
+    let error = CORRELATION_FACTOR * basis.expected_error(&normal)?;
+    let significance = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
+    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
+}
+
+/// S v.
+fn times(tile: &TileDisplacement, v: [f64; 2]) -> [f64; 2] {
+    let [xx, xy, yy] = tile.sharpness;
+    [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
+}
+
+/// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its
+/// sharpness.
+fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
+    let mut moved = [0.0; 2];
+    for (p, s) in step.iter().enumerate() {
+        moved[0] += j[p][0] * s;
+        moved[1] += j[p][1] * s;
+    }
+    let goes = times(tile, moved);
+    let left = [tile.pull[0] - goes[0], tile.pull[1] - goes[1]];
+    // r^T S^-1 r, S made safe to invert: along an edge both r and S vanish.
+    let [xx, xy, yy] = tile.sharpness;
+    let safe = 0.02 * (xx + yy) + 1e-12;
+    let (xx, yy) = (xx + safe, yy + safe);
+    let determinant = xx * yy - xy * xy;
+    (yy * left[0] * left[0] - 2.0 * xy * left[0] * left[1] + xx * left[1] * left[1]) / determinant
+}

@@ -1,0 +1,74 @@
+//! Median threshold bitmaps: shift and rotation between two exposures, from the pixels that are brighter than the
+//! median.
+//!
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a
+//! pixel, its error estimate, and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for
+//! 1024 x 768, from two grey planes on. Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic
+//! Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation is the thesis's (chapter 4).
+//!
+//! On the coarsest level every shift and angle is tried. A few candidates are followed by whole pixels from level to
+//! level; where the parts of the picture have enough edges, the best one is refined to the minimum of the XOR counts
+//! (`descent`).
+
+pub mod bitmap;
+mod descent;
+mod difference;
+mod period;
+mod search;
+mod threshold;
+mod warp;
+
+use crate::align::grey::Percentile;
+pub(crate) use bitmap::Zone;
+pub use bitmap::{Bitmap, ThresholdBitmaps};
+pub use difference::Difference;
+pub(crate) use difference::difference_shifted;
+pub(crate) use period::repeats;
+pub use search::search;
+pub(crate) use search::{BitmapPair, alternatives};
+pub(crate) use warp::{Motion, Rounding};
+
+use crate::align::transform::Transform;
+
+/// How the bitmaps are made and searched.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MtbOptions {
+    /// The largest rotation sought, in degrees to either side.
+    pub max_rotation_deg: f64,
+    /// The largest shift sought at the coarsest level, as a share of the long side.
+    pub max_shift: f64,
+    /// Grey levels on either side of the threshold in which pixels do not count (Ward: 4).
+    pub exclusion: u8,
+}
+
+impl Default for MtbOptions {
+    fn default() -> Self {
+        MtbOptions { max_rotation_deg: 5.0, max_shift: 0.15, exclusion: 4 }
+    }
+}
+
+/// The result of the bitmap search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MtbMatch {
+    /// The motion reference -> frame, in pixels of the full size.
+    pub motion: Motion,
+    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by
+    /// what no shift and rotation can follow.
+    pub error_px: f64,
+    /// The threshold used in both.
+    pub percentile: Percentile,
+    /// Over the whole overlap, how many pixels differ, at the finest level searched.
+    pub difference: Difference,
+    /// The same where nothing moves.
+    pub difference_unmoved: Difference,
+}
+
+impl MtbMatch {
+    /// The motion as a transform: the identity where there is none.
+    pub fn transform(&self) -> Transform {
+        if self.motion == Motion::default() {
+            return Transform::Identity;
+        }
+        Transform::Rigid { dx: self.motion.dx, dy: self.motion.dy, angle: self.motion.angle }
+    }
+}

@@ -1,0 +1,243 @@
+//! The search for the motion under which two bitmaps differ least, from the coarsest level down.
+//!
+//! In: the grey pyramids of two frames. Out: an [`MtbMatch`]; other motions under which the bitmaps nearly agree. Cost:
+//! see [`bitmaps`](crate::align::bitmaps).
+
+use crate::align::bitmaps::descent::{Descent, LEAST_COMPARED};
+use crate::align::bitmaps::difference::difference_shifted;
+use crate::align::bitmaps::threshold::{common_histograms, common_percentile, matched_zones};
+use crate::align::bitmaps::{Motion, MtbMatch, MtbOptions, Rounding, ThresholdBitmaps, Zone};
+use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile};
+use crate::plane::Plane;
+
+/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched:
+/// 0 for the full size, or for the largest of at most [`ENOUGH_PIXELS`].
+pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
+    let coarsest = reference.len() - 1;
+    let area = |(width, height): (usize, usize)| width * height;
+    let enough = (0..coarsest).find(|&i| area(reference.size(i)) <= ENOUGH_PIXELS).unwrap_or(coarsest);
+    let finest = finest.clamp(enough, coarsest);
+    let max_angle = options.max_rotation_deg.to_radians();
+    let mut pair = BitmapPair::new(reference, frame, coarsest, options.exclusion);
+    let mut candidates = pair.search_everywhere(options.max_shift, max_angle);
+    let mut level = coarsest;
+    loop {
+        let is_certain = pair.short_side() >= CERTAIN_SIDE || level == finest;
+        let mut descent = Descent::new(&pair.reference, &pair.frame, max_angle);
+        let rounds = if level == finest { MOST_ROUNDS } else { ROUNDS };
+        let turn = 1.0 / descent.arm();
+        let distinct = |a: &Motion, b: &Motion| {
+            (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
+        };
+        if candidates.len() > 1 || !is_certain {
+            // One that is much worse by whole pixels is not made better by their fractions.
+            let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
+            let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
+            let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
+            candidates = best_distinct(near, (2 * candidates.len()).div_ceil(3), distinct);
+        }
+        if is_certain {
+            for c in &mut candidates {
+                *c = descent.descend(*c, rounds);
+            }
+        }
+        if is_certain && candidates.len() > 1 {
+            let refined = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
+            candidates = best_distinct(refined, 1, distinct);
+        }
+        if level == finest {
+            return pair.conclude(&mut descent, candidates[0], level, reference.size(0));
+        }
+        level -= 1;
+        for c in &mut candidates {
+            *c = Motion { dx: 2.0 * c.dx, dy: 2.0 * c.dy, ..*c };
+        }
+        pair = if is_certain {
+            let common = common_histograms(reference.level(level), frame.level(level), &candidates[0]);
+            BitmapPair::cut(
+                reference.level(level),
+                frame.level(level),
+                (&common.0, &common.1),
+                exclusion_at(level, options.exclusion),
+            )
+        } else {
+            BitmapPair::new(reference, frame, level, options.exclusion)
+        };
+    }
+}
+
+/// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At
+/// most `most`, the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of
+/// moderate size.
+pub fn alternatives(
+    reference: &GreyPyramid,
+    frame: &GreyPyramid,
+    angle: f64,
+    most: usize,
+    options: &MtbOptions,
+) -> Vec<Motion> {
+    let level = (0..reference.len())
+        .find(|&i| reference.size(i).0.min(reference.size(i).1) < 2 * ALTERNATIVES_SIDE)
+        .unwrap_or(reference.len() - 1);
+    let pair = BitmapPair::new(reference, frame, level, options.exclusion);
+    let scale = (1u64 << level) as f64;
+    let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
+    let distinct = |a: &Motion, b: &Motion| (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 3.5;
+    let found = best_distinct(rated, most, distinct);
+    found.into_iter().map(|m| Motion { dx: m.dx * scale, dy: m.dy * scale, ..m }).collect()
+}
+
+/// The bitmaps of two frames at one level, cut at the same radiance.
+pub(crate) struct BitmapPair {
+    pub(crate) reference: ThresholdBitmaps,
+    pub(crate) frame: ThresholdBitmaps,
+    pub(crate) percentile: Percentile,
+    /// Where each was cut.
+    pub(crate) zones: [Zone; 2],
+}
+
+impl BitmapPair {
+    pub(crate) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
+        let exclusion = exclusion_at(level, exclusion);
+        let histograms = (reference.histogram(level), frame.histogram(level));
+        BitmapPair::cut(reference.level(level), frame.level(level), histograms, exclusion)
+    }
+
+    /// Cut at the same ranks of the two histograms.
+    fn cut(reference: &Plane<u8>, frame: &Plane<u8>, histograms: (&Histogram, &Histogram), exclusion: u8) -> Self {
+        let percentile = common_percentile(histograms.0, histograms.1, exclusion);
+        let zones = matched_zones(histograms.0, histograms.1, percentile, exclusion);
+        BitmapPair {
+            reference: ThresholdBitmaps::new(reference, &zones.0),
+            frame: ThresholdBitmaps::new(frame, &zones.1),
+            percentile,
+            zones: [zones.0, zones.1],
+        }
+    }
+
+    fn short_side(&self) -> usize {
+        self.reference.threshold.width().min(self.reference.threshold.height())
+    }
+
+    /// The largest shifts sought, to the side and up or down, in pixels of this level: as many as [`MOST_WORK`] allows,
+    /// and none that leaves nothing in common. Neither is of any moment to a picture less than four times as long as it
+    /// is wide.
+    fn reach(&self, max_shift: f64) -> (i64, i64) {
+        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
+        let (mut x, mut y) = (reach.min(width as i64 - 1), reach.min(height as i64 - 1));
+        let words = ((width.div_ceil(64) + ROW_WORDS) * height) as i64;
+        while (2 * x + 1) * (2 * y + 1) * words > MOST_WORK && x.max(y) > 0 {
+            if x >= y { x = x * 7 / 8 } else { y = y * 7 / 8 }
+        }
+        (x, y)
+    }
+
+    /// The share that differs at every whole shift up to `reach`, turned by `angle`.
+    fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
+        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let mut turned = ThresholdBitmaps::blank(width, height);
+        self.frame.warp_onto(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
+        let mut rated = Vec::with_capacity(((2 * reach.0 + 1) * (2 * reach.1 + 1)) as usize);
+        for dy in -reach.1..=reach.1 {
+            for dx in -reach.0..=reach.0 {
+                let difference = difference_shifted(&self.reference, &turned, dx, dy);
+                let says = difference.compared as f64 >= LEAST_COMPARED * (width * height) as f64;
+                let motion = Motion { angle, ..Motion::default() }.beside(dx, dy);
+                rated.push((if says { difference.rate() } else { 1.0 }, motion));
+            }
+        }
+        rated
+    }
+
+    /// Every whole shift within reach, at every angle that moves the rim of the inscribed circle by a pixel: the best
+    /// few that are not neighbours.
+    fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
+        let step = 2.0 / self.short_side() as f64;
+        let turns = libm::floor(max_angle / step) as i64;
+        let reach = self.reach(max_shift);
+        let rated = (-turns..=turns).flat_map(|turn| self.rate_shifts(turn as f64 * step, reach)).collect();
+        best_distinct(rated, BEAM, |a, b| {
+            (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.5 || (a.angle - b.angle).abs() > 1.5 * step
+        })
+    }
+
+    /// The motion at full size from `found` at `level`, or none at all if that is within the error.
+    fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
+        let scale = (1u64 << level) as f64;
+        let here = &self.reference.threshold;
+        let (mut difference, error) = descent.assess(&found);
+        let mut error_px = scale * error;
+        // What halving drops at the right and below moves the centre about which the picture turns.
+        let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
+        let (x, y) = (off(full.0, here.width()), off(full.1, here.height()));
+        let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
+        let mut motion = Motion {
+            dx: scale * found.dx + x - (c * x - s * y),
+            dy: scale * found.dy + y - (s * x + c * y),
+            angle: found.angle,
+        };
+        let rim = scale * found.angle * descent.arm();
+        let moved = (motion.dx * motion.dx + motion.dy * motion.dy + rim * rim).sqrt();
+        let difference_unmoved = difference_shifted(&self.reference, &self.frame, 0, 0);
+        if moved <= SIGNIFICANT * error_px {
+            (motion, difference, error_px) = (Motion::default(), difference_unmoved, error_px.max(moved));
+        }
+        MtbMatch { motion, error_px, percentile: self.percentile, difference, difference_unmoved }
+    }
+}
+
+/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey values makes.
+fn exclusion_at(level: usize, exclusion: u8) -> u8 {
+    exclusion.div_ceil(1 << level.min(7))
+}
+
+/// A motion of no more than so many times its error is none.
+const SIGNIFICANT: f64 = 2.0;
+
+/// Short side of the level on which alternatives are sought, in pixels: fine enough for the periods of facades.
+const ALTERNATIVES_SIDE: usize = 128;
+
+/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second.
+/// Alternatives of a picture of 4:1 take as many, all others fewer.
+const MOST_WORK: i64 = 1 << 29;
+/// To begin a row takes as long as so many words.
+const ROW_WORDS: usize = 8;
+
+/// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
+const BEAM: usize = 9;
+
+/// A candidate of which so many times more differs than of the best is given up.
+const MOST_EXCESS: f64 = 1.5;
+
+/// From a level of this short side on only the best is followed.
+const CERTAIN_SIDE: usize = 200;
+
+/// Rounds of the descent on each level, and on the last.
+const ROUNDS: usize = 2;
+const MOST_ROUNDS: usize = 4;
+
+/// The best `most` of the rated motions of which each is `distinct` from those before it.
+fn best_distinct(
+    mut rated: Vec<(f64, Motion)>,
+    most: usize,
+    distinct: impl Fn(&Motion, &Motion) -> bool,
+) -> Vec<Motion> {
+    rated.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| smaller(&a.1, &b.1)));
+    let mut kept: Vec<Motion> = Vec::with_capacity(most);
+    for (_, motion) in rated {
+        if kept.len() < most && kept.iter().all(|k| distinct(k, &motion)) {
+            kept.push(motion);
+        }
+    }
+    kept
+}
+
+/// Of equal rates the smaller motion comes first.
+fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
+    let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
+    size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,341 @@
+//! Diagnostics of an alignment, for `inspect` and the report page.
+//!
+//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the
+//! share of pixels that differ as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint
+//! and which of them are inliers. Cost: that of both methods run to the end, some tenths of a second a frame. Nothing
+//! is decided here: that is [`align`](crate::align::align)'s. Source: Ward 2003, section 2; Lowe 2004, section 7.1;
+//! tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the bitmap and of both.
+
+use crate::align::AlignOptions;
+use crate::align::bitmaps;
+use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
+use crate::align::features;
+use crate::align::features::homography::PointPair;
+use crate::align::features::{FeatureSets, Features, Keypoint, RansacOptions};
+use crate::align::grey::{GreyPyramid, Percentile, measured_level};
+use crate::align::result::KeypointCounts;
+use crate::align::transform::{Transform, distance, level_to_full, map};
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+/// The bitmaps of one frame, on the level on which frames are compared.
+#[derive(Debug, Clone)]
+pub struct FrameBitmaps {
+    /// The threshold's percentile.
+    pub percentile: Percentile,
+    /// The threshold, and the grey values about it that do not count.
+    pub zone: Zone,
+    /// What is brighter, and what counts.
+    pub bitmaps: ThresholdBitmaps,
+    /// Pixels of the full size along a pixel of the bitmaps.
+    pub scale: f64,
+}
+
+impl FrameBitmaps {
+    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`; that of the reference is its
+    /// own.
+    pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
+        let [_, frame] = Self::pair(reference, frame, options);
+        frame
+    }
+
+    /// The bitmaps of both, as the search has them on the level on which frames are compared.
+    fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
+        let level = measured_level(reference);
+        let pair = bitmaps::BitmapPair::new(reference, frame, level, options.mtb.exclusion);
+        let [a, b] = pair.zones;
+        [(pair.reference, a), (pair.frame, b)].map(|(bitmaps, zone)| FrameBitmaps {
+            percentile: pair.percentile,
+            zone,
+            bitmaps,
+            scale: (1u64 << level) as f64,
+        })
+    }
+
+    /// The share of all pixels that are too near the threshold to count.
+    pub fn excluded_share(&self) -> f64 {
+        let exclusion = &self.bitmaps.exclusion;
+        let (width, height) = (exclusion.width(), exclusion.height());
+        let counting: usize = (0..height).map(|y| (0..width).filter(|&x| exclusion.get(x, y)).count()).sum();
+        1.0 - counting as f64 / (width * height) as f64
+    }
+}
+
+/// The motions of one kind that were tried, and what differed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// The motions, rising: degrees for a rotation, pixels of the full size for a shift.
+    pub at: Vec<f64>,
+    /// The share of the pixels counting in both bitmaps that differ; 0..=1.
+    pub share: Vec<f64>,
+}
+
+impl Curve {
+    /// Where the share is least; of equals the first.
+    pub fn lowest(&self) -> f64 {
+        let best = self.at.iter().zip(&self.share).reduce(|best, here| if here.1 < best.1 { here } else { best });
+        best.map_or(0.0, |(at, _)| *at)
+    }
+}
+
+/// What differs between two frames' bitmaps under the motion found, and about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct XorCurves {
+    /// Shift and rotation about which was tried: right and down in pixels of the full size, and degrees.
+    pub centre: [f64; 3],
+    /// The share that differs where nothing moves.
+    pub before: f64,
+    /// ... and under the motion.
+    pub after: f64,
+    /// Turned, by angles from -`max` to `max`, shifted as found.
+    pub by_angle: Curve,
+    /// Shifted to the right, turned as found.
+    pub by_dx: Curve,
+    /// Shifted downwards, turned as found.
+    pub by_dy: Curve,
+}
+
+/// Steps of a rotation, in degrees: over the whole range, and near the motion found.
+const ANGLE_STEP: f64 = 0.1;
+const FINE_ANGLE_STEP: f64 = 0.02;
+const FINE_REACH: f64 = 0.4;
+/// How far shifts are tried, in pixels of the level.
+const SHIFT_REACH: i64 = 40;
+
+/// The share of pixels that differ when `frame` is turned and shifted about the motion of `transform`, or about what
+/// its bitmaps say by themselves where there is none.
+pub fn xor_curves(
+    reference: &GreyPyramid,
+    frame: &GreyPyramid,
+    transform: Option<&Transform>,
+    options: &AlignOptions,
+) -> XorCurves {
+    let level = measured_level(reference);
+    let (width, height) = reference.size(0);
+    let own = || bitmaps::search(reference, frame, level, &options.mtb).transform();
+    let transform = transform.copied().unwrap_or_else(own);
+    let [against, bitmaps] = FrameBitmaps::pair(reference, frame, options);
+    let scale = bitmaps.scale;
+    let (dx, dy) = transform.shift_px(width, height);
+    let angle = transform.rotation_deg(width, height);
+    let share = |m: [f64; 3]| {
+        let motion = Motion { dx: m[0] / scale, dy: m[1] / scale, angle: m[2].to_radians() };
+        let threshold = &against.bitmaps.threshold;
+        let mut warped = ThresholdBitmaps::blank(threshold.width(), threshold.height());
+        bitmaps.bitmaps.warp_onto(&motion, Rounding::Nearest, &mut warped);
+        difference_shifted(&against.bitmaps, &warped, 0, 0).rate()
+    };
+    let curve = |at: Vec<f64>, motion: &(dyn Fn(f64) -> [f64; 3] + Sync)| {
+        let share = at.par_iter().map(|&t| share(motion(t))).collect();
+        Curve { at, share }
+    };
+    let shifts =
+        |centre: f64| -> Vec<f64> { (-SHIFT_REACH..=SHIFT_REACH).map(|i| centre + i as f64 * scale).collect() };
+    XorCurves {
+        centre: [dx, dy, angle],
+        before: share([0.0; 3]),
+        after: share([dx, dy, angle]),
+        by_angle: curve(angles(angle, options.mtb.max_rotation_deg), &|t| [dx, dy, t]),
+        by_dx: curve(shifts(dx), &|t| [t, dy, angle]),
+        by_dy: curve(shifts(dy), &|t| [dx, t, angle]),
+    }
+}
+
+/// Angles over the whole range that is searched, and more of them near `found`, which is one of them, in degrees.
+fn angles(found: f64, most: f64) -> Vec<f64> {
+    let reach = most.max(1.0).max(1.2 * found.abs());
+    let coarse = (reach / ANGLE_STEP).floor() as i64;
+    let fine = (FINE_REACH / FINE_ANGLE_STEP).round() as i64;
+    let mut all: Vec<f64> = (-coarse..=coarse).map(|i| i as f64 * ANGLE_STEP).collect();
+    all.extend((-fine..=fine).map(|i| found + i as f64 * FINE_ANGLE_STEP));
+    all.sort_by(f64::total_cmp);
+    all.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    all
+}
+
+/// Which keypoints are matched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FeatureKind {
+    /// Those of the plain picture.
+    Plain,
+    /// Those of its median threshold bitmap.
+    Mtb,
+    /// Both, each kind with its own.
+    Merged,
+}
+
+/// The keypoints of one frame, on the level on which features are sought.
+#[derive(Debug, Clone)]
+pub struct FrameFeatures {
+    sets: FeatureSets,
+    to_full: Matrix3<f64>,
+    size: (usize, usize),
+}
+
+impl FrameFeatures {
+    /// The features of `frame`.
+    pub fn new(frame: &GreyPyramid, options: &AlignOptions) -> Self {
+        let level = measured_level(frame);
+        FrameFeatures {
+            sets: features::features(frame, level, &options.sift, options.mtb.exclusion),
+            to_full: level_to_full(level),
+            size: (frame.level(level).width(), frame.level(level).height()),
+        }
+    }
+
+    /// No features of `frame`, for who does not look at them.
+    pub fn none(frame: &GreyPyramid) -> Self {
+        let level = measured_level(frame);
+        let sets = FeatureSets { plain: Features::default(), mtb: Vec::new(), counts: KeypointCounts::default() };
+        FrameFeatures { sets, to_full: level_to_full(level), size: frame.size(level) }
+    }
+
+    /// Width and height of the level that they were sought on, in pixels.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// How many there are.
+    pub fn counts(&self) -> KeypointCounts {
+        self.sets.counts
+    }
+
+    /// Keypoints of the plain picture and of the bitmaps, in pixels of the full size; what several bitmaps have, once.
+    pub fn keypoints(&self) -> [Vec<Keypoint>; 2] {
+        let full = |k: &Keypoint| {
+            let (x, y) = map(&self.to_full, k.x.into(), k.y.into());
+            Keypoint { x: x as f32, y: y as f32, scale: k.scale * self.to_full[(0, 0)] as f32, ..*k }
+        };
+        [self.sets.plain.keypoints.iter().map(full).collect(), self.sets.of_bitmaps().iter().map(full).collect()]
+    }
+
+    /// Which keypoints of the plain picture a bitmap has as well, and the other way round: within a pixel of the level,
+    /// and of like scale, as they are counted.
+    pub fn found_twice(&self) -> [Vec<bool>; 2] {
+        let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
+        [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
+    }
+
+    /// Those of one kind, the others left out.
+    fn only(&self, kind: FeatureKind) -> FeatureSets {
+        let (plain, mtb) = match kind {
+            FeatureKind::Plain => (self.sets.plain.clone(), vec![Features::default(); self.sets.mtb.len()]),
+            FeatureKind::Mtb => (Features::default(), self.sets.mtb.clone()),
+            FeatureKind::Merged => (self.sets.plain.clone(), self.sets.mtb.clone()),
+        };
+        FeatureSets { plain, mtb, counts: self.sets.counts }
+    }
+}
+
+/// The matches of a frame's keypoints with the reference's.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Matching {
+    /// The reference's place and the frame's, in pixels of the full size.
+    pub pairs: Vec<PointPair>,
+    /// Whether each is an inlier of the robust estimator.
+    pub inlier: Vec<bool>,
+    /// The motion that those agree on.
+    pub transform: Option<Transform>,
+}
+
+impl Matching {
+    /// The number of inliers.
+    pub fn inliers(&self) -> usize {
+        self.inlier.iter().filter(|i| **i).count()
+    }
+}
+
+/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that
+/// [`align`](crate::align::align) gives.
+pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
+    let to_full = &reference.to_full;
+    let of = |kind| features::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
+    let pairs = [FeatureKind::Plain, FeatureKind::Mtb, FeatureKind::Merged].map(of);
+    let in_full = RansacOptions { threshold: options.ransac.threshold * to_full[(0, 0)], ..options.ransac.clone() };
+    pairs.map(|pairs| {
+        let found = features::agreed(&pairs, &in_full, options.robust);
+        let mut inlier = vec![false; pairs.len()];
+        for &i in found.iter().flat_map(|f| &f.inliers) {
+            inlier[i] = true;
+        }
+        Matching { pairs, inlier, transform: found.map(|f| Transform::Homography(f.homography)) }
+    })
+}
+
+/// The root mean square distance over a picture of `size` of where two transforms put a pixel, in pixels.
+pub fn distance_px(a: &Transform, b: &Transform, size: (usize, usize)) -> f64 {
+    distance(a, b, size.0, size.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::features::distance_squared;
+    use crate::align::scene::{Scene, Shot, rigid};
+
+    const SIZE: (usize, usize) = (420, 300);
+
+    fn pair(transform: &Transform) -> [GreyPyramid; 2] {
+        let scene = Scene::new(5);
+        [(Transform::Identity, 0.0), (*transform, 2.0)]
+            .map(|(w, ev)| GreyPyramid::new(scene.photograph(SIZE, &w, Shot::at(ev))))
+    }
+
+    #[test]
+    fn curves_are_lowest_at_the_true_motion() {
+        let truth = rigid(9.0, -6.0, 1.7);
+        let [reference, frame] = pair(&truth);
+        let curves = xor_curves(&reference, &frame, Some(&truth), &AlignOptions::default());
+        // The radius is 150 px: bitmaps compared to the nearest pixel tell angles that move the rim by half a pixel or
+        // more, 0.2 deg.
+        assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
+        assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);
+        assert!(curves.after < 0.3 * curves.before, "{} {}", curves.after, curves.before);
+        assert!(
+            curves.by_angle.at.windows(2).all(|w| w[0] < w[1])
+                && curves.by_angle.at.len() == curves.by_angle.share.len()
+        );
+        assert!(curves.by_angle.at.first().is_some_and(|a| *a <= -4.9));
+    }
+
+    #[test]
+    fn a_frame_without_a_place_is_shown_about_its_bitmaps_own() {
+        let truth = rigid(9.0, -6.0, 1.7);
+        let [reference, frame] = pair(&truth);
+        let curves = xor_curves(&reference, &frame, None, &AlignOptions::default());
+        assert!((curves.centre[0] - 9.0).abs() < 1.0 && (curves.centre[2] - 1.7).abs() < 0.3, "{:?}", curves.centre);
+    }
+
+    #[test]
+    fn bitmaps_tell_what_they_leave_out() {
+        let [reference, frame] = pair(&Transform::Identity);
+        let options = AlignOptions::default();
+        let bitmaps = FrameBitmaps::new(&reference, &frame, &options);
+        let zone = bitmaps.zone;
+        let near = frame.level(0).as_slice().iter().filter(|v| (zone.low..=zone.high).contains(v));
+        let expected = near.count() as f64 / (SIZE.0 * SIZE.1) as f64;
+        assert!((bitmaps.excluded_share() - expected).abs() < 1e-12 && bitmaps.scale == 1.0);
+    }
+
+    #[test]
+    fn inliers_lie_where_the_truth_puts_them() {
+        let truth = rigid(9.0, -6.0, 1.7);
+        let options = AlignOptions::default();
+        let [reference, frame] = pair(&truth).map(|p| FrameFeatures::new(&p, &options));
+        let [plain, mtb, merged] = matchings(&reference, &frame, &options);
+        assert!(merged.pairs.len() <= plain.pairs.len() + mtb.pairs.len() && merged.pairs.len() >= plain.pairs.len());
+        let inliers = [&plain, &mtb, &merged].map(Matching::inliers);
+        assert!(inliers[0] >= 10 && inliers[1] >= 10 && inliers[2] >= inliers[0], "{inliers:?}");
+        let h = truth.matrix(SIZE.0, SIZE.1);
+        let off = |p: &PointPair| distance_squared(&h, p).sqrt();
+        for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {
+            // Within the threshold of the motion found, which is itself off by less than a pixel.
+            assert!(!inlier || off(pair) < options.ransac.threshold + 1.0);
+        }
+        assert!(distance_px(&truth, &merged.transform.unwrap(), SIZE) < 1.0);
+        let counts = frame.counts();
+        assert_eq!(frame.keypoints().map(|k| k.len()), [counts.plain, counts.mtb]);
+        let twice = frame.found_twice().map(|t| t.iter().filter(|t| **t).count());
+        assert!(twice[0] > 0 && twice[1] == counts.plain + counts.mtb - counts.merged, "{twice:?} {counts:?}");
+    }
+}

@@ -1,0 +1,168 @@
+//! What the robust estimators share: options, the draws of their trials, and the pairs that agree with a homography.
+//!
+//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: that of a fit for each draw. Source: Fischler &
+//! Bolles, CACM 24(6), 1981.
+//!
+//! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*): the result is the same on any machine.
+
+use crate::align::features::homography::{PointPair, fit};
+use crate::align::transform::map;
+use nalgebra::Matrix3;
+
+/// Options of the robust estimators.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RansacOptions {
+    /// Largest distance of an inlier from where the homography puts it, in pixels.
+    pub threshold: f64,
+    /// Wanted probability that one trial had four inliers.
+    pub confidence: f64,
+    /// Trials at the most.
+    pub max_trials: u64,
+    /// Seed of the draws.
+    pub seed: u64,
+}
+
+impl Default for RansacOptions {
+    fn default() -> Self {
+        RansacOptions { threshold: 2.5, confidence: 0.9999, max_trials: 3000, seed: 0 }
+    }
+}
+
+/// A homography and the pairs that agree with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Consensus {
+    /// Reference pixel -> frame pixel.
+    pub homography: Matrix3<f64>,
+    /// Indices of the pairs that agree with it, rising: for RANSAC those within the threshold.
+    pub inliers: Vec<usize>,
+    /// Root mean square distance of the inliers from where they should be, in pixels.
+    pub rms: f64,
+}
+
+impl Consensus {
+    /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with
+    /// any.
+    pub(crate) fn new(pairs: &[PointPair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
+        let inliers = inliers(pairs, &homography, limit);
+        // Four pairs always agree with themselves.
+        if inliers.len() < 5 {
+            return None;
+        }
+        let sum: f64 = inliers.iter().map(|&i| distance_squared(&homography, &pairs[i])).sum();
+        Some(Consensus { rms: (sum / inliers.len() as f64).sqrt(), homography, inliers })
+    }
+}
+
+/// Squared distance between where `h` puts the pair's first point and its second, in pixels squared.
+pub fn distance_squared(h: &Matrix3<f64>, pair: &PointPair) -> f64 {
+    let (u, v) = map(h, pair.0[0], pair.0[1]);
+    (u - pair.1[0]) * (u - pair.1[0]) + (v - pair.1[1]) * (v - pair.1[1])
+}
+
+/// The homography of the four pairs that trial `trial` draws; none where no camera could have seen them so.
+pub(crate) fn guess(pairs: &[PointPair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
+    let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
+    same_handed(&four).then(|| fit(&four, None))?
+}
+
+pub(crate) fn inliers(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
+    (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
+}
+
+/// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) /
+/// ln(1 - q) where one trial does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most
+/// those of the options.
+pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
+    let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
+    // Both logarithms are negative, or 0 or infinite at the limits; the ratio that is no number is of q = 0 and p = 1.
+    let trials = (libm::log1p(-options.confidence) / libm::log1p(-all_four)).ceil();
+    if trials < options.max_trials as f64 { (trials as u64).max(1) } else { options.max_trials }
+}
+
+/// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them
+/// leaves them.
+fn same_handed(four: &[PointPair; 4]) -> bool {
+    let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)].iter().all(|&(i, j, k)| {
+        let (a, b, c) = (four[i], four[j], four[k]);
+        turn(a.0, b.0, c.0) * turn(a.1, b.1, c.1) > 0.0
+    })
+}
+
+/// Four different indices below `n`, from the seed and the number of the trial.
+fn draw(seed: u64, trial: u64, n: usize) -> [usize; 4] {
+    let mut four = [0; 4];
+    let mut counter = 0;
+    for k in 0..4 {
+        loop {
+            let index = (random(seed, trial, counter) % n as u64) as usize;
+            counter += 1;
+            if !four[..k].contains(&index) {
+                four[k] = index;
+                break;
+            }
+        }
+    }
+    four
+}
+
+/// A counter-based generator: the finaliser of SplitMix64 (Steele, Lea & Flood 2014) over seed, trial and draw.
+fn random(seed: u64, trial: u64, draw: u64) -> u64 {
+    let mut z = seed ^ (trial << 16 | draw).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) const H: Matrix3<f64> = Matrix3::new(0.999, 0.02, -8.0, -0.021, 1.001, 15.0, 1e-6, 2e-6, 1.0);
+
+    fn noise(i: u64, k: u64) -> f64 {
+        random(99, i, k) as f64 / u64::MAX as f64 - 0.5
+    }
+
+    /// `n` pairs of which `wrong` are anything; the others are off by up to `sigma` px on each axis.
+    pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<PointPair> {
+        (0..n)
+            .map(|i| {
+                let p = [2000.0 * (noise(i, 0) + 0.5), 1500.0 * (noise(i, 1) + 0.5)];
+                let (u, v) = map(&H, p[0], p[1]);
+                if i < wrong {
+                    (p, [2000.0 * (noise(i, 2) + 0.5), 1500.0 * (noise(i, 3) + 0.5)])
+                } else {
+                    (p, [u + 2.0 * sigma * noise(i, 2), v + 2.0 * sigma * noise(i, 3)])
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn draws_are_different_and_repeatable() {
+        for trial in 0..500 {
+            let four = draw(1, trial, 5);
+            assert_eq!(four, draw(1, trial, 5));
+            assert!((0..4).all(|i| four[i] < 5 && !four[..i].contains(&four[i])));
+        }
+        assert_ne!(draw(1, 0, 1000), draw(2, 0, 1000));
+    }
+
+    #[test]
+    fn trials_are_those_of_draws_without_replacement() {
+        let options = RansacOptions { max_trials: u64::MAX, ..RansacOptions::default() };
+        for (right, all) in [(5, 10), (6, 9), (8, 20), (300, 500)] {
+            // Every way to draw four, one after the other.
+            let ways = |n: usize| (n - 3..=n).product::<usize>() as f64;
+            let hit = ways(right) / ways(all);
+            let trials = trials_for(right, all, &options) as f64;
+            let miss = |trials: f64| libm::pow(1.0 - hit, trials);
+            assert!(miss(trials) <= 1e-4 * (1.0 + 1e-9) && miss(trials - 1.0) > 1e-4, "{right} of {all}: {trials}");
+        }
+        // Half of ten: 5 / 210 of the draws, where 1 / 16 was counted on.
+        assert_eq!(trials_for(5, 10, &options), 383);
+        assert_eq!((trials_for(10, 10, &options), trials_for(3, 10, &options)), (1, u64::MAX));
+        assert_eq!(trials_for(3, 10, &RansacOptions::default()), 3000);
+    }
+}

@@ -1,0 +1,133 @@
+//! The homography on which the matches of two frames agree, of all their feature sets together.
+//!
+//! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three tables of matches, two of them
+//! guided, and a robust fit each. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
+
+use crate::align::AlignOptions;
+use crate::align::features::duplicates::MatchIndex;
+use crate::align::features::homography::{PointPair, fit};
+use crate::align::features::{
+    Consensus, FeatureSets, Guide, Keypoint, RansacOptions, RobustMethod, distance_squared, lmeds, match_mutual, ransac,
+};
+use crate::align::transform::map;
+use nalgebra::Matrix3;
+
+/// The matches of all sets by the ratio alone, in pixels of the full size.
+pub(crate) fn pairs(
+    reference: &FeatureSets,
+    frame: &FeatureSets,
+    to_full: &Matrix3<f64>,
+    ratio: f64,
+) -> Vec<PointPair> {
+    Matches::new(reference, frame, to_full, ratio, None).pairs
+}
+
+/// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again
+/// among the matches near the index that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman
+/// 2004, algorithm 4.6).
+pub(crate) fn by_matches(
+    reference: &FeatureSets,
+    frame: &FeatureSets,
+    to_full: &Matrix3<f64>,
+    options: &AlignOptions,
+) -> Option<Consensus> {
+    let pixel = to_full[(0, 0)];
+    let in_full = RansacOptions { threshold: options.ransac.threshold * pixel, ..options.ransac.clone() };
+    let search = |matches: &Matches| agreed(&matches.pairs, &in_full, options.robust);
+    let mut matches = Matches::new(reference, frame, to_full, options.ratio, None);
+    let mut best = search(&matches)?;
+    if best.inliers.len() < LEAST_GUIDES {
+        return Some(best);
+    }
+    // The nearer the place is known, the less it takes to be the right one.
+    for (radius, ratio) in [(WIDE_PX, options.ratio), (NARROW_PX, 0.5 * (1.0 + options.ratio))] {
+        let guide = Guide { motion: to_full.try_inverse()? * best.homography * to_full, radius };
+        let guided = Matches::new(reference, frame, to_full, ratio, Some(&guide));
+        if let Some(found) = search(&guided).filter(|f| f.inliers.len() > best.inliers.len()) {
+            (matches, best) = (guided, found);
+        }
+    }
+    Some(matches.settle(best, pixel))
+}
+
+/// The motion on which most of `pairs` agree, by `method`.
+pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
+    match method {
+        RobustMethod::Ransac => ransac::search(pairs, options),
+        RobustMethod::Lmeds => lmeds::search(pairs, options),
+    }
+}
+
+/// Where fewer agree it may be by chance, and a guide made of them would find others that do.
+const LEAST_GUIDES: usize = 8;
+/// How far from its place a guided match may lie, in pixels of the level: some times what makes it an inlier.
+const WIDE_PX: f64 = 10.0;
+/// ... and once more, when the place is known better.
+const NARROW_PX: f64 = 6.0;
+/// How far a keypoint of scale 1 is off, in pixels of the level; one of scale s is by the square root of that as much.
+/// Measured on rendered brackets.
+const KEYPOINT_PX: f64 = 0.6;
+/// Refits by which the weights settle.
+const REFITS: usize = 8;
+
+/// The matches of all sets.
+pub(super) struct Matches {
+    /// In pixels of the full size.
+    pub(super) pairs: Vec<PointPair>,
+    /// The larger scale of each pair's points, at least 1, in pixels of the level.
+    pub(super) scales: Vec<f64>,
+}
+
+impl Matches {
+    fn new(
+        reference: &FeatureSets,
+        frame: &FeatureSets,
+        to_full: &Matrix3<f64>,
+        ratio: f64,
+        guide: Option<&Guide>,
+    ) -> Self {
+        let full = |k: &Keypoint| {
+            let (x, y) = map(to_full, k.x.into(), k.y.into());
+            [x, y]
+        };
+        let plain = [(&reference.plain, &frame.plain)];
+        let mut index = MatchIndex::default();
+        let (pairs, scales) = plain
+            .into_iter()
+            .chain(reference.mtb.iter().zip(&frame.mtb))
+            .flat_map(|(a, b)| {
+                let matches = match_mutual(a, b, ratio, guide);
+                matches.into_iter().map(|m| (&a.keypoints[m.reference], &b.keypoints[m.frame]))
+            })
+            .filter(|(a, b)| index.add(a, b))
+            .map(|(a, b)| ((full(a), full(b)), f64::from(a.scale.max(b.scale)).max(1.0)))
+            .unzip();
+        Matches { pairs, scales }
+    }
+
+    /// `found`, fitted once more to those that agree, each by how well its keypoints are placed: a large one is placed
+    /// less well, and one that is far off counts less (weights of Geman & McClure). `pixel` is the width of a pixel of
+    /// the level.
+    pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
+        let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
+        let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };
+        let mut homography = found.homography;
+        for _ in 0..REFITS {
+            let weights: Vec<f64> = squares(&homography)
+                .iter()
+                .zip(&found.inliers)
+                .map(|(square, &i)| {
+                    let variance = KEYPOINT_PX * KEYPOINT_PX * pixel * pixel * self.scales[i];
+                    let near = 1.0 / (1.0 + square / variance);
+                    near * near / self.scales[i]
+                })
+                .collect();
+            let Some(better) = fit(&right, Some(&weights)) else {
+                break;
+            };
+            homography = better;
+        }
+        let rms = (squares(&homography).iter().sum::<f64>() / right.len() as f64).sqrt();
+        Consensus { homography, rms, ..found }
+    }
+}

@@ -1,0 +1,111 @@
+//! The homography from point pairs: the normalised direct linear transformation.
+//!
+//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right number 1. Cost: 45
+//! multiply-adds a pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.,
+//! 2004), algorithm 4.2.
+
+use crate::align::transform::map;
+use nalgebra::{Matrix3, SMatrix, SVector};
+
+/// A point of the reference and the same point of the frame, in pixels.
+pub type PointPair = ([f64; 2], [f64; 2]);
+
+/// The homography that fits `pairs` best in the algebraic sense after normalisation; none where fewer than four pairs,
+/// or their arrangement (three of four on a line, say), leave it open, or where it would turn a reference point inside
+/// out.
+///
+/// `weights`, if given, has one value of at least 0 for each pair; otherwise all count alike.
+pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
+    let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
+    if (0..pairs.len()).filter(|&i| weight(i) > 0.0).count() < 4 {
+        return None;
+    }
+    let from = normalisation(pairs.iter().map(|p| p.0).enumerate().map(|(i, p)| (p, weight(i))))?;
+    let to = normalisation(pairs.iter().map(|p| p.1).enumerate().map(|(i, p)| (p, weight(i))))?;
+    // A^T A for the rows (0, -x, y' x) and (x, 0, -x' x) of eq. 4.3, in normalised coordinates.
+    let mut normal = SMatrix::<f64, 9, 9>::zeros();
+    for (i, (p, q)) in pairs.iter().enumerate() {
+        let ((x, y), (u, v)) = (map(&from, p[0], p[1]), map(&to, q[0], q[1]));
+        let rows = [
+            SVector::<f64, 9>::from([0.0, 0.0, 0.0, -x, -y, -1.0, v * x, v * y, v]),
+            SVector::<f64, 9>::from([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y, -u]),
+        ];
+        for row in rows {
+            normal.ger(weight(i), &row, &row, 1.0);
+        }
+    }
+    let eigen = normal.symmetric_eigen();
+    let mut order: [usize; 9] = std::array::from_fn(|i| i);
+    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+    // The second smallest must stand out from rounding: otherwise a whole family of homographies fits.
+    if eigen.eigenvalues[order[1]] <= 1e-9 * eigen.eigenvalues[order[8]] {
+        return None;
+    }
+    let h = eigen.eigenvectors.column(order[0]);
+    let h = Matrix3::new(h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]);
+    let h = to.try_inverse()? * h * from;
+    let h = h / h[(2, 2)];
+    let in_front = pairs.iter().all(|(p, _)| h[(2, 0)] * p[0] + h[(2, 1)] * p[1] + 1.0 > 0.0);
+    (h.iter().all(|v| v.is_finite()) && in_front && h.determinant() > 0.0).then_some(h)
+}
+
+/// The similarity that puts the points' centroid at the origin and their root mean square distance from it at sqrt(2).
+fn normalisation(points: impl Iterator<Item = ([f64; 2], f64)> + Clone) -> Option<Matrix3<f64>> {
+    let (mut sx, mut sy, mut sw) = (0.0, 0.0, 0.0);
+    for (p, w) in points.clone() {
+        (sx, sy, sw) = (sx + w * p[0], sy + w * p[1], sw + w);
+    }
+    let (cx, cy) = (sx / sw, sy / sw);
+    let spread: f64 = points.map(|(p, w)| w * ((p[0] - cx) * (p[0] - cx) + (p[1] - cy) * (p[1] - cy))).sum();
+    let s = (2.0 * sw / spread).sqrt();
+    s.is_finite().then(|| Matrix3::new(s, 0.0, -s * cx, 0.0, s, -s * cy, 0.0, 0.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
+        (0..n)
+            .map(|i| {
+                // Points on a parabola modulo the picture's size: no three of any four on a line.
+                let (x, y) = ((i * 1237 % 4000) as f64, (i * i * 331 % 3000) as f64);
+                let (u, v) = map(h, x, y);
+                ([x, y], [u, v])
+            })
+            .collect()
+    }
+
+    const H: Matrix3<f64> = Matrix3::new(1.01, 0.03, -12.5, -0.02, 0.99, 31.0, 2e-6, -3e-6, 1.0);
+
+    #[test]
+    fn exact_points_give_the_exact_homography() {
+        for n in [4, 5, 40] {
+            let h = fit(&pairs(&H, n), None).unwrap();
+            for (p, q) in pairs(&H, 50) {
+                let (u, v) = map(&h, p[0], p[1]);
+                // Squaring A leaves half of the sixteen digits: 1e-8 of 4000 px, and the points are well spread.
+                assert!((u - q[0]).hypot(v - q[1]) < 1e-5, "{n}: {h}");
+            }
+        }
+    }
+
+    #[test]
+    fn weights_of_zero_hide_a_pair() {
+        let mut list = pairs(&H, 12);
+        list[3].1 = [0.0, 0.0];
+        let mut weights = vec![1.0; 12];
+        weights[3] = 0.0;
+        let h = fit(&list, Some(&weights)).unwrap();
+        assert!((h - H).abs().max() < 1e-6);
+    }
+
+    #[test]
+    fn open_questions_have_no_answer() {
+        let line: Vec<PointPair> = (0..6).map(|i| ([f64::from(i), 2.0 * f64::from(i)], [f64::from(i), 3.0])).collect();
+        assert!(fit(&line, None).is_none());
+        assert!(fit(&pairs(&H, 3), None).is_none());
+        let mirrored: Vec<PointPair> = pairs(&H, 8).into_iter().map(|(p, q)| (p, [-q[0], q[1]])).collect();
+        assert!(fit(&mirrored, None).is_none());
+    }
+}

@@ -1,0 +1,382 @@
+//! Matching of descriptors.
+//!
+//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
+//! Cost: 128 multiply-adds for every pair of keypoints that may match: about one pair in ten, as a hand-held camera
+//! rotates and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe,
+//! "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest
+//! to the second nearest).
+
+use crate::align::features::{Descriptor, Features, Keypoint};
+use crate::align::transform::map;
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+use std::f32::consts::PI;
+
+/// A pair of keypoints that look alike, by index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Match {
+    /// In the reference's features.
+    pub reference: usize,
+    /// In the frame's features.
+    pub frame: usize,
+}
+
+/// Where a match may lie: within `radius` pixels of the place that `motion` (reference -> frame) gives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guide {
+    /// Reference pixel -> frame pixel.
+    pub motion: Matrix3<f64>,
+    /// In pixels.
+    pub radius: f64,
+}
+
+/// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a
+/// `guide`, among those near its index. Only points that could be one are held against each other: both bright or both
+/// dark, turned by no more than 45 degrees (some up to half as much again), and at most twice as large.
+pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
+    let table = Table::new(frame);
+    let grid = guide.map(|g| (g, Grid::new(&table.points, g.radius)));
+    let chunks: Vec<Chunk> = (0..reference.len().div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            let mut found = Chunk {
+                nearest: Vec::with_capacity(CHUNK),
+                nearest_references: vec![NearestReference::default(); frame.len()],
+            };
+            for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len()) {
+                let descriptor = WideDescriptor::new(&reference.descriptors[i]);
+                let mut search = Nearest::new(i as u32, &descriptor, &table, &mut found.nearest_references);
+                let point = &reference.keypoints[i];
+                match &grid {
+                    None => table.like(point).into_iter().flatten().for_each(|j| search.consider(j)),
+                    Some((guide, grid)) => {
+                        let (x, y) = map(&guide.motion, point.x.into(), point.y.into());
+                        let near = grid.near(x, y).into_iter().flatten().map(|&j| j as usize);
+                        near.filter(|&j| may_match(point, &table.points[j])).for_each(|j| search.consider(j));
+                    }
+                }
+                let best = search.if_unambiguous(ratio);
+                found.nearest.push(best);
+            }
+            found
+        })
+        .collect();
+    // Of the frame's points, each one's nearest in the reference; of equals the first.
+    let mut nearest_references = vec![NearestReference::default(); frame.len()];
+    for chunk in &chunks {
+        for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
+            if nearest_reference.distance < best.distance {
+                *best = *nearest_reference;
+            }
+        }
+    }
+    let nearest = chunks.iter().flat_map(|c| &c.nearest).enumerate();
+    nearest
+        .filter_map(|(i, best)| best.map(|j| (i, j)))
+        .filter(|&(i, j)| nearest_references[j].point == i as u32)
+        .map(|(reference, j)| Match { reference, frame: table.order[j] })
+        .collect()
+}
+
+/// What one task finds.
+struct Chunk {
+    /// For each of its points of the reference, the place in the table of the frame's point that is if_unambiguous the
+    /// nearest.
+    nearest: Vec<Option<usize>>,
+    /// For each point of the table, the nearest among its points of the reference.
+    nearest_references: Vec<NearestReference>,
+}
+
+/// A point of the reference, and how far its descriptor is.
+#[derive(Debug, Clone, Copy)]
+struct NearestReference {
+    point: u32,
+    distance: i32,
+}
+
+impl Default for NearestReference {
+    fn default() -> Self {
+        NearestReference { point: u32::MAX, distance: i32::MAX }
+    }
+}
+
+/// Keypoints of the reference that one task matches.
+const CHUNK: usize = 64;
+
+/// Parts of the circle by which the table is ordered: 22.5 degrees each.
+const TURNS: usize = 16;
+/// Parts to either side in which a partner is sought.
+const MOST_TURNS: usize = 2;
+/// A partner is at most so many times as large or as small.
+const MOST_ZOOM: f32 = 2.0;
+
+fn turn(angle: f32) -> usize {
+    ((angle + PI) * (TURNS as f32 / (2.0 * PI))) as usize % TURNS
+}
+
+/// Whether two keypoints can be one point, seen by a camera that is held in hands.
+fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
+    let apart = (turn(a.angle) + TURNS - turn(b.angle)) % TURNS;
+    a.bright == b.bright
+        && apart.min(TURNS - apart) <= MOST_TURNS
+        && a.scale <= MOST_ZOOM * b.scale
+        && b.scale <= MOST_ZOOM * a.scale
+}
+
+/// The frame's features, so ordered that those which [`may_match`] with a point lie in a few runs.
+struct Table {
+    /// Index among the frame's features.
+    order: Vec<usize>,
+    points: Vec<Keypoint>,
+    descriptors: Vec<WideDescriptor>,
+    /// Where each kind (dark or bright) and turn begins, and the end.
+    starts: [usize; 2 * TURNS + 1],
+}
+
+impl Table {
+    fn new(features: &Features) -> Self {
+        let key = |i: usize| {
+            let k = &features.keypoints[i];
+            usize::from(k.bright) * TURNS + turn(k.angle)
+        };
+        let scale = |i: usize| features.keypoints[i].scale;
+        let mut order: Vec<usize> = (0..features.len()).collect();
+        order.sort_by(|&a, &b| key(a).cmp(&key(b)).then(scale(a).total_cmp(&scale(b))).then(a.cmp(&b)));
+        let starts = std::array::from_fn(|k| order.partition_point(|&i| key(i) < k));
+        let points = order.iter().map(|&i| features.keypoints[i]).collect();
+        let descriptors = order.iter().map(|&i| WideDescriptor::new(&features.descriptors[i])).collect();
+        Table { order, points, descriptors, starts }
+    }
+
+    /// The index of the points that may be `point`.
+    fn like(&self, point: &Keypoint) -> [std::ops::Range<usize>; 2 * MOST_TURNS + 1] {
+        let kind = usize::from(point.bright) * TURNS;
+        std::array::from_fn(|k| {
+            let part = kind + (turn(point.angle) + TURNS + k - MOST_TURNS) % TURNS;
+            let (start, end) = (self.starts[part], self.starts[part + 1]);
+            let run = &self.points[start..end];
+            let first = run.partition_point(|p| MOST_ZOOM * p.scale < point.scale);
+            let last = run.partition_point(|p| p.scale <= MOST_ZOOM * point.scale);
+            start + first..start + last
+        })
+    }
+}
+
+/// A descriptor in the width in which it is multiplied, and its square.
+struct WideDescriptor {
+    values: [i16; 128],
+    square: i32,
+}
+
+impl WideDescriptor {
+    fn new(descriptor: &Descriptor) -> Self {
+        let values = descriptor.map(i16::from);
+        WideDescriptor { square: dot(&values, &values), values }
+    }
+
+    /// Squared Euclidean distance.
+    fn distance_squared(&self, other: &WideDescriptor) -> i32 {
+        self.square + other.square - 2 * dot(&self.values, &other.values)
+    }
+}
+
+/// The product of two descriptors. In eight sums side by side it becomes multiply-adds of eight at a time.
+#[inline]
+fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
+    let mut sums = [0i32; 8];
+    for (x, y) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        for (sum, (p, q)) in sums.iter_mut().zip(x.iter().zip(y)) {
+            *sum += i32::from(*p) * i32::from(*q);
+        }
+    }
+    sums.iter().sum()
+}
+
+/// The search for the nearest of the frame's points to one of the reference's; updates the nearest reference point of
+/// each as well.
+struct Nearest<'a> {
+    point: u32,
+    descriptor: &'a WideDescriptor,
+    table: &'a Table,
+    nearest_references: &'a mut [NearestReference],
+    first: i32,
+    second: i32,
+    at: Option<usize>,
+}
+
+impl<'a> Nearest<'a> {
+    fn new(
+        point: u32,
+        descriptor: &'a WideDescriptor,
+        table: &'a Table,
+        nearest_references: &'a mut [NearestReference],
+    ) -> Self {
+        Nearest { point, descriptor, table, nearest_references, first: i32::MAX, second: i32::MAX, at: None }
+    }
+
+    #[inline]
+    fn consider(&mut self, j: usize) {
+        let distance = self.descriptor.distance_squared(&self.table.descriptors[j]);
+        if distance < self.first {
+            (self.second, self.first, self.at) = (self.first, distance, Some(j));
+        } else if distance < self.second {
+            self.second = distance;
+        }
+        let nearest_reference = &mut self.nearest_references[j];
+        if distance < nearest_reference.distance {
+            *nearest_reference = NearestReference { point: self.point, distance };
+        }
+    }
+
+    /// The nearest, if it is if_unambiguous the nearest: of equals none is.
+    fn if_unambiguous(&self, ratio: f64) -> Option<usize> {
+        let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
+        self.at.filter(|_| clear && self.first <= FARTHEST)
+    }
+}
+
+/// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes:
+/// descriptors are 512 long, so this is 2/3 of the distance of two that have nothing in common.
+const FARTHEST: i32 = 2 * 512 * 512 * 4 / 9;
+
+/// The frame's keypoints in square cells as wide as the guide's radius.
+struct Grid {
+    cell: f64,
+    columns: i64,
+    rows: i64,
+    cells: Vec<Vec<u32>>,
+}
+
+impl Grid {
+    fn new(points: &[Keypoint], radius: f64) -> Self {
+        let cell = radius.max(1.0);
+        let far = |f: fn(&Keypoint) -> f32| points.iter().map(|p| f64::from(f(p))).fold(0.0, f64::max);
+        let columns = (far(|p| p.x) / cell) as i64 + 1;
+        let rows = (far(|p| p.y) / cell) as i64 + 1;
+        let mut cells = vec![Vec::new(); (columns * rows) as usize];
+        for (j, p) in points.iter().enumerate() {
+            let at = (f64::from(p.y.max(0.0)) / cell) as i64 * columns + (f64::from(p.x.max(0.0)) / cell) as i64;
+            cells[at as usize].push(j as u32);
+        }
+        Grid { cell, columns, rows, cells }
+    }
+
+    /// The points of the cells about (x, y): all those within the radius, and some more.
+    fn near(&self, x: f64, y: f64) -> Vec<&[u32]> {
+        let (column, row) = ((x / self.cell).floor() as i64, (y / self.cell).floor() as i64);
+        let mut near = Vec::with_capacity(9);
+        for r in (row - 1).max(0)..=(row + 1).min(self.rows - 1) {
+            for c in (column - 1).max(0)..=(column + 1).min(self.columns - 1) {
+                near.push(&self.cells[(r * self.columns + c) as usize][..]);
+            }
+        }
+        near
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Descriptors that have nothing to do with each other, one for each seed.
+    fn descriptor(seed: u32) -> Descriptor {
+        let mut state = seed.wrapping_mul(0x9E37_79B9) | 1;
+        std::array::from_fn(|_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 26) as u8
+        })
+    }
+
+    fn features(seeds: &[u32], shift: f32) -> Features {
+        let keypoints = seeds
+            .iter()
+            .map(|&s| Keypoint {
+                x: (s % 40) as f32 * 20.0 + shift,
+                y: (s / 40) as f32 * 20.0,
+                scale: 2.0,
+                angle: 0.0,
+                response: 0.1,
+                bright: true,
+            })
+            .collect();
+        Features { keypoints, descriptors: seeds.iter().map(|&s| descriptor(s)).collect() }
+    }
+
+    #[test]
+    fn equal_descriptors_find_each_other() {
+        let a = features(&(0..200).collect::<Vec<_>>(), 0.0);
+        let b = features(&(100..300).rev().collect::<Vec<_>>(), 5.0);
+        let guide = Guide { motion: Matrix3::new(1.0, 0.0, 5.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), radius: 10.0 };
+        for guide in [None, Some(&guide)] {
+            let matches = match_mutual(&a, &b, 0.8, guide);
+            let right = matches.iter().filter(|m| m.reference == 100 + 199 - m.frame).count();
+            assert_eq!((right, matches.len()), (100, 100));
+        }
+    }
+
+    #[test]
+    fn a_guide_forbids_distant_partners() {
+        let a = features(&[7], 0.0);
+        let b = features(&[7], 300.0);
+        let still = Guide { motion: Matrix3::identity(), radius: 10.0 };
+        assert_eq!((match_mutual(&a, &b, 0.8, None).len(), match_mutual(&a, &b, 0.8, Some(&still)).len()), (1, 0));
+    }
+
+    #[test]
+    fn what_repeats_is_not_matched() {
+        let a = features(&[1, 2], 0.0);
+        let b = features(&[1, 1, 2], 0.0);
+        assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 2 }]);
+    }
+
+    #[test]
+    fn agrees_with_the_whole_table_of_distances() {
+        // Descriptors of few values, so that many are alike and nearest ones are often not mutual.
+        let coarse = |seeds: std::ops::Range<u32>| {
+            let mut f = features(&seeds.collect::<Vec<_>>(), 0.0);
+            f.descriptors.iter_mut().for_each(|d| d[6..].fill(0));
+            f
+        };
+        let (a, b) = (coarse(0..150), coarse(100..260));
+        // The pairs that may match, all of them; a few directions and sizes in each, on both sides of the limits.
+        let turned = |mut f: Features, by: usize| {
+            for (i, k) in f.keypoints.iter_mut().enumerate() {
+                k.angle = ((i * by % 40) as f32 / 20.0 - 1.0) * PI;
+                k.scale = 1.0 + (i * by % 7) as f32;
+                k.bright = !(i * by).is_multiple_of(3);
+            }
+            f
+        };
+        for (a, b, least) in [(a.clone(), b.clone(), 20), (turned(a, 3), turned(b, 11), 20)] {
+            // As the definition has it, and in the width of the descriptors.
+            let d = |i: usize, j: usize| -> i32 {
+                if !may_match(&a.keypoints[i], &b.keypoints[j]) {
+                    return i32::MAX;
+                }
+                let pairs = a.descriptors[i].iter().zip(&b.descriptors[j]);
+                pairs.map(|(p, q)| (i32::from(*p) - i32::from(*q)).pow(2)).sum()
+            };
+            let mut expected = Vec::new();
+            for i in 0..a.len() {
+                let mut row: Vec<(i32, usize)> = (0..b.len()).map(|j| (d(i, j), j)).collect();
+                row.sort();
+                let j = row[0].1;
+                let is_clear = row[1].0 == i32::MAX || f64::from(row[0].0) < 0.64 * f64::from(row[1].0);
+                if row[0].0 <= FARTHEST && is_clear && (0..a.len()).all(|k| (d(k, j), k) >= (row[0].0, i)) {
+                    expected.push(Match { reference: i, frame: j });
+                }
+            }
+            assert!(expected.len() > least && expected.len() < 140, "{}", expected.len());
+            assert_eq!(match_mutual(&a, &b, 0.8, None), expected);
+        }
+    }
+
+    #[test]
+    fn only_the_nearest_of_two_suitors_is_taken() {
+        let mut near = descriptor(5);
+        near[0] ^= 1;
+        let a = Features { keypoints: features(&[1, 2], 0.0).keypoints, descriptors: vec![near, descriptor(5)] };
+        let b = features(&[5, 6], 0.0);
+        assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 0 }]);
+    }
+}

@@ -1,0 +1,210 @@
+//! The surroundings of a keypoint in 4 x 4 histograms of 8 directions (Lowe 2004, section 6.1).
+
+use super::extrema::Extremum;
+use super::gradient::{Gradients, weights};
+use crate::align::features::Descriptor;
+use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
+use std::f32::consts::PI;
+use std::ops::Range;
+
+/// Histograms along each side.
+const CELLS: usize = 4;
+/// Directions in each.
+const BINS: usize = 8;
+/// Numbers of a cell while it is filled: one direction more, which is the first again.
+const CELL_BINS: usize = BINS + 1;
+/// Numbers of a row of cells while it is filled: one cell more at either end.
+const ROW: usize = (CELLS + 2) * CELL_BINS;
+/// Width of a cell, in units of the keypoint's scale.
+const CELL: f64 = 3.0;
+/// No entry of the normalised descriptor exceeds this: large gradients may be a matter of light.
+const CLAMP: f32 = 0.2;
+/// Length of the descriptor as stored.
+const LENGTH: f32 = 512.0;
+
+/// The descriptor of `extremum` seen along `angle`.
+pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> Descriptor {
+    let cell = CELL * extremum.sigma;
+    let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
+    // The outermost cells are filled by samples up to half a cell beyond them, at the corners sqrt(2) times as far.
+    let reach = libm::ceil(cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5) as isize;
+    let (cx, cy) = ((extremum.x + 0.5).floor() as isize, (extremum.y + 0.5).floor() as isize);
+    let half = CELLS as f32 / 2.0;
+    let within =
+        |c: isize, n: usize| (c - reach).max(1) as usize..((c + reach).min(n as isize - 2) + 1).max(1) as usize;
+    let (columns, rows) = (within(cx, level.width()), within(cy, level.height()));
+    // The window's Gaussian has half the descriptor's width, 2 cells, and is round: a product of one along each axis.
+    let falloff = (0.5 / (f64::from(half) * f64::from(half) * cell * cell)) as f32;
+    let (weights_x, weights_y) =
+        (weights(columns.clone(), extremum.x, falloff), weights(rows.clone(), extremum.y, falloff));
+    let (mut gradients, mut samples) = (Gradients::default(), Samples::default());
+    // One cell more on each side and one direction more, so that the spreading below needs no test.
+    let mut histogram = [0.0f32; (CELLS + 2) * ROW];
+    for (y, weight_y) in rows.zip(weights_y) {
+        let dy = (y as f64 - extremum.y) as f32;
+        let inside = crossing(extremum.x, dy, (sin, cos), half + 0.5);
+        let (first, end) = (inside.start.max(columns.start), inside.end.min(columns.end));
+        if first >= end {
+            continue;
+        }
+        gradients.fill(level, y, first..end);
+        let weights_x = &weights_x[first - columns.start..];
+        samples.resize(end - first);
+        let from = From { x: extremum.x, dy, sin, cos, angle, weight_y };
+        vectorised(Placing { from, first, gradients: &gradients, weights_x, samples: &mut samples });
+        samples.spread(&mut histogram);
+    }
+    let mut vector = [0.0f32; CELLS * CELLS * BINS];
+    for (i, v) in vector.iter_mut().enumerate() {
+        let cell = (1 + i / (CELLS * BINS)) * ROW + (1 + i / BINS % CELLS) * CELL_BINS;
+        *v = histogram[cell + i % BINS] + if i % BINS == 0 { histogram[cell + BINS] } else { 0.0 };
+    }
+    normalise(&mut vector);
+    vector.iter_mut().for_each(|v| *v = v.min(CLAMP));
+    normalise(&mut vector);
+    vector.map(|v| (v * LENGTH + 0.5) as u8)
+}
+
+/// Samples of a row, each with its place among the histograms: the first number that it adds to, how far it is on the
+/// way to the next cell to the right, the next below and the next direction, and what it weighs. Used again for the
+/// next row.
+#[derive(Default)]
+struct Samples {
+    at: Vec<i32>,
+    right: Vec<f32>,
+    down: Vec<f32>,
+    turned: Vec<f32>,
+    weight: Vec<f32>,
+}
+
+impl Samples {
+    fn resize(&mut self, n: usize) {
+        self.at.resize(n, 0);
+        for numbers in [&mut self.right, &mut self.down, &mut self.turned, &mut self.weight] {
+            numbers.resize(n, 0.0);
+        }
+    }
+
+    /// Adds every sample to two rows, two cells and two directions: the last lies ROW + CELL_BINS + 1 after the first.
+    fn spread(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
+        let places = self.at.iter().zip(&self.right).zip(&self.down).zip(&self.turned).zip(&self.weight);
+        for ((((at, fc), fr), fo), weight) in places {
+            let at = *at as usize;
+            let Some(near) = histogram.get_mut(at..at + ROW + CELL_BINS + 2) else {
+                continue;
+            };
+            let (upper, lower) = (weight * (1.0 - fr), weight * fr);
+            for (w, k) in [
+                (upper * (1.0 - fc), 0),
+                (upper * fc, CELL_BINS),
+                (lower * (1.0 - fc), ROW),
+                (lower * fc, ROW + CELL_BINS),
+            ] {
+                near[k] += w * (1.0 - fo);
+                near[k + 1] += w * fo;
+            }
+        }
+    }
+}
+
+/// From where a row of samples is seen: the centre's column, how far below it the row lies, the sine and cosine of the
+/// direction over the width of a cell, the direction, and what the row weighs.
+struct From {
+    x: f64,
+    dy: f32,
+    sin: f32,
+    cos: f32,
+    angle: f32,
+    weight_y: f32,
+}
+
+/// The places of the samples of a row that begins at column `first`.
+struct Placing<'a> {
+    from: From,
+    first: usize,
+    gradients: &'a Gradients,
+    weights_x: &'a [f32],
+    samples: &'a mut Samples,
+}
+
+impl Loops for Placing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let From { x, dy, sin, cos, angle, weight_y } = self.from;
+        let Samples { at, right, down, turned, weight } = self.samples;
+        let n = at.len();
+        let (length, direction) = (&self.gradients.length[..n], &self.gradients.direction[..n]);
+        let weights_x = &self.weights_x[..n];
+        let (right, down) = (&mut right[..n], &mut down[..n]);
+        let (turned, weight) = (&mut turned[..n], &mut weight[..n]);
+        let (half, last) = (CELLS as f32 / 2.0, CELLS as f32 + 1.0);
+        let first = self.first as i32;
+        for i in 0..n {
+            let dx = (f64::from(first + i as i32) - x) as f32;
+            // In cells along the keypoint's direction and across it, from one cell before the first.
+            let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
+            let is_inside = !((column <= 0.0) | (row <= 0.0) | (column >= last) | (row >= last));
+            let turn = (direction[i] - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
+            // All three are positive: what is cut off is what floor would cut off.
+            let (c, r, o) = (column as i32, row as i32, turn as i32);
+            (right[i], down[i], turned[i]) = (column - c as f32, row - r as f32, turn - o as f32);
+            // What is outside adds nothing to the first numbers.
+            at[i] = if is_inside { r * ROW as i32 + c * CELL_BINS as i32 + o % BINS as i32 } else { 0 };
+            weight[i] = if is_inside { length[i] * (weights_x[i] * weight_y) } else { 0.0 };
+        }
+    }
+}
+
+/// The columns, and one more at either end, in which the row `dy` below a centre at column `x` crosses the turned
+/// square of which no side is farther from the centre than `side`; sine and cosine are divided by the length of which
+/// the side is counted.
+fn crossing(x: f64, dy: f32, (sin, cos): (f32, f32), side: f32) -> Range<usize> {
+    let (mut low, mut high) = (f32::NEG_INFINITY, f32::INFINITY);
+    // |cos dx + sin dy| < side, and |cos dy - sin dx| < side.
+    for (slope, offset) in [(cos, sin * dy), (-sin, cos * dy)] {
+        if slope.abs() > 1e-6 {
+            let (a, b) = ((-side - offset) / slope, (side - offset) / slope);
+            (low, high) = (low.max(a.min(b)), high.min(a.max(b)));
+        } else if offset.abs() >= side {
+            return 0..0;
+        }
+    }
+    let (first, last) = (libm::ceil(x + f64::from(low)) - 1.0, (x + f64::from(high)).floor() + 1.0);
+    if last < 0.0 || first > last { 0..0 } else { first.max(0.0) as usize..last as usize + 1 }
+}
+
+fn normalise(vector: &mut [f32]) {
+    let length = vector.iter().map(|v| v * v).sum::<f32>().sqrt();
+    if length > 0.0 {
+        vector.iter_mut().for_each(|v| *v /= length);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_crosses_the_square_where_its_samples_lie_in_it() {
+        let side = 2.5f32;
+        for k in 0..48 {
+            let (sin, cos) = (k as f32 * std::f32::consts::PI / 24.0).sin_cos();
+            let (sin, cos) = (sin / 4.7, cos / 4.7);
+            for dy in -20..=20 {
+                let dy = dy as f32 + 0.3;
+                let found = crossing(30.4, dy, (sin, cos), side);
+                let is_inside = |x: usize| {
+                    let dx = x as f32 - 30.4;
+                    (cos * dx + sin * dy).abs() < side && (cos * dy - sin * dx).abs() < side
+                };
+                let inside: Vec<usize> = (0..61).filter(|&x| is_inside(x)).collect();
+                assert!(inside.iter().all(|x| found.contains(x)), "{k} {dy}: {found:?} lacks {inside:?}");
+                // One more at either end, and what rounding may add.
+                assert!(found.len() <= inside.len() + 4, "{k} {dy}: {found:?} for {inside:?}");
+            }
+        }
+    }
+}

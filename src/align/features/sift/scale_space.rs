@@ -1,0 +1,75 @@
+//! The scale space: octaves of ever smoother pictures, and the differences between neighbours (Lowe 2004, section 3).
+
+use super::SiftOptions;
+use crate::plane::Plane;
+use crate::pyramid::{double, every_second, gaussian};
+
+/// Blur that the camera's picture is taken to have, in its own pixels (section 3.3).
+const CAMERA_SIGMA: f64 = 0.5;
+/// Short side under which an octave holds no more extrema worth having, in pixels.
+const LEAST_SIDE: usize = 16;
+
+/// One octave: s + 3 Gaussians L. The s + 2 differences D between them are taken where they are looked at: to keep them
+/// would take as much memory again, and more time than to subtract.
+pub(super) struct Octave {
+    pub(super) gaussians: Vec<Plane<f32>>,
+}
+
+impl Octave {
+    /// D at column `x` of row `y`, the difference of L at `interval + 1` and at `interval`.
+    #[inline]
+    pub(super) fn difference(&self, interval: usize, x: usize, y: usize) -> f32 {
+        self.gaussians[interval + 1].at(x, y) - self.gaussians[interval].at(x, y)
+    }
+
+    /// Row `y` of D.
+    pub(super) fn difference_row(&self, interval: usize, y: usize, out: &mut [f32]) {
+        let (smoother, sharper) = (self.gaussians[interval + 1].row(y), self.gaussians[interval].row(y));
+        for (d, (p, q)) in out.iter_mut().zip(smoother.iter().zip(sharper)) {
+            *d = p - q;
+        }
+    }
+}
+
+/// All octaves of a picture.
+pub(super) struct ScaleSpace {
+    pub(super) octaves: Vec<Octave>,
+    intervals: usize,
+    sigma: f64,
+    /// Pixels of the picture for a pixel of the first octave: 1/2 where it was doubled.
+    first_step: f64,
+}
+
+impl ScaleSpace {
+    pub(super) fn new(picture: &Plane<f32>, options: &SiftOptions) -> Self {
+        let (s, sigma) = (options.intervals, options.sigma);
+        let (mut base, blur) =
+            if options.double { (double(picture), 2.0 * CAMERA_SIGMA) } else { (picture.clone(), CAMERA_SIGMA) };
+        base = gaussian(&base, (sigma * sigma - blur * blur).max(0.01).sqrt());
+        let k = libm::exp2(1.0 / s as f64);
+        let mut octaves = Vec::new();
+        while base.width().min(base.height()) >= LEAST_SIDE {
+            let mut gaussians = vec![base];
+            let mut reached = sigma;
+            for _ in 1..s + 3 {
+                let next = reached * k;
+                let step = (next * next - reached * reached).sqrt();
+                gaussians.push(gaussian(&gaussians[gaussians.len() - 1], step));
+                reached = next;
+            }
+            base = every_second(&gaussians[s]);
+            octaves.push(Octave { gaussians });
+        }
+        ScaleSpace { octaves, intervals: s, sigma, first_step: if options.double { 0.5 } else { 1.0 } }
+    }
+
+    /// Pixels of the picture for a pixel of octave `octave`.
+    pub(super) fn step(&self, octave: usize) -> f64 {
+        self.first_step * (1u64 << octave) as f64
+    }
+
+    /// sigma at a fractional interval, in pixels of its octave.
+    pub(super) fn sigma_at(&self, interval: f64) -> f64 {
+        self.sigma * libm::exp2(interval / self.intervals as f64)
+    }
+}

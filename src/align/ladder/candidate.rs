@@ -1,0 +1,109 @@
+//! A candidate: a transform that was found for a frame, with its agreement, error estimate and confidence.
+//!
+//! In: a pair of frames and a transform. Out: a [`Candidate`]. Cost: that of [`check_tiles`].
+
+use crate::align::agreement;
+use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
+use crate::align::grey::measured_level;
+use crate::align::refinement::FramePair;
+use crate::align::transform::{Transform, level_to_full, on_level};
+use std::sync::Arc;
+
+/// A transform that was found for a frame, and the evidence for it.
+#[derive(Debug, Clone)]
+pub(crate) struct Candidate {
+    /// Reference pixel -> frame pixel.
+    pub(crate) transform: Transform,
+    /// The check by tiles, together and for each tile.
+    pub(crate) tiles: Arc<TileCheck>,
+    /// Error estimate: noise and tile displacements, in pixels of the full size.
+    pub(crate) error_px: f64,
+    /// The part of it that the tiles measure.
+    pub(crate) tile_error_px: f64,
+    /// Whether it was fitted to the tiles rather than to the pixels.
+    pub(crate) by_tiles: bool,
+    /// Reliability of the target that it was found against, times the uniqueness of the candidate, 0..=1.
+    pub(crate) reliability: f64,
+    /// An error at which the transform is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels
+    /// across, more for a larger.
+    pub(crate) tolerance_px: f64,
+    /// Whether features independently gave the same transform.
+    pub(crate) corroborated: bool,
+}
+
+impl Candidate {
+    /// The agreement of all tiles.
+    pub(crate) fn agreement(&self) -> &Agreement {
+        &self.tiles.agreement
+    }
+
+    /// 0..=1: the agreement of the tiles, less where they measure a displacement of half a pixel or more.
+    pub(crate) fn confidence(&self) -> f64 {
+        let off = self.error_px / self.tolerance_px;
+        let tiles = self.agreement().share() * self.agreement().coverage();
+        let support = if self.corroborated { tiles.max(CORROBORATED_CONFIDENCE) } else { tiles };
+        self.reliability * support / (1.0 + off * off)
+    }
+
+    /// Evidence for it in comparison with others: the agreeing tiles, less the disagreeing ones.
+    pub(crate) fn evidence(&self) -> f64 {
+        let off = self.error_px / self.tolerance_px;
+        let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;
+        self.reliability * tiles / (1.0 + off * off)
+    }
+
+    /// Whether no other method is needed: many tiles agree, nearly none disagree, and none is displaced.
+    pub(crate) fn is_settled(&self) -> bool {
+        let spoke = self.agreement().agreeing + self.agreement().disagreeing;
+        self.agreement().agreeing >= 12 && self.agreement().disagreeing * 40 <= spoke && self.error_px < 0.5
+    }
+}
+
+/// Confidence of a candidate on which bitmaps and features agree, where few tiles are decided.
+const CORROBORATED_CONFIDENCE: f64 = 0.7;
+
+/// The candidate `transform`, checked by tiles.
+pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) -> Candidate {
+    evaluate_with_fit(pair, transform, noise_px).0
+}
+
+/// The candidate `transform` checked by tiles, with the transform that their displacements fit.
+pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px: f64) -> (Candidate, Option<TileFit>) {
+    let level = measured_level(pair.reference());
+    let (width, height) = pair.size();
+    let h = on_level(&transform.matrix(width, height), level);
+    let both = &pair.level(level).both;
+    let tiles = check_tiles(both, &h);
+    let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
+    let tolerance_px = tolerance_px((width, height));
+    // A displacement beyond the tiles' own error is the transform's.
+    let tile_error = match &fit {
+        Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
+        None => (tiles.agreement.offset - TILE_NOISE).max(0.0),
+    };
+    let tile_error_px = level_to_full(level)[(0, 0)] * tile_error;
+    let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
+    let candidate = Candidate {
+        transform,
+        tiles: Arc::new(tiles),
+        error_px,
+        tile_error_px,
+        reliability: 1.0,
+        tolerance_px,
+        corroborated: false,
+        by_tiles: false,
+    };
+    (candidate, fit)
+}
+
+/// See [`Candidate::tolerance_px`].
+const TOLERANCE_PX: f64 = 1.5;
+
+/// [`Candidate::tolerance_px`] of pictures of this size.
+pub(crate) fn tolerance_px((width, height): (usize, usize)) -> f64 {
+    let diagonal = ((width * width + height * height) as f64).sqrt();
+    TOLERANCE_PX * (diagonal / 2000.0).max(1.0)
+}
+
+/// The median offset of tiles under the true transform, in pixels of the level. Measured on rendered brackets.
+const TILE_NOISE: f64 = 0.05;

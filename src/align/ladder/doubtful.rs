@@ -1,0 +1,133 @@
+//! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the
+//! bitmaps' other minima.
+//!
+//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times
+//! that of a frame that the bitmaps settle.
+
+use crate::align::grey::GreyPyramid;
+use crate::align::ladder::LEAST_INLIERS;
+use crate::align::ladder::ReferenceFeatures;
+use crate::align::ladder::Search;
+use crate::align::ladder::candidate::Candidate;
+use crate::align::ladder::reduction::reduce;
+use crate::align::ladder::selection::Candidates;
+use crate::align::ladder::selection::FeatureCounts;
+use crate::align::ladder::selection::aligned_verdict;
+use crate::align::ladder::selection::is_acceptable;
+use crate::align::ladder::selection::rejected_verdict;
+use crate::align::ladder::selection::rejection_reason;
+use crate::align::ladder::starts::by_alternatives;
+use crate::align::ladder::starts::by_bitmaps;
+use crate::align::ladder::starts::by_start;
+use crate::align::ladder::starts::warped_to_reference;
+use crate::align::refinement::FramePair;
+use crate::align::result::Verdict;
+use crate::align::transform::{Transform, distance};
+use std::borrow::Cow;
+
+/// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full
+/// size for each 1000 of the diagonal.
+const CORROBORATED: f64 = 2.0;
+
+/// Transforms up to this many times as far apart are the same, known less well; others are alternatives.
+const SAME_APART: f64 = 3.0;
+
+/// What a frame is aligned to: the reference, or a neighbour warped to its grid.
+pub(crate) struct Target<'a> {
+    pub(crate) pyramid: Cow<'a, GreyPyramid>,
+    /// How far the neighbour itself may be off, in pixels.
+    pub(super) error_px: f64,
+    /// How sure the neighbour's own place is.
+    pub(super) confidence: f64,
+}
+
+impl Target<'_> {
+    /// `frame` and this target, which `start` aligns approximately.
+    fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Transform) -> FramePair<'b> {
+        FramePair::new(&self.pyramid, frame, start)
+    }
+
+    /// A candidate that was found against this target, with the target's own error and reliability.
+    fn discount(&self, candidate: Candidate) -> Candidate {
+        let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
+        Candidate { error_px, reliability: candidate.reliability * self.confidence, ..candidate }
+    }
+}
+
+impl Search<'_> {
+    /// The verdict of a frame that the bitmaps did not settle.
+    pub(super) fn doubtful(
+        &self,
+        i: usize,
+        first: Option<Candidate>,
+        neighbour: Option<Target>,
+        shared: &ReferenceFeatures,
+    ) -> Verdict {
+        let frame = &self.pyramids[i];
+        let (width, height) = self.size();
+        let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
+        let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
+        let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
+        let mut targets = vec![reference];
+        targets.extend(neighbour);
+        let mut candidates = Candidates::default();
+        candidates.add(0, first);
+        for (b, target) in targets.iter().enumerate().skip(1) {
+            let (_, found) = by_bitmaps(&target.pyramid, frame, &self.options.mtb);
+            candidates.add(b, found.map(|c| target.discount(c)));
+        }
+        let mut found = FeatureCounts::default();
+        let mut is_corroborated = false;
+        let is_settled =
+            |candidates: &Candidates| !shared.repeats && candidates.best().is_some_and(|(_, c)| c.is_settled());
+        if let (false, Some(reference)) = (is_settled(&candidates), &shared.features) {
+            let own = self.features(i);
+            found.keypoints = Some(own.counts);
+            if let Some((start, inliers)) = self.consensus(reference, &own) {
+                found.inliers = Some(inliers);
+                is_corroborated =
+                    inliers >= 2 * LEAST_INLIERS && candidates.corroborate(|c| alike(&c.transform, &start));
+                if !is_corroborated {
+                    for (b, target) in targets.iter().enumerate() {
+                        let candidate = by_start(&target.compare(frame, &start), &start, 0);
+                        candidates.add(b, candidate.map(|c| target.discount(c)));
+                    }
+                }
+            }
+        }
+        // Where a picture repeats itself, features are as easily deceived as bitmaps.
+        if shared.repeats || !(is_settled(&candidates) || is_corroborated) {
+            let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
+            let angle = start.rotation_deg(width, height).to_radians();
+            for (b, target) in targets.iter().enumerate() {
+                for alternative in by_alternatives(&target.compare(frame, &start), angle, &self.options.mtb) {
+                    candidates.add(b, Some(target.discount(alternative)));
+                }
+            }
+        }
+        let same =
+            |a: &Candidate, b: &Candidate| distance(&a.transform, &b.transform, width, height) <= SAME_APART * near;
+        let Some((b, best)) = candidates.winner(same) else {
+            return rejected_verdict(rejection_reason(None), 0.0, found);
+        };
+        let uniqueness = candidates.uniqueness((b, best), |c| !same(c, best));
+        let best = Candidate { reliability: best.reliability * uniqueness, ..best.clone() };
+        if !is_acceptable(&best) {
+            return rejected_verdict(rejection_reason(Some(&best)), best.confidence(), found);
+        }
+        let reduced = reduce(&targets[b].compare(frame, &best.transform), best.clone());
+        let error_px = reduced.error_px.max(targets[b].error_px);
+        aligned_verdict(&Candidate { reliability: best.reliability, error_px, ..reduced }, found)
+    }
+
+    /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's
+    /// pixels.
+    pub(crate) fn neighbour_target(&self, n: usize, verdict: &Verdict) -> Option<Target<'_>> {
+        let transform = verdict.transform?;
+        let pyramid = match transform {
+            Transform::Identity => Cow::Borrowed(&self.pyramids[n]),
+            transform => Cow::Owned(warped_to_reference(&(self.grey)(n), &transform)),
+        };
+        Some(Target { pyramid, error_px: verdict.error_px.unwrap_or(0.0), confidence: verdict.confidence })
+    }
+}

@@ -1,0 +1,280 @@
+//! The ladder: the order of the methods, from the cheapest to the most expensive.
+//!
+//! In: the grey pyramids of a bracket. Out: a [`Verdict`] for each frame. Cost: for a frame that the bitmaps settle
+//! that of [`by_bitmaps`]; for a difficult one some times as much.
+//!
+//! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not
+//! settle it, it is also compared with its nearest aligned neighbour in exposure, by features, and from the other
+//! minima of the bitmaps (`doubtful`); `selection` chooses among the candidates and `reduction` the smallest sufficient
+//! model. Frames with too little detail get the transform that the other frames suggest (`inferred`, `camera_track`).
+
+mod camera_track;
+mod candidate;
+mod doubtful;
+mod inferred;
+mod reduction;
+mod selection;
+mod starts;
+
+use crate::align::AlignOptions;
+use crate::align::agreement::LEAST_SIDE;
+use crate::align::bitmaps;
+use crate::align::features;
+use crate::align::features::FeatureSets;
+use crate::align::grey::{COARSEST, Content, GreyPyramid, content_and_pyramid, measured_level};
+use crate::align::ladder::camera_track::capture_times;
+use crate::align::ladder::candidate::{Candidate, evaluate};
+use crate::align::ladder::reduction::reduce;
+use crate::align::ladder::selection::{FeatureCounts, aligned_verdict, rejected_verdict, rejection_reason};
+use crate::align::ladder::starts::by_bitmaps;
+use crate::align::refinement::FramePair;
+use crate::align::result::{Status, Verdict};
+use crate::align::transform::{Transform, level_to_full};
+use crate::bracket::Bracket;
+use crate::error::Result;
+use crate::plane::{Plane, map_at_once};
+use std::sync::{Mutex, PoisonError};
+
+/// Fewest matches that make a motion: a homography needs four, chance may add as many.
+const LEAST_INLIERS: usize = 10;
+
+/// One run over a bracket.
+pub(crate) struct Search<'a> {
+    /// The frames' grey pyramids.
+    pub(crate) pyramids: &'a [GreyPyramid],
+    /// ... and the whole pictures, computed on demand.
+    pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
+    /// The content of each frame.
+    pub(crate) contents: &'a [Content],
+    /// When each was taken: seconds, or its position in the order of all.
+    pub(crate) capture_times: &'a [f64],
+    /// Whether all frames are of one tone each.
+    pub(crate) is_uniform: bool,
+    /// How many frames may be compared at a time.
+    pub(crate) compared_at_once: usize,
+    /// How many frames may have their features sought at a time.
+    pub(crate) detected_at_once: usize,
+    pub(crate) reference: usize,
+    /// The frames whose place is given.
+    pub(crate) given: &'a [Option<Verdict>],
+    pub(crate) options: &'a AlignOptions,
+}
+
+/// The result of comparing a frame with the reference by bitmaps alone.
+enum FirstResult {
+    /// Final.
+    Settled(Verdict),
+    /// The best candidate so far, if any.
+    Doubtful(Option<Candidate>),
+}
+
+/// What unsettled frames need of the reference.
+struct ReferenceFeatures {
+    /// Its features; none if every frame is settled.
+    features: Option<FeatureSets>,
+    /// Whether it repeats itself.
+    repeats: bool,
+}
+
+impl Search<'_> {
+    /// From the bitmaps alone: a shift and a rotation.
+    pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
+        self.each(|i| {
+            let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
+            let checked = self.evaluate(i, found.transform());
+            // Each measures errors that the other does not.
+            aligned_verdict(
+                &Candidate { error_px: checked.error_px.max(found.error_px), ..checked },
+                FeatureCounts::default(),
+            )
+        })
+    }
+
+    /// From features alone: a homography.
+    pub(crate) fn by_features_alone(&self) -> Vec<Verdict> {
+        let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
+        let mut verdicts = self.each(|i| {
+            let keypoints = Some(sets[i].counts);
+            match self.consensus(&sets[self.reference], &sets[i]) {
+                Some((transform, inliers)) if inliers >= LEAST_INLIERS => {
+                    aligned_verdict(&self.evaluate(i, transform), FeatureCounts { inliers: Some(inliers), keypoints })
+                }
+                other => {
+                    let inliers = other.map_or(0, |c| c.1);
+                    let reason =
+                        format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
+                    rejected_verdict(reason, 0.0, FeatureCounts { inliers: Some(inliers), keypoints })
+                }
+            }
+        });
+        verdicts[self.reference].keypoints = Some(sets[self.reference].counts);
+        verdicts
+    }
+
+    /// By all means, as far as needed.
+    pub(crate) fn auto(&self) -> Vec<Verdict> {
+        let (width, height) = self.size();
+        if width.min(height) < LEAST_SIDE {
+            let mut verdicts = self.each(|_| rejected_verdict(rejection_reason(None), 0.0, FeatureCounts::default()));
+            self.leave_uniform_frames_unmoved(&mut verdicts);
+            return verdicts;
+        }
+        let repeats = bitmaps::repeats(self.reference_pyramid(), &self.options.mtb);
+        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
+        let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
+        let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
+        let shared = ReferenceFeatures { features, repeats };
+        // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its
+        // neighbour placed.
+        let orders: [Vec<usize>; 2] =
+            [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
+        let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
+        let (brighter, darker) = (sides.pop().unwrap_or_default(), sides.pop().unwrap_or_default());
+        let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
+        let keypoints = shared.features.as_ref().map(|f| f.counts);
+        verdicts.push(Verdict { keypoints, ..Verdict::with_identity(Status::Reference) });
+        verdicts.extend(brighter);
+        self.keep_static_frames_static(&mut verdicts);
+        let known = self.known(&verdicts);
+        self.accept_static(&mut verdicts);
+        self.infer_from_track(known, &mut verdicts);
+        self.leave_uniform_frames_unmoved(&mut verdicts);
+        verdicts
+    }
+
+    /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
+    fn first(&self, i: usize, repeats: bool) -> FirstResult {
+        if i == self.reference {
+            return FirstResult::Doubtful(None);
+        }
+        if let Some(given) = &self.given[i] {
+            return FirstResult::Settled(given.clone());
+        }
+        let (pair, candidate) = by_bitmaps(self.reference_pyramid(), &self.pyramids[i], &self.options.mtb);
+        match candidate {
+            Some(c) if c.is_settled() && !repeats => {
+                FirstResult::Settled(aligned_verdict(&reduce(&pair, c), FeatureCounts::default()))
+            }
+            other => FirstResult::Doubtful(other),
+        }
+    }
+
+    pub(crate) fn reference_pyramid(&self) -> &GreyPyramid {
+        &self.pyramids[self.reference]
+    }
+
+    pub(crate) fn size(&self) -> (usize, usize) {
+        self.reference_pyramid().size(0)
+    }
+
+    /// `verdict` of every frame but the reference, in parallel.
+    fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
+        let reference = || Verdict::with_identity(Status::Reference);
+        let place = |i: usize| match &self.given[i] {
+            Some(given) => given.clone(),
+            None if i == self.reference => reference(),
+            None => verdict(i),
+        };
+        map_at_once(self.pyramids.len(), self.compared_at_once, place)
+    }
+
+    fn features(&self, i: usize) -> FeatureSets {
+        let level = measured_level(self.reference_pyramid());
+        features::features(&self.pyramids[i], level, &self.options.sift, self.options.mtb.exclusion)
+    }
+
+    /// The homography that the matches agree on, and how many do.
+    fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
+        let to_full = level_to_full(measured_level(self.reference_pyramid()));
+        let found = features::by_matches(reference, frame, &to_full, self.options)?;
+        Some((Transform::Homography(found.homography), found.inliers.len()))
+    }
+
+    /// Frame `i` placed by `transform`, as the tiles see it.
+    pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
+        evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
+    }
+
+    /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the
+    /// nearest before it that was placed.
+    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Verdict> {
+        let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
+        for &i in order {
+            let verdict = match &first[i] {
+                FirstResult::Settled(verdict) => verdict.clone(),
+                FirstResult::Doubtful(candidate) => {
+                    let nearest =
+                        order.iter().zip(&verdicts).rev().find_map(|(&n, verdict)| self.neighbour_target(n, verdict));
+                    self.doubtful(i, candidate.clone(), nearest, shared)
+                }
+            };
+            verdicts.push(verdict);
+        }
+        verdicts
+    }
+}
+
+impl Search<'_> {
+    /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can
+    /// frames that are smaller than any level that is searched. Nothing excludes another transform, so the confidence
+    /// is 0.
+    fn leave_uniform_frames_unmoved(&self, verdicts: &mut [Verdict]) {
+        let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
+        if others().any(|v| v.transform.is_some()) {
+            return;
+        }
+        let (width, height) = self.size();
+        let reason = match (self.is_uniform, width.min(height) < COARSEST) {
+            (true, _) => "each of them is of one tone all over".to_owned(),
+            (_, true) => format!("{width}x{height} pixels are too few"),
+            _ => return,
+        };
+        for (i, verdict) in verdicts.iter_mut().enumerate() {
+            if verdict.status == Status::Rejected && self.given[i].is_none() {
+                let unmoved = Verdict::with_identity(Status::Unmoved);
+                let (inliers, keypoints) = (verdict.inliers, verdict.keypoints);
+                *verdict = Verdict { inliers, keypoints, confidence: 0.0, reason: Some(reason.clone()), ..unmoved };
+            }
+        }
+    }
+}
+
+/// What `find` makes of the bracket, where nothing is `given`.
+pub(crate) fn search(
+    bracket: &Bracket,
+    options: &AlignOptions,
+    given: &[Option<Verdict>],
+    find: fn(&Search) -> Vec<Verdict>,
+) -> Result<Vec<Verdict>> {
+    let looked = bracket.map_whole(content_and_pyramid);
+    let (contents, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let capture_times = capture_times(bracket);
+    let is_uniform = contents.iter().all(|s| s.is_uniform);
+    // The search reads a whole picture now and then, deep inside; if one cannot be read, the result is discarded.
+    let failed = Mutex::new(None);
+    let grey = |i: usize| {
+        bracket.frames()[i].greys(contents[i].brightening_stops).unwrap_or_else(|error| {
+            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            Plane::filled(bracket.width(), bracket.height(), 0)
+        })
+    };
+    let found = find(&Search {
+        pyramids: &pyramids,
+        grey: &grey,
+        contents: &contents,
+        capture_times: &capture_times,
+        is_uniform,
+        compared_at_once: bracket.at_once(),
+        detected_at_once: bracket.detected_at_once(),
+        reference: bracket.reference_index(),
+        given,
+        options,
+    });
+    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        None => Ok(found),
+        Some(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,72 @@
+//! Model selection: the smallest model that explains a motion as well as the homography that was found.
+//!
+//! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement
+//! on the finest level for each smaller model that is near.
+
+use crate::align::grey::{finest_level, measured_level};
+use crate::align::ladder::candidate::Candidate;
+use crate::align::ladder::candidate::evaluate;
+use crate::align::refinement::{FramePair, refine};
+use crate::align::transform::{Model, Transform, distance, level_to_full, restrict};
+
+/// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
+const SAME_PX: f64 = 0.03;
+
+/// A smaller model that is so many times farther off, before it is fitted, will not do.
+const MOST_EXCESS: f64 = 5.0;
+
+/// A frame whose transform is no more than this is unmoved: resampling would cost more than it mends, in pixels.
+pub(crate) const UNMOVED_PX: f64 = 0.2;
+
+/// The smallest model that explains the motion as well as `whole` does, within the error of the pixels.
+pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
+    let (width, height) = pair.size();
+    let level = measured_level(pair.reference());
+    // Tiles cannot distinguish transforms that are closer than this.
+    let alike_px = ALIKE * level_to_full(level)[(0, 0)];
+    let checked = |transform: Transform, noise_px: f64, apart: f64| {
+        if apart > alike_px {
+            return Candidate { corroborated: whole.corroborated, ..evaluate(pair, transform, noise_px) };
+        }
+        let error_px = (noise_px * noise_px + whole.tile_error_px * whole.tile_error_px).sqrt();
+        Candidate { transform, error_px, ..whole.clone() }
+    };
+    let still = distance(&whole.transform, &Transform::Identity, width, height);
+    if still <= UNMOVED_PX.max(whole.error_px) {
+        let unmoved = checked(Transform::Identity, 0.0, still);
+        if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
+            let error_px = unmoved.error_px.min(still.max(SAME_PX));
+            return Candidate { error_px, ..unmoved };
+        }
+    }
+    if whole.by_tiles {
+        // The pixels would take it back to where the tiles do not want it.
+        return whole;
+    }
+    let finest = finest_level(pair.reference());
+    for model in [Model::Shift, Model::Rigid] {
+        // A model that is hopelessly far is cheap to exclude; the fitted one decides.
+        let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
+        if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(whole.error_px) {
+            continue;
+        }
+        let Some(smaller) = refine(pair, &whole.transform, model, (finest, finest)) else {
+            continue;
+        };
+        let apart = distance(&whole.transform, &smaller.transform, width, height);
+        if apart <= SAME_PX.max(whole.error_px) {
+            // The error of the larger model bounds that of the smaller one.
+            let noise_px = smaller.error_px.max(0.5 * whole.error_px);
+            let candidate = checked(smaller.transform, noise_px, apart);
+            if candidate.agreement().share() >= whole.agreement().share() - 0.02
+                && candidate.agreement().offset <= whole.agreement().offset + 0.01
+            {
+                return candidate;
+            }
+        }
+    }
+    whole
+}
+
+/// The least distance that tiles distinguish, in pixels of the level on which they are measured.
+const ALIKE: f64 = 0.1;

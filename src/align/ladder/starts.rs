@@ -1,0 +1,122 @@
+//! Candidates from the start of each method: the bitmaps, their other minima, or any given transform; each refined,
+//! then checked.
+//!
+//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of
+//! [`refine`] and of the check for each start.
+
+use crate::align::agreement::TileFit;
+use crate::align::bitmaps;
+use crate::align::bitmaps::MtbOptions;
+use crate::align::grey::{GreyPyramid, finest_level, measured_level};
+use crate::align::ladder::candidate::{Candidate, evaluate, evaluate_with_fit};
+use crate::align::refinement::{FramePair, refine};
+use crate::align::resampling::bilinear::BilinearRows;
+use crate::align::transform::{Model, Transform, corners, level_to_full, map, off_level};
+use crate::plane::Plane;
+
+/// Levels above that of agreement from which refinement starts: a transform that is off by 4 px is off by one there.
+const CAPTURE_LEVELS: usize = 2;
+
+/// The pyramid of `grey`, warped to the reference's grid by `transform`; the border pixel is repeated beyond the
+/// border.
+pub(crate) fn warped_to_reference(grey: &Plane<u8>, transform: &Transform) -> GreyPyramid {
+    let rows = BilinearRows::new(grey, transform);
+    GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| rows.row(y, row))
+}
+
+/// The candidate of the bitmaps, and the pair that it was refined on.
+pub(crate) fn by_bitmaps<'a>(
+    reference: &'a GreyPyramid,
+    frame: &'a GreyPyramid,
+    options: &MtbOptions,
+) -> (FramePair<'a>, Option<Candidate>) {
+    let start = bitmaps::search(reference, frame, measured_level(reference), options).transform();
+    let pair = FramePair::new(reference, frame, &start);
+    let candidate = by_start(&pair, &start, CAPTURE_LEVELS);
+    (pair, candidate)
+}
+
+/// Candidates of the bitmaps' other minima: the best few refined to the end, then the others as far as they were
+/// followed.
+pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
+    let measured = measured_level(pair.reference());
+    let mut rough: Vec<Candidate> =
+        bitmaps::alternatives(pair.reference(), pair.frame(), angle, MOST_ALTERNATIVES, options)
+            .into_iter()
+            .filter_map(|m| {
+                let start = Transform::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
+                let found = refine(pair, &start, Model::Rigid, (measured + CAPTURE_LEVELS, measured))?;
+                Some(evaluate(pair, found.transform, 0.0))
+            })
+            .collect();
+    rough.sort_by(|a, b| b.evidence().total_cmp(&a.evidence()));
+    let refined: Vec<Candidate> =
+        rough.iter().take(REFINED_ALTERNATIVES).filter_map(|c| by_start(pair, &c.transform, 0)).collect();
+    refined.into_iter().chain(rough).collect()
+}
+
+/// Most alternatives that are evaluated.
+const MOST_ALTERNATIVES: usize = 8;
+/// ... and of these refined to the end.
+const REFINED_ALTERNATIVES: usize = 2;
+
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; follows the
+/// tiles where they measure a displacement.
+pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> Option<Candidate> {
+    let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
+    // What is little determined at first may be well determined after the first step; a smaller model holds where a
+    // larger runs away.
+    let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
+        let found = refine(pair, start, model, levels)?;
+        is_sane(&found.transform, pair.size()).then_some(found)
+    })?;
+    let (candidate, fit) = evaluate_with_fit(pair, found.transform, found.error_px);
+    Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
+}
+
+/// The transform that the tiles fit, if it differs from `from` significantly and they agree better there.
+fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Option<Candidate> {
+    let level = measured_level(pair.reference());
+    let mut best = None;
+    for _ in 0..TILE_STEPS {
+        let Some(tiles) = fit.filter(|f| f.significance > LEAST_SIGNIFICANCE && f.moved > LEAST_TILE_MOVE) else {
+            break;
+        };
+        let transform = Transform::Homography(off_level(&tiles.h, level));
+        if !is_sane(&transform, pair.size()) {
+            break;
+        }
+        let (next, next_fit) = evaluate_with_fit(pair, transform, level_to_full(level)[(0, 0)] * tiles.error);
+        let before = best.as_ref().unwrap_or(from);
+        // Further on than before, by the tiles' own account and by that of their correlations.
+        let nearer = next_fit.as_ref().is_some_and(|next| next.moved < tiles.moved);
+        if !nearer || next.tiles.evidence_over(&before.tiles) < 0.0 {
+            break;
+        }
+        fit = next_fit;
+        best = Some(Candidate { by_tiles: true, ..next });
+    }
+    best
+}
+
+/// Steps that the tiles may take.
+const TILE_STEPS: usize = 5;
+/// The tiles are followed where they measure a displacement of so many times their error ([`TileFit::significance`]),
+const LEAST_SIGNIFICANCE: f64 = 2.0;
+/// ... and by more than this, in pixels of their level.
+const LEAST_TILE_MOVE: f64 = 0.05;
+
+/// Whether a camera held in hands could have done this: no corner farther than a third of the diagonal, no side half or
+/// twice as long.
+pub(super) fn is_sane(transform: &Transform, (width, height): (usize, usize)) -> bool {
+    let diagonal = ((width * width + height * height) as f64).sqrt();
+    let h = transform.matrix(width, height);
+    let before = corners(width, height);
+    let after = before.map(|(x, y)| map(&h, x, y));
+    let side = |c: &[(f64, f64); 4], i: usize| {
+        let (a, b) = (c[i], c[(i + 1) % 4]);
+        ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt()
+    };
+    transform.corner_distance(&Transform::Identity, width, height) < diagonal / 3.0
+        && (0..4).all(|i| (0.5..2.0).contains(&(side(&after, i) / side(&before, i).max(1.0))))
+}

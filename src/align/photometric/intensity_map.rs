@@ -1,0 +1,120 @@
+//! The intensity mapping function: which grey value of the frame goes with which of the reference.
+//!
+//! In: pairs of grey values at some places of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one
+//! pass over them. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI
+//! 25(11), 2003, section 5: two exposures of one scene have the same ranks, so the map follows from the two histograms,
+//! and small misalignments do not matter.
+
+/// Grey values of the reference at which the map is kept.
+const KNOTS: usize = 256;
+/// Half the width over which its slope is taken, in grey values.
+const SLOPE_REACH: f32 = 4.0;
+
+/// A monotone map of grey values 0..=255, reference -> frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IntensityMap {
+    values: Vec<f32>,
+}
+
+impl IntensityMap {
+    /// The map that takes the distribution of the first of each pair to that of the second; the identity without
+    /// samples.
+    pub fn from_samples(samples: &[(u8, u8)]) -> Self {
+        if samples.is_empty() {
+            return IntensityMap { values: (0..KNOTS).map(|v| v as f32).collect() };
+        }
+        let (mut reference, mut frame) = ([0u32; KNOTS], [0u32; KNOTS]);
+        for &(r, f) in samples {
+            reference[usize::from(r)] += 1;
+            frame[usize::from(f)] += 1;
+        }
+        // For each value that occurs, the value of the frame at its middle rank.
+        let mut values = vec![f32::NAN; KNOTS];
+        let (mut rank, mut below, mut at) = (0.0f64, 0.0f64, 0);
+        for (v, value) in values.iter_mut().enumerate() {
+            let n = f64::from(reference[v]);
+            let middle = rank + 0.5 * n;
+            rank += n;
+            if n == 0.0 {
+                continue;
+            }
+            while at + 1 < KNOTS && below + f64::from(frame[at]) < middle {
+                below += f64::from(frame[at]);
+                at += 1;
+            }
+            let within = (middle - below) / f64::from(frame[at]).max(1.0);
+            *value = (at as f64 - 0.5 + within.clamp(0.0, 1.0)) as f32;
+        }
+        fill_gaps(&mut values);
+        IntensityMap { values }
+    }
+
+    /// The frame's value for value `v` of the reference.
+    #[inline]
+    pub fn at(&self, v: f32) -> f32 {
+        let v = v.clamp(0.0, (KNOTS - 1) as f32);
+        let i = (v as usize).min(KNOTS - 2);
+        let t = v - i as f32;
+        self.values[i] + t * (self.values[i + 1] - self.values[i])
+    }
+
+    /// How fast the frame's value rises with the reference's at value `v`: 0 where either is clipped.
+    #[inline]
+    pub fn slope(&self, v: f32) -> f32 {
+        let (low, high) = ((v - SLOPE_REACH).max(0.0), (v + SLOPE_REACH).min((KNOTS - 1) as f32));
+        (self.at(high) - self.at(low)) / (high - low)
+    }
+}
+
+/// Grey values that do not occur are interpolated between those that do; before the first and after the last they are
+/// constant.
+fn fill_gaps(values: &mut [f32]) {
+    let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
+    let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
+        return;
+    };
+    for pair in known.windows(2) {
+        let (a, b) = (values[pair[0]], values[pair[1]]);
+        for i in pair[0] + 1..pair[1] {
+            values[i] = a + (b - a) * (i - pair[0]) as f32 / (pair[1] - pair[0]) as f32;
+        }
+    }
+    let (low, high) = (values[first], values[last]);
+    values[..first].fill(low);
+    values[last + 1..].fill(high);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recovers_the_map_from_pairs_that_do_not_even_match() {
+        let f = |v: f32| 255.0 * (v / 255.0).powf(0.6);
+        let n = 20_000;
+        let reference: Vec<f32> = (0..n).map(|i| 20.0 + 200.0 * i as f32 / n as f32).collect();
+        // The frame's samples are those of other places of the same scene: a permutation.
+        let samples: Vec<(u8, u8)> =
+            (0..n).map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8)).collect();
+        let map = IntensityMap::from_samples(&samples);
+        for v in [30.0f32, 77.3, 140.0, 210.0] {
+            // Levels are rounded in both: half a value on either side.
+            assert!((map.at(v) - f(v)).abs() < 1.0, "{v}: {} {}", map.at(v), f(v));
+            let slope = (f(v + 4.0) - f(v - 4.0)) / 8.0;
+            assert!((map.slope(v) - slope).abs() < 0.15 * slope);
+        }
+    }
+
+    #[test]
+    fn is_flat_where_the_frame_is_clipped() {
+        let samples: Vec<(u8, u8)> = (0..2560u32).map(|i| ((i / 10) as u8, (i / 2).min(255) as u8)).collect();
+        let map = IntensityMap::from_samples(&samples);
+        assert!(map.slope(150.0) < 0.05 && map.slope(25.0) > 4.0);
+        assert!((0..255).all(|v| map.at(v as f32) <= map.at(v as f32 + 1.0)));
+    }
+
+    #[test]
+    fn nothing_known_is_no_change() {
+        assert_eq!(IntensityMap::from_samples(&[]).at(77.0), 77.0);
+    }
+}

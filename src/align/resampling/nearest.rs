@@ -1,0 +1,99 @@
+//! Nearest-neighbour access to the aligned frames.
+//!
+//! In: a bracket and its alignment. Out: of each aligned frame the codes of some rows, and the index of the reference's
+//! pixels in them. Cost: a matrix product for each pixel asked for. For uses that tolerate half a pixel: flat places,
+//! and counts over many pixels; for others see [`resampling`](crate::align::resampling).
+
+use crate::align::resampling::rows_under;
+use crate::align::result::Alignment;
+use crate::align::transform::{Transform, map};
+use crate::bracket::{Bracket, Frame, Window};
+use crate::error::Result;
+use nalgebra::Matrix3;
+use std::ops::Range;
+
+/// A frame that was placed.
+pub struct Placed<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// Its index among the bracket's.
+    pub index: usize,
+    transform: Transform,
+    /// Reference pixel -> frame pixel; none where it is the same.
+    matrix: Option<Matrix3<f64>>,
+}
+
+/// The frames of `bracket` that take part.
+pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
+    let matrix = |frame: &Frame, transform: Transform| match transform {
+        Transform::Identity => None,
+        transform => Some(transform.matrix(frame.width(), frame.height())),
+    };
+    let placed = alignment.placed(bracket);
+    placed
+        .map(|(index, frame, transform)| Placed { frame, index, transform, matrix: matrix(frame, transform) })
+        .collect()
+}
+
+impl Placed<'_> {
+    /// What is needed of it for the reference's `columns` and `rows`.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    pub fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
+        let size = (self.frame.width(), self.frame.height());
+        let window = self.frame.window(rows_under(&self.transform, size, columns, rows))?;
+        Ok(Strip { window, matrix: self.matrix })
+    }
+}
+
+/// Some rows of a frame.
+pub struct Strip<'a> {
+    /// Their codes.
+    pub window: Window<'a>,
+    matrix: Option<Matrix3<f64>>,
+}
+
+impl Strip<'_> {
+    /// Where in the window's codes the square of `side` pixels begins that lies on that whose top-left pixel is (x, y)
+    /// of the reference; none where the frame does not have all of it.
+    pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
+        let (width, height) = (self.window.width(), self.window.height());
+        let (x, y) = match &self.matrix {
+            None => (x, y),
+            Some(h) => {
+                let half = (side / 2) as f64;
+                let (u, v) = map(h, x as f64 + half, y as f64 + half);
+                let (u, v) = ((u + 0.5).floor() - half, (v + 0.5).floor() - half);
+                if !(u >= 0.0 && v >= 0.0) {
+                    return None;
+                }
+                (u as usize, v as usize)
+            }
+        };
+        let fits = x.saturating_add(side) <= width && y.saturating_add(side) <= height;
+        fits.then(|| 3 * ((y - self.window.rows().start) * width + x))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::Codes;
+    use crate::response::tests::still;
+
+    #[test]
+    fn a_pixel_is_found_where_the_warp_puts_it() {
+        let (bracket, mut alignment) = still((60, 60), &[0.5, 1.0], |x, y| [0.002 * (x + 3 * y) as f64; 3]);
+        let code = |alignment: &Alignment, x, y| {
+            let frames = placed(&bracket, alignment);
+            let strip = frames[0].strip(&(0..60), &(y..y + 1)).unwrap();
+            let Codes::Eight(codes) = strip.window.codes() else { unreachable!() };
+            strip.start(x, y, 1).map(|start| codes[start])
+        };
+        let expected = code(&alignment, 17, 24);
+        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 7.2, dy: 3.9, angle: 0.0 });
+        assert_eq!(code(&alignment, 10, 20), expected);
+        assert!(expected.is_some() && code(&alignment, 55, 20).is_none());
+    }
+}

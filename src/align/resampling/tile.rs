@@ -1,0 +1,376 @@
+//! Lanczos resampling of rows, tile by tile.
+//!
+//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the
+//! reference's grid. Cost: see [`resampling`](crate::align::resampling).
+//!
+//! Columns are summed first, then rows. The part of the frame under a tile is converted to floats once, the border
+//! repeated beyond it; neighbouring pixels that lie between the same rows at the same phase share the sums of their
+//! columns.
+
+use crate::align::resampling::OUTSIDE;
+use crate::align::resampling::lanczos::{BEFORE, LANCZOS3, TAPS, place};
+use crate::align::transform::{Transform, map};
+use crate::simd::{Loops, vectorised};
+use nalgebra::Matrix3;
+use std::cell::RefCell;
+use std::ops::Range;
+
+/// Columns and rows of a tile, at most: what it needs stays in the nearer caches.
+const TILE: (usize, usize) = (136, 36);
+
+/// Columns and rows that a tile may see of the frame. Warps that make it smaller by more than a fourth, or turn it by
+/// more than some 20 degrees, go pixel by pixel.
+const WINDOW: (usize, usize) = (192, 96);
+
+/// Values that are summed at once.
+const LANES: usize = 8;
+
+/// Values from one row of the window to the next: whole vectors can be read from any of its pixels on.
+const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
+
+/// Sums down the columns that one pixel needs, in whole vectors.
+const SUMS: usize = (3 * TAPS).next_multiple_of(LANES);
+
+/// The code values of a frame, and what takes them to 0..=255.
+pub(super) struct Source<'a, T> {
+    pub(super) codes: &'a [T],
+    /// The row that the codes begin with.
+    pub(super) first: usize,
+    /// Of the whole frame.
+    pub(super) size: (usize, usize),
+    pub(super) scale: f32,
+}
+
+impl<T: Copy + Into<f32>> Source<'_, T> {
+    pub(super) fn resample(
+        &self,
+        transform: &Transform,
+        columns: Range<usize>,
+        rows: Range<usize>,
+        out: &mut [[f32; 3]],
+    ) {
+        let stride = columns.len();
+        if *transform == Transform::Identity {
+            for (y, line) in rows.zip(out.chunks_exact_mut(stride.max(1))) {
+                let codes = &self.row(y)[3 * columns.start..3 * columns.end];
+                vectorised(Copied { codes, scale: self.scale, line: line.as_flattened_mut() });
+            }
+            return;
+        }
+        let h = &transform.matrix(self.size.0, self.size.1);
+        SCRATCH.with_borrow_mut(|scratch| {
+            for rows_here in parts(rows.clone(), TILE.1) {
+                for columns_here in parts(columns.clone(), TILE.0) {
+                    let from = (rows_here.start - rows.start) * stride + columns_here.start - columns.start;
+                    let out = &mut out[from..];
+                    vectorised(Tile {
+                        source: self,
+                        h,
+                        columns: columns_here,
+                        rows: rows_here.clone(),
+                        out,
+                        stride,
+                        scratch,
+                    });
+                }
+            }
+        });
+    }
+
+    #[inline(always)]
+    pub(super) fn row(&self, y: usize) -> &[T] {
+        let from = 3 * (y - self.first) * self.size.0;
+        &self.codes[from..from + 3 * self.size.0]
+    }
+
+    /// The value at (u, v), which lies within the rectangle of pixel centres. The outermost pixel stands for those
+    /// beyond it.
+    #[inline(always)]
+    pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
+        let ((column, wx), (row, wy)) = (LANCZOS3.place(u), LANCZOS3.place(v));
+        let clamp = |i: usize, size: usize| i.saturating_sub(BEFORE).min(size - 1);
+        let mut value = [0.0f32; 3];
+        for (i, wx) in wx.iter().enumerate() {
+            let x = clamp(column + i, self.size.0);
+            let mut sum = [0.0f32; 3];
+            for (j, wy) in wy.iter().enumerate() {
+                let row = self.row(clamp(row + j, self.size.1));
+                for c in 0..3 {
+                    sum[c] += wy * row[3 * x + c].into();
+                }
+            }
+            for c in 0..3 {
+                value[c] += wx * sum[c];
+            }
+        }
+        value.map(|v| (v * self.scale).clamp(0.0, 255.0))
+    }
+}
+
+/// `range` in as few parts of at most `most` as there can be, nearly equal.
+fn parts(range: Range<usize>, most: usize) -> impl Iterator<Item = Range<usize>> {
+    let (start, length) = (range.start, range.len());
+    let count = length.div_ceil(most);
+    (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
+}
+
+/// A row of a frame that did not move.
+struct Copied<'a, T> {
+    codes: &'a [T],
+    scale: f32,
+    line: &'a mut [f32],
+}
+
+impl<T: Copy + Into<f32>> Loops for Copied<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (value, code) in self.line.iter_mut().zip(self.codes) {
+            *value = (*code).into() * self.scale;
+        }
+    }
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::default());
+}
+
+/// What a tile is worked out in.
+struct Scratch {
+    /// The frame's values under the tile, as floats.
+    window: Vec<f32>,
+    /// The sums down the columns of a row of the tile.
+    sums: Vec<f32>,
+    values: Box<[[f32; 4]; TILE.0]>,
+    positions: Box<SamplePositions>,
+}
+
+/// Where the pixels of a row of the tile lie.
+struct SamplePositions {
+    /// The first of the window's columns under the kernel, and the phase.
+    left: [u32; TILE.0],
+    across: [u32; TILE.0],
+    /// The first of the window's rows, times 2^16, and the phase.
+    down: [u32; TILE.0],
+    is_inside: [u32; TILE.0],
+    /// Where the sums of a pixel's columns begin.
+    sums: [u32; TILE.0],
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        let none = [0; TILE.0];
+        Scratch {
+            window: vec![0.0; WINDOW.1 * STRIDE],
+            sums: vec![0.0; TILE.0 * SUMS],
+            values: Box::new([[0.0; 4]; TILE.0]),
+            positions: Box::new(SamplePositions { left: none, across: none, down: none, is_inside: none, sums: none }),
+        }
+    }
+}
+
+/// A tile of the reference, whose pixels `h` takes into the frame.
+struct Tile<'a, 'b, T> {
+    source: &'a Source<'b, T>,
+    h: &'a Matrix3<f64>,
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// From the tile's first pixel on, and how many pixels there are from one row to the next.
+    out: &'a mut [[f32; 3]],
+    stride: usize,
+    scratch: &'a mut Scratch,
+}
+
+impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Scratch { window, sums, values, positions } = self.scratch;
+        let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
+        let footprint = match footprint(self.h, &self.columns, &self.rows, last) {
+            Footprint::Outside => {
+                let lines = self.out.chunks_mut(self.stride).take(self.rows.len());
+                lines.for_each(|line| line[..self.columns.len()].fill([OUTSIDE; 3]));
+                return;
+            }
+            Footprint::Window(across, down) => Some((across, down)),
+            Footprint::TooLarge => None,
+        };
+        if let Some((across, down)) = &footprint {
+            fill(self.source, across, down, window);
+        }
+        let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
+        for (y, line) in self.rows.zip(self.out.chunks_mut(self.stride)) {
+            let line = &mut line[..self.columns.len()];
+            let Some((across, down)) = &footprint else {
+                for (x, pixel) in self.columns.clone().zip(line) {
+                    let (u, v) = map(self.h, x as f64, y as f64);
+                    // Written so that a place that is no number is outside too.
+                    let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
+                    *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+                }
+                continue;
+            };
+            let (first, origin) = ((self.columns.start, y), (across.start, down.start));
+            if is_affine {
+                positions.find::<true>(self.h, first, origin, last);
+            } else {
+                positions.find::<false>(self.h, first, origin, last);
+            }
+            positions.sum(window, sums, line.len());
+            positions.across(sums, self.source.scale, values, line);
+        }
+    }
+}
+
+/// The part of the frame that is under a tile.
+enum Footprint {
+    /// None of its pixels lies within.
+    Outside,
+    /// At most these columns and rows, some of them beyond the border.
+    Window(Range<i32>, Range<i32>),
+    /// More than a window, or unknown.
+    TooLarge,
+}
+
+#[inline(always)]
+fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Footprint {
+    let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
+    for x in [columns.start as f64, (columns.end - 1) as f64] {
+        for y in [rows.start as f64, (rows.end - 1) as f64] {
+            // Where all corners lie before the horizon, all that is between them lies between their places.
+            let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
+            let (u, v) = map(h, x, y);
+            if !(is_before && u.is_finite() && v.is_finite()) {
+                return Footprint::TooLarge;
+            }
+            us = (us.0.min(u), us.1.max(u));
+            vs = (vs.0.min(v), vs.1.max(v));
+        }
+    }
+    // A pixel more than there should be, as places are rounded.
+    if us.1 < -1.0 || vs.1 < -1.0 || us.0 > last.0 + 1.0 || vs.0 > last.1 + 1.0 {
+        return Footprint::Outside;
+    }
+    let range = |(least, most): (f64, f64), last: f64| {
+        // Of places outside the nearest inside is looked at, to be left out later.
+        let (first, end) = (least.clamp(0.0, last) as i32 - 1, most.clamp(0.0, last) as i32 + 2);
+        first - BEFORE as i32..end + (TAPS - BEFORE - 1) as i32
+    };
+    let (across, down) = (range(us, last.0), range(vs, last.1));
+    if across.len() <= WINDOW.0 && down.len() <= WINDOW.1 {
+        Footprint::Window(across, down)
+    } else {
+        Footprint::TooLarge
+    }
+}
+
+/// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for
+/// those beyond it.
+#[inline(always)]
+fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Range<i32>, window: &mut [f32]) {
+    let (width, height) = (source.size.0 as i32, source.size.1 as i32);
+    let inside = across.start.clamp(0, width - 1)..across.end.clamp(1, width);
+    let (before, after) = ((inside.start - across.start) as usize, (inside.end - across.start) as usize);
+    for (y, row) in down.clone().zip(window.chunks_exact_mut(STRIDE)) {
+        let codes = &source.row(y.clamp(0, height - 1) as usize)[3 * inside.start as usize..3 * inside.end as usize];
+        let row = &mut row[..3 * across.len()];
+        for (value, code) in row[3 * before..3 * after].iter_mut().zip(codes) {
+            *value = (*code).into();
+        }
+        let pixels = row.as_chunks_mut::<3>().0;
+        let (first, last) = (pixels[before], pixels[after - 1]);
+        pixels[..before].fill(first);
+        pixels[after..].fill(last);
+    }
+}
+
+impl SamplePositions {
+    /// Of the pixels from `first` on to the right; `origin` is the window's first pixel, `last` the frame's last.
+    #[inline(always)]
+    fn find<const AFFINE: bool>(
+        &mut self,
+        h: &Matrix3<f64>,
+        first: (usize, usize),
+        origin: (i32, i32),
+        last: (f64, f64),
+    ) {
+        let (start, y) = (first.0 as i32, first.1 as f64);
+        let (a, b, c) = (h[(0, 0)], h[(0, 1)] * y, h[(0, 2)]);
+        let (d, e, f) = (h[(1, 0)], h[(1, 1)] * y, h[(1, 2)]);
+        let (p, q, r) = (h[(2, 0)], h[(2, 1)] * y, h[(2, 2)]);
+        for i in 0..TILE.0 {
+            let x = f64::from(start + i as i32);
+            let (mut u, mut v) = (a * x + b + c, d * x + e + f);
+            // Dividing by 1 changes nothing, and takes as long as all the rest.
+            if !AFFINE {
+                let w = p * x + q + r;
+                (u, v) = (u / w, v / w);
+            }
+            self.is_inside[i] =
+                u32::from(u >= 0.0) & u32::from(v >= 0.0) & u32::from(u <= last.0) & u32::from(v <= last.1);
+            let ((left, across), (top, down)) = (place(u, last.0), place(v, last.1));
+            self.left[i] = (left - origin.0) as u32;
+            self.across[i] = across as u32;
+            self.down[i] = ((top - origin.1) << 16 | down) as u32;
+        }
+    }
+
+    /// The sums down the columns for each of the first `count` pixels, from its left column on.
+    #[inline(always)]
+    fn sum(&mut self, window: &[f32], sums: &mut [f32], count: usize) {
+        let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
+        let (mut next, mut free) = (0, 0);
+        while next < count {
+            // Of neighbours between the same rows at the same phase, and not far apart, the columns are summed once.
+            let (row, first) = (down[next], left[next]);
+            let mut at = first;
+            while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {
+                at = left[next];
+                begins[next] = free as u32 + 3 * (at - first);
+                next += 1;
+            }
+            let end = free + (3 * (at - first) as usize + SUMS).next_multiple_of(LANES);
+            let weights = &LANCZOS3.weights[(row & 0xFFFF) as usize];
+            let mut from = (row >> 16) as usize * STRIDE + 3 * first as usize;
+            for sums in sums[free..end].as_chunks_mut::<LANES>().0 {
+                let codes = &window[from..from + (TAPS - 1) * STRIDE + LANES];
+                let mut sum = [0.0f32; LANES];
+                for (j, w) in weights.iter().enumerate() {
+                    for k in 0..LANES {
+                        sum[k] += w * codes[j * STRIDE + k];
+                    }
+                }
+                *sums = sum;
+                from += LANES;
+            }
+            free = end;
+        }
+    }
+
+    /// The sums across the columns of each pixel of `line`, times `scale`.
+    #[inline(always)]
+    fn across(&self, sums: &[f32], scale: f32, values: &mut [[f32; 4]; TILE.0], line: &mut [[f32; 3]]) {
+        let count = line.len();
+        let (begins, across) = (&self.sums[..count], &self.across[..count]);
+        for (i, value) in values[..count].iter_mut().enumerate() {
+            // Four at a time, as vectors are; the fourth is of the next column, and left out below.
+            let sums = &sums[begins[i] as usize..begins[i] as usize + 3 * TAPS + 1];
+            let mut sum = [0.0f32; 4];
+            for (j, w) in LANCZOS3.weights[across[i] as usize].iter().enumerate() {
+                for c in 0..4 {
+                    sum[c] += w * sums[3 * j + c];
+                }
+            }
+            *value = sum;
+        }
+        for ((pixel, value), is_inside) in line.iter_mut().zip(values).zip(&self.is_inside) {
+            for c in 0..3 {
+                let value = (value[c] * scale).clamp(0.0, 255.0);
+                pixel[c] = if *is_inside != 0 { value } else { OUTSIDE };
+            }
+        }
+    }
+}

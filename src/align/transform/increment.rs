@@ -1,0 +1,194 @@
+//! Small changes of a transform as parameters: what refinement solves for.
+//!
+//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given
+//! parameters, the prior of a hand-held camera, and what a covariance of the parameters means in pixels. Cost:
+//! negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of
+//! warps.
+
+use crate::align::transform::{Model, Transform, centre};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
+
+/// Prior of a hand-held camera beside its rotation about the optical axis, as standard deviations: change of scale by
+/// some thousandths; almost no stretch or shear; rotation aside by some tenths of a degree, which is perspective. A
+/// frame with detail everywhere determines these a hundred times as precisely; with detail in a strip only, the prior
+/// keeps the rest near.
+const SCALE: f64 = 0.0025;
+/// See [`SCALE`].
+const STRETCH: f64 = 0.001;
+/// See [`SCALE`].
+const PERSPECTIVE: f64 = 0.005;
+
+/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all parameters
+/// are alike in size.
+pub(crate) struct Increment {
+    model: Model,
+    centre: (f64, f64),
+    unit: f64,
+    size: (usize, usize),
+}
+
+/// A number of a motion, its prior standard deviation, and how it changes with the parameters of a step.
+type Known = (f64, f64, &'static [(usize, f64)]);
+
+impl Increment {
+    pub(crate) fn new(model: Model, width: usize, height: usize) -> Self {
+        let half = |n: usize| n as f64 / 2.0;
+        let unit = (half(width) * half(width) + half(height) * half(height)).sqrt();
+        Increment { model, centre: centre(width, height), unit, size: (width, height) }
+    }
+
+    /// How many parameters the model has.
+    pub(crate) fn parameters(&self) -> usize {
+        match self.model {
+            Model::Unmoved => 0,
+            Model::Shift => 2,
+            Model::Rigid => 3,
+            Model::Homography => 8,
+        }
+    }
+
+    /// d(place) / d(parameters) at (x, y), in pixels.
+    pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
+        let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
+        let mut j = [[0.0; 2]; 8];
+        match self.model {
+            Model::Unmoved => {}
+            Model::Shift => (j[0], j[1]) = ([u, 0.0], [0.0, u]),
+            Model::Rigid => (j[0], j[1], j[2]) = ([u, 0.0], [0.0, u], [-u * y, u * x]),
+            Model::Homography => {
+                j = [
+                    [u, 0.0],
+                    [0.0, u],
+                    [u * x, 0.0],
+                    [u * y, 0.0],
+                    [0.0, u * x],
+                    [0.0, u * y],
+                    [-u * x * x, -u * x * y],
+                    [-u * x * y, -u * y * y],
+                ];
+            }
+        }
+        j
+    }
+
+    /// J^T g at (x, y).
+    pub(crate) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
+        let (gx, gy) = (f64::from(g[0]), f64::from(g[1]));
+        self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
+    }
+
+    /// Adds to A and b the prior of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise
+    /// that is independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too
+    /// much, and so must this.
+    pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
+        if self.model != Model::Homography {
+            return;
+        }
+        let n = self.to_units() * h * self.to_pixels();
+        let n = n / n[(2, 2)];
+        // The derivative at the centre, turned back: S = R(-phi) A, near the identity, and the perspective as it is.
+        let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
+        let (xx, xy, yx, yy) = (derivative(0, 0), derivative(0, 1), derivative(1, 0), derivative(1, 1));
+        let (sum, turn) = (xx + yy, yx - xy);
+        let length = (sum * sum + turn * turn).sqrt();
+        if length == 0.0 {
+            return;
+        }
+        let (cos, sin) = (sum / length, turn / length);
+        let (s_xx, s_xy, s_yx, s_yy) =
+            (cos * xx + sin * yx, cos * xy + sin * yy, cos * yx - sin * xx, cos * yy - sin * xy);
+        let known: [Known; 5] = [
+            (0.5 * (s_xx + s_yy) - 1.0, SCALE, &[(2, 0.5), (5, 0.5)]),
+            (0.5 * (s_xx - s_yy), STRETCH, &[(2, 0.5), (5, -0.5)]),
+            (0.5 * (s_xy + s_yx), STRETCH, &[(3, 0.5), (4, 0.5)]),
+            (n[(2, 0)], PERSPECTIVE, &[(6, 1.0)]),
+            (n[(2, 1)], PERSPECTIVE, &[(7, 1.0)]),
+        ];
+        for (value, deviation, changes) in known {
+            let weight = factor * factor / (deviation * deviation);
+            for &(i, ci) in changes {
+                b[i] += weight * ci * value;
+                for &(k, ck) in changes {
+                    a[(i, k)] += weight * ci * ck;
+                }
+            }
+        }
+    }
+
+    /// From pixels to the coordinates of [`Increment`].
+    fn to_units(&self) -> Matrix3<f64> {
+        let (cx, cy) = self.centre;
+        Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0)
+    }
+
+    /// Back to pixels.
+    fn to_pixels(&self) -> Matrix3<f64> {
+        let (cx, cy) = self.centre;
+        Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0)
+    }
+
+    /// -A^-1 b; none where A is singular.
+    pub(crate) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
+        let step = -a.cholesky()?.solve(&b);
+        step.iter().all(|v| v.is_finite()).then_some(step)
+    }
+
+    /// The motion of the reference's pixels that the parameters `d` stand for.
+    pub(crate) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
+        let m = match self.model {
+            Model::Unmoved => Matrix3::identity(),
+            Model::Shift => Matrix3::new(1.0, 0.0, d[0], 0.0, 1.0, d[1], 0.0, 0.0, 1.0),
+            Model::Rigid => {
+                let (s, c) = (libm::sin(d[2]), libm::cos(d[2]));
+                Matrix3::new(c, -s, d[0], s, c, d[1], 0.0, 0.0, 1.0)
+            }
+            Model::Homography => Matrix3::new(1.0 + d[2], d[3], d[0], d[4], 1.0 + d[5], d[1], d[6], d[7], 1.0),
+        };
+        self.to_pixels() * m * self.to_units()
+    }
+
+    /// The farthest that the motion `d` moves a corner, in pixels.
+    pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
+        Transform::Homography(self.matrix(d)).corner_distance(&Transform::Identity, self.size.0, self.size.1)
+    }
+
+    /// The root mean square over the picture of how far the motion `d` moves it, in pixels.
+    pub(crate) fn mean_move(&self, d: &DVector<f64>) -> f64 {
+        let sum: f64 = self
+            .grid()
+            .map(|(x, y)| {
+                let j = self.jacobian(x, y);
+                let along = |k: usize| d.iter().zip(&j).map(|(d, j)| d * j[k]).sum::<f64>();
+                along(0) * along(0) + along(1) * along(1)
+            })
+            .sum();
+        (sum / (GRID * GRID) as f64).sqrt()
+    }
+
+    /// The root mean square over the picture of the error that A^-1, the covariance of the parameters, stands for, in
+    /// pixels.
+    pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
+        let covariance = a.clone().cholesky()?.inverse();
+        let mut sum = 0.0;
+        for (x, y) in self.grid() {
+            let j = self.jacobian(x, y);
+            let mut local = Matrix2::zeros();
+            for p in 0..self.parameters() {
+                for q in 0..self.parameters() {
+                    local += covariance[(p, q)] * Vector2::from(j[p]) * Vector2::from(j[q]).transpose();
+                }
+            }
+            sum += local.trace();
+        }
+        Some((sum / (GRID * GRID) as f64).sqrt())
+    }
+
+    /// Places all over the picture.
+    fn grid(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+        (0..GRID * GRID).map(move |i| (place(i % GRID, self.size.0), place(i / GRID, self.size.1)))
+    }
+}
+
+/// Places along each axis at which what a motion does to the picture is looked at.
+const GRID: usize = 9;

@@ -1,0 +1,160 @@
+//! Transforms: reference pixel -> frame pixel.
+//!
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, shift, rotation, distance to
+//! another transform, and the same between the levels of a pyramid. Cost: negligible. Source: Hartley & Zisserman,
+//! Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
+
+mod increment;
+mod model;
+
+pub(crate) use increment::Increment;
+pub use model::Model;
+pub(crate) use model::{restrict, to_transform};
+
+use nalgebra::Matrix3;
+use std::f64::consts::PI;
+
+/// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at
+/// the centre of the top-left one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Transform {
+    /// The frame did not move.
+    Identity,
+    /// x' = c + R(angle) (x - c) + d, c the picture's centre; a shift where the angle is 0.
+    Rigid {
+        /// Shift to the right, in pixels.
+        dx: f64,
+        /// Shift downwards, in pixels.
+        dy: f64,
+        /// Rotation from +x towards +y (clockwise on the screen), in radians.
+        angle: f64,
+    },
+    /// x' ~ H x, with the lower right number 1.
+    Homography(Matrix3<f64>),
+}
+
+impl Transform {
+    /// The transform as a matrix on homogeneous pixel coordinates, for pictures of this size; its lower right number is 1.
+    pub fn matrix(&self, width: usize, height: usize) -> Matrix3<f64> {
+        match *self {
+            Transform::Identity => Matrix3::identity(),
+            Transform::Rigid { dx, dy, angle } => {
+                let (cx, cy) = centre(width, height);
+                let (s, c) = (libm::sin(angle), libm::cos(angle));
+                Matrix3::new(c, -s, cx + dx - c * cx + s * cy, s, c, cy + dy - s * cx - c * cy, 0.0, 0.0, 1.0)
+            }
+            Transform::Homography(h) => h,
+        }
+    }
+
+    /// How far the picture's centre moves, in pixels.
+    pub fn shift_px(&self, width: usize, height: usize) -> (f64, f64) {
+        let (cx, cy) = centre(width, height);
+        let (x, y) = map(&self.matrix(width, height), cx, cy);
+        (x - cx, y - cy)
+    }
+
+    /// How far the picture turns at its centre, in degrees, from +x towards +y.
+    pub fn rotation_deg(&self, width: usize, height: usize) -> f64 {
+        let h = self.matrix(width, height);
+        let (cx, cy) = centre(width, height);
+        let ((x0, y0), (x1, y1)) = (map(&h, cx - 1.0, cy), map(&h, cx + 1.0, cy));
+        libm::atan2(y1 - y0, x1 - x0) * 180.0 / PI
+    }
+
+    /// The largest distance between where this transform and another put a corner of the picture, in pixels.
+    pub fn corner_distance(&self, other: &Transform, width: usize, height: usize) -> f64 {
+        let (a, b) = (self.matrix(width, height), other.matrix(width, height));
+        corners(width, height)
+            .iter()
+            .map(|&(x, y)| {
+                let ((ax, ay), (bx, by)) = (map(&a, x, y), map(&b, x, y));
+                ((ax - bx) * (ax - bx) + (ay - by) * (ay - by)).sqrt()
+            })
+            .fold(0.0, f64::max)
+    }
+}
+
+/// The centre of a picture, between its pixels where a side is even.
+pub fn centre(width: usize, height: usize) -> (f64, f64) {
+    ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0)
+}
+
+/// The centres of the four corner pixels.
+pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
+    let (r, b) = (width as f64 - 1.0, height as f64 - 1.0);
+    [(0.0, 0.0), (r, 0.0), (r, b), (0.0, b)]
+}
+
+/// The root mean square distance over the picture of where two transforms put a pixel.
+pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize) -> f64 {
+    const GRID: usize = 9;
+    let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
+    let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+    let sum: f64 = (0..GRID * GRID)
+        .map(|i| {
+            let (x, y) = (place(i % GRID, width), place(i / GRID, height));
+            let ((ax, ay), (bx, by)) = (map(&ha, x, y), map(&hb, x, y));
+            (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
+        })
+        .sum();
+    (sum / (GRID * GRID) as f64).sqrt()
+}
+
+/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
+pub fn level_to_full(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (scale - 1.0) / 2.0;
+    Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// Pixel of level `level` from pixel of the full size.
+fn full_to_level(level: usize) -> Matrix3<f64> {
+    let scale = (1u64 << level) as f64;
+    let offset = (1.0 - scale) / (2.0 * scale);
+    Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)
+}
+
+/// `h`, between pixels of the full size, as a matrix between pixels of level `level`.
+pub fn on_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    full_to_level(level) * h * level_to_full(level)
+}
+
+/// `h`, between pixels of level `level`, as a matrix between pixels of the full size; its lower right number is 1.
+pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
+    let whole = level_to_full(level) * h * full_to_level(level);
+    whole / whole[(2, 2)]
+}
+
+/// x' ~ H x. Not finite on the line that H sends to infinity.
+#[inline(always)]
+pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
+    let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
+    ((h[(0, 0)] * x + h[(0, 1)] * y + h[(0, 2)]) / w, (h[(1, 0)] * x + h[(1, 1)] * y + h[(1, 2)]) / w)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rigid_warp_turns_about_the_centre() {
+        let transform = Transform::Rigid { dx: 3.0, dy: -2.0, angle: 0.1 };
+        let (dx, dy) = transform.shift_px(101, 51);
+        assert!((dx - 3.0).abs() < 1e-12 && (dy + 2.0).abs() < 1e-12);
+        assert!((transform.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);
+        // The point one to the right of the centre goes to (cos, sin), y pointing down: clockwise on the screen.
+        let (x, y) = map(&transform.matrix(101, 51), 51.0, 25.0);
+        assert!((x - 53.0 - 0.1f64.cos()).abs() < 1e-12 && (y - 23.0 - 0.1f64.sin()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn corner_distance_is_that_of_the_worst_corner() {
+        let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
+        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01
+        // along.
+        let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
+        let worst = Transform::Homography(h).corner_distance(&Transform::Identity, 101, 51);
+        assert!((worst - across.hypot(along)).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,60 @@
+//! The models of a transform: unmoved, shift, rigid, homography; and the nearest transform of a model.
+//!
+//! In: a transform, or its matrix. Out: the smallest [`Model`] that it is of; the nearest one of a smaller model. Cost:
+//! negligible. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of
+//! transformations).
+
+use super::Transform;
+use nalgebra::Matrix3;
+
+/// What a transform is allowed to do, from the least to the most.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// Nothing.
+    Unmoved,
+    /// Shift: two parameters.
+    Shift,
+    /// Shift and rotation about the centre: three parameters.
+    Rigid,
+    /// Any view of a plane, or any turn of the camera: eight parameters.
+    Homography,
+}
+
+impl Model {
+    /// The model that `transform` is of.
+    pub fn of(transform: &Transform) -> Self {
+        match *transform {
+            Transform::Identity => Model::Unmoved,
+            Transform::Rigid { angle: 0.0, .. } => Model::Shift,
+            Transform::Rigid { .. } => Model::Rigid,
+            Transform::Homography(_) => Model::Homography,
+        }
+    }
+}
+
+/// The transform of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
+pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
+    let transform = Transform::Homography(*h);
+    let (dx, dy) = transform.shift_px(width, height);
+    match model {
+        Model::Unmoved => Matrix3::identity(),
+        Model::Shift => Transform::Rigid { dx, dy, angle: 0.0 }.matrix(width, height),
+        Model::Rigid => {
+            let angle = transform.rotation_deg(width, height).to_radians();
+            Transform::Rigid { dx, dy, angle }.matrix(width, height)
+        }
+        Model::Homography => *h,
+    }
+}
+
+pub(crate) fn to_transform(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Transform {
+    let whole = Transform::Homography(h / h[(2, 2)]);
+    let (dx, dy) = whole.shift_px(width, height);
+    match model {
+        Model::Unmoved => Transform::Identity,
+        Model::Shift => Transform::Rigid { dx, dy, angle: 0.0 },
+        Model::Rigid => Transform::Rigid { dx, dy, angle: whole.rotation_deg(width, height).to_radians() },
+        Model::Homography => whole,
+    }
+}

@@ -1,0 +1,316 @@
+//! The file of transforms: an alignment that is saved and used again.
+//!
+//! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every
+//! number comes back as it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
+//!
+//! ```json
+//! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
+//!   { "file": "IMG_1.jpg", "status": "aligned", "model": "shift", "homography": [1.0, 0.0, 3.25, ...], "error_px": 0.02,
+//!     "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
+//! ```
+//!
+//! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel;
+//! null for a frame that is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older
+//! files lack it: in these a frame that the user excluded is rejected with confidence 1. An `assumed` place is merged
+//! as one. A transform without `confidence` was set by the user, and has confidence 1.
+
+use crate::align::preset::{Preset, PresetTransform, check};
+use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
+use crate::align::transform::{Model, Transform};
+use crate::bracket::{self, Bracket};
+use crate::error::{Error, Result};
+use crate::intake;
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The version of the format; a reader refuses any other.
+pub const SCHEMA: &str = "hdralign-transforms/1";
+
+/// The verdicts of a bracket, to be saved and used again.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SavedAlignment {
+    /// Width and height of every frame, in pixels.
+    pub size: (usize, usize),
+    /// The name of the reference's file.
+    pub reference: PathBuf,
+    /// The other frames.
+    pub frames: Vec<Preset>,
+}
+
+/// The file, as it is written.
+#[derive(Serialize, Deserialize)]
+struct Document {
+    schema: String,
+    width_px: usize,
+    height_px: usize,
+    reference: String,
+    frames: Vec<FrameDocument>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct FrameDocument {
+    file: String,
+    status: Status,
+    #[serde(default)]
+    rejected_by: Option<RejectedBy>,
+    #[serde(default)]
+    model: Option<Model>,
+    homography: Option<[f64; 9]>,
+    #[serde(default)]
+    error_px: Option<f64>,
+    #[serde(default)]
+    confidence: Option<f64>,
+    #[serde(default)]
+    inliers: Option<usize>,
+    #[serde(default)]
+    keypoints: Option<KeypointCounts>,
+    #[serde(default)]
+    reason: Option<String>,
+}
+
+/// The part of the file that holds its version.
+#[derive(Deserialize)]
+struct Header {
+    schema: String,
+}
+
+impl SavedAlignment {
+    /// The places of all frames of `bracket` by `alignment`.
+    pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
+        let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
+        let others = (0..bracket.frames().len()).filter(|&i| i != bracket.reference_index());
+        SavedAlignment {
+            size: (bracket.width(), bracket.height()),
+            reference: name(bracket.reference_index()),
+            frames: others
+                .map(|i| Preset { path: name(i), place: PresetTransform::Known(alignment.verdicts[i].clone()) })
+                .collect(),
+        }
+    }
+
+    /// The text of the file.
+    pub fn to_json(&self) -> String {
+        let text = |path: &Path| path.to_string_lossy().into_owned();
+        let frame = |given: &Preset| {
+            let verdict = given.place.verdict();
+            let matrix = verdict.transform.map(|w| w.matrix(self.size.0, self.size.1));
+            FrameDocument {
+                file: text(&given.path),
+                status: verdict.status,
+                rejected_by: verdict.status.rejected_by(),
+                model: verdict.model,
+                homography: matrix.map(|h| std::array::from_fn(|i| h[(i / 3, i % 3)])),
+                error_px: verdict.error_px,
+                confidence: Some(verdict.confidence),
+                inliers: verdict.inliers,
+                keypoints: verdict.keypoints,
+                reason: verdict.reason,
+            }
+        };
+        let document = Document {
+            schema: SCHEMA.to_owned(),
+            width_px: self.size.0,
+            height_px: self.size.1,
+            reference: text(&self.reference),
+            frames: self.frames.iter().map(frame).collect(),
+        };
+        // Strings and finite numbers alone: nothing in it can fail to be written.
+        serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
+    }
+
+    /// The places in the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::from_json(&intake::text(path, intake::MOST_OF_A_TEXT)?, path)
+    }
+
+    /// The places in `text`, the content of the file `path`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, a confidence is not within 0..1, or a
+    /// homography is none: nine finite numbers that keep the picture's corners in front of the camera and its sides the
+    /// right way round.
+    pub fn from_json(text: &str, path: &Path) -> Result<Self> {
+        let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
+        let header: Header =
+            serde_json::from_str(text).map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e})")))?;
+        if header.schema != SCHEMA {
+            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
+        }
+        let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
+        let size = (document.width_px, document.height_px);
+        let frames = document.frames.into_iter().map(|frame| {
+            let file = frame.file.clone();
+            let verdict = verdict(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
+            Ok(Preset { path: file.into(), place: PresetTransform::Known(verdict) })
+        });
+        Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
+    }
+
+    /// Whether it, the content of the file `path`, can be of the photographs `images`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where its reference is none of them.
+    pub fn check_names(&self, images: &[PathBuf], path: &Path) -> Result<()> {
+        let images: Vec<&Path> = images.iter().map(PathBuf::as_path).collect();
+        if bracket::named(&images, &self.reference).is_some() {
+            return Ok(());
+        }
+        let reason = format!(
+            "it is of other photographs: its reference, {}, is not among these; name another file to have one made for these",
+            self.reference.display()
+        );
+        Err(Error::TransformsFile { path: path.to_owned(), reason })
+    }
+
+    /// Whether it can be of `bracket`.
+    ///
+    /// # Errors
+    /// [`Error::TransformsFile`] where the frames are of another size, the reference is another, or none of the frames
+    /// is in it.
+    pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
+        let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
+        let (width, height) = (bracket.width(), bracket.height());
+        if self.size != (width, height) {
+            let (w, h) = self.size;
+            return wrong(format!("it is for photographs of {w}x{h} pixels, and these are {width}x{height}"));
+        }
+        if bracket.named(&self.reference) != Some(bracket.reference_index()) {
+            return wrong(format!(
+                "its reference is {}, and this bracket's is {}; give --reference {} or remove the file",
+                self.reference.display(),
+                bracket.reference().path().display(),
+                self.reference.display()
+            ));
+        }
+        if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
+            return wrong("it speaks of none of these photographs; remove it to have one made for them".into());
+        }
+        Ok(())
+    }
+}
+
+/// The verdict that `frame` stands for, or what is wrong with it.
+fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Verdict, String> {
+    let (status, transform) = match (frame.status, frame.homography) {
+        (Status::Rejected | Status::Excluded | Status::Flash, _) => {
+            let by = match frame.rejected_by {
+                None if frame.confidence == Some(1.0) => RejectedBy::User,
+                None => RejectedBy::Alignment,
+                Some(by) => by,
+            };
+            let status = match by {
+                RejectedBy::Alignment => Status::Rejected,
+                RejectedBy::User => Status::Excluded,
+                RejectedBy::Flash => Status::Flash,
+            };
+            (status, None)
+        }
+        (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Transform::Identity)),
+        (Status::Assumed, Some(_)) if frame.model == Some(Model::Unmoved) => {
+            (Status::Assumed, Some(Transform::Identity))
+        }
+        (status @ (Status::Aligned | Status::Assumed), Some(h)) => {
+            let h = Matrix3::from_row_slice(&h);
+            let last = h[(2, 2)];
+            (status, Some(Transform::Homography(if last == 1.0 { h } else { h / last })))
+        }
+        (Status::Unmoved | Status::Reference | Status::Aligned | Status::Assumed, None) => (frame.status, None),
+    };
+    let by_default = if status == Status::Rejected { 0.0 } else { 1.0 };
+    let verdict = Verdict {
+        status,
+        model: transform.map(|w| frame.model.unwrap_or(Model::of(&w))),
+        transform,
+        inliers: frame.inliers,
+        keypoints: frame.keypoints,
+        error_px: frame.error_px,
+        confidence: frame.confidence.unwrap_or(by_default),
+        reason: frame.reason,
+    };
+    check(&verdict, size)?;
+    Ok(verdict)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn saved() -> SavedAlignment {
+        let found = |status, transform: Option<Transform>| {
+            let model = transform.as_ref().map(Model::of);
+            PresetTransform::Known(Verdict {
+                status,
+                model,
+                transform,
+                confidence: 0.75,
+                ..Verdict::with_identity(status)
+            })
+        };
+        let h = Matrix3::new(1.0 + 1e-9, 0.1 / 3.0, -7.25, -0.03, 0.999, 1.0 / 7.0, 1e-7, -2e-8, 1.0);
+        let given = |name: &str, place| Preset { path: name.into(), place };
+        SavedAlignment {
+            size: (400, 300),
+            reference: "b.jpg".into(),
+            frames: vec![
+                given("a.jpg", found(Status::Aligned, Some(Transform::Homography(h)))),
+                given("c.jpg", found(Status::Unmoved, Some(Transform::Identity))),
+                given("d.jpg", found(Status::Rejected, None)),
+                given("e.jpg", found(Status::Excluded, None)),
+                given("f.jpg", found(Status::Assumed, Some(Transform::Identity))),
+                given("g.jpg", found(Status::Assumed, Some(Transform::Homography(h)))),
+            ],
+        }
+    }
+
+    #[test]
+    fn every_number_comes_back() {
+        let saved = saved();
+        assert_eq!(SavedAlignment::from_json(&saved.to_json(), Path::new("t.json")).unwrap(), saved);
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_the_file_and_the_frame() {
+        let json = saved().to_json();
+        let refused = |text: &str| SavedAlignment::from_json(text, Path::new("t.json")).unwrap_err().to_string();
+        for (text, says) in [
+            ("no json".to_owned(), "no JSON"),
+            (json.replace("transforms/1", "transforms/9"), "schema"),
+            (json.replace("-7.25", "1e999"), "t.json"),
+            (json.replace("0.999", "-0.999"), "a.jpg: its homography"),
+            // The horizon crosses the picture, 100 pixels from the left.
+            (json.replace("1e-7", "-0.01"), "a.jpg: its homography"),
+            (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
+            (json.replace("\"width_px\": 400,", ""), "width_px"),
+        ] {
+            let message = refused(&text);
+            assert!(message.contains("t.json") && message.contains(says), "{message}");
+        }
+    }
+
+    #[test]
+    fn rejection_in_a_file_is_the_users_where_the_file_says_so() {
+        let status = |frame: serde_json::Value| {
+            let text = serde_json::json!({
+                "schema": SCHEMA, "width_px": 4, "height_px": 3, "reference": "b.jpg", "frames": [frame],
+            });
+            let saved = SavedAlignment::from_json(&text.to_string(), Path::new("t.json")).unwrap();
+            saved.frames[0].place.verdict().status
+        };
+        let base = serde_json::json!({ "file": "a.jpg", "status": "rejected", "homography": null });
+        let with = |key: &str, value: serde_json::Value| {
+            let mut frame = base.clone();
+            frame[key] = value;
+            frame
+        };
+        assert_eq!(status(base.clone()), Status::Rejected);
+        assert_eq!(status(with("rejected_by", "user".into())), Status::Excluded);
+        assert_eq!(status(with("rejected_by", "alignment".into())), Status::Rejected);
+        // As the versions before the key wrote it.
+        assert_eq!(status(with("confidence", 1.0.into())), Status::Excluded);
+        assert_eq!(status(with("confidence", 0.2.into())), Status::Rejected);
+    }
+}
