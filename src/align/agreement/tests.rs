@@ -26,7 +26,7 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
         let tiles = right.agreeing + right.disagreeing + right.undecided;
         assert_eq!(tiles, 16 * 10, "480 x 320 in tiles of 30");
         assert!(right.disagreeing == 0 && 2 * right.agreeing > tiles, "{right:?}");
-        // A tile of 900 pixels is placed to some hundredths of a pixel (TILE_NOISE in `place`).
+        // A tile of 900 pixels is placed to some hundredths of a pixel (`TILE_NOISE_PX`).
         assert!(right.offset < 0.1 && right.correlation > 0.9, "{right:?}");
         // Half a pixel is beyond none of the tiles, but they see it.
         let near = agreement_of(&reference, &frame, &rigid(4.3 + 0.3, -2.2 - 0.4, 0.6));

@@ -5,6 +5,10 @@
 use crate::align::agreement;
 use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
 use crate::align::grey::measured_level;
+use crate::align::ladder::thresholds::{
+    CORROBORATED_CONFIDENCE, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX, TILE_NOISE_PX,
+    TOLERANCE_PX,
+};
 use crate::align::refinement::FramePair;
 use crate::align::transform::{Transform, level_to_full, on_level};
 use std::sync::Arc;
@@ -54,13 +58,12 @@ impl Candidate {
 
     /// Whether no other method is needed: many tiles agree, nearly none disagree, and none is displaced.
     pub(crate) fn is_settled(&self) -> bool {
-        let spoke = self.agreement().agreeing + self.agreement().disagreeing;
-        self.agreement().agreeing >= 12 && self.agreement().disagreeing * 40 <= spoke && self.error_px < 0.5
+        let Agreement { agreeing, disagreeing, .. } = *self.agreement();
+        agreeing >= SETTLED_AGREEING
+            && disagreeing * SETTLED_DECIDED_PER_DISAGREEING <= agreeing + disagreeing
+            && self.error_px < SETTLED_ERROR_PX
     }
 }
-
-/// Confidence of a candidate on which bitmaps and features agree, where few tiles are decided.
-const CORROBORATED_CONFIDENCE: f64 = 0.7;
 
 /// The candidate `transform`, checked by tiles.
 pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) -> Candidate {
@@ -79,7 +82,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     // A displacement beyond the tiles' own error is the transform's.
     let tile_error = match &fit {
         Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
-        None => (tiles.agreement.offset - TILE_NOISE).max(0.0),
+        None => (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
     };
     let tile_error_px = level_to_full(level)[(0, 0)] * tile_error;
     let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
@@ -96,14 +99,8 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     (candidate, fit)
 }
 
-/// See [`Candidate::tolerance_px`].
-const TOLERANCE_PX: f64 = 1.5;
-
 /// [`Candidate::tolerance_px`] of pictures of this size.
 pub(crate) fn tolerance_px((width, height): (usize, usize)) -> f64 {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     TOLERANCE_PX * (diagonal / 2000.0).max(1.0)
 }
-
-/// The median offset of tiles under the true transform, in pixels of the level. Measured on rendered brackets.
-const TILE_NOISE: f64 = 0.05;

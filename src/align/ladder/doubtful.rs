@@ -5,7 +5,6 @@
 //! that of a frame that the bitmaps settle.
 
 use crate::align::grey::GreyPyramid;
-use crate::align::ladder::LEAST_INLIERS;
 use crate::align::ladder::ReferenceFeatures;
 use crate::align::ladder::Search;
 use crate::align::ladder::candidate::Candidate;
@@ -20,17 +19,11 @@ use crate::align::ladder::starts::by_alternatives;
 use crate::align::ladder::starts::by_bitmaps;
 use crate::align::ladder::starts::by_start;
 use crate::align::ladder::starts::warped_to_reference;
+use crate::align::ladder::thresholds::{CORROBORATED_PX, LEAST_INLIERS, SAME_APART};
 use crate::align::refinement::FramePair;
 use crate::align::result::Verdict;
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
-
-/// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full
-/// size for each 1000 of the diagonal.
-const CORROBORATED: f64 = 2.0;
-
-/// Transforms up to this many times as far apart are the same, known less well; others are alternatives.
-const SAME_APART: f64 = 3.0;
 
 /// What a frame is aligned to: the reference, or a neighbour warped to its grid.
 pub(crate) struct Target<'a> {
@@ -65,7 +58,7 @@ impl Search<'_> {
     ) -> Verdict {
         let frame = &self.pyramids[i];
         let (width, height) = self.size();
-        let near = CORROBORATED / 1000.0 * ((width * width + height * height) as f64).sqrt();
+        let near = CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt();
         let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
         let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
         let mut targets = vec![reference];

@@ -12,16 +12,13 @@ use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
 use crate::align::ladder::camera_track::{CameraTrack, InferredTransform, KnownTransform};
 use crate::align::ladder::candidate::{Candidate, tolerance_px};
-use crate::align::ladder::selection::{DECISIVE, FeatureCounts, aligned_verdict};
+use crate::align::ladder::selection::{FeatureCounts, aligned_verdict};
+use crate::align::ladder::thresholds::{DECISIVE_NATS, INFERRED_CONFIDENCE, INFERRING_CONFIDENCE};
 use crate::align::result::{Status, Verdict};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
-/// Confidence in a transform that is inferred from other frames without error; it falls with the expected error.
-pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 /// Frames that moved by no more than this are static, in pixels: scans and settling tripods move by as much.
 const STATIC_PX: f64 = 1.0;
-/// Least confidence of a frame from which others are inferred.
-const LEAST_CONFIDENCE: f64 = 0.5;
 /// An assumed place is merged by where its expected error is no more than so many times that at which a place is half
 /// as good: in what it fills ([`Status::Assumed`]) an error displaces, and cannot smear.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
@@ -40,8 +37,8 @@ impl Search<'_> {
     /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to
     /// unmoved, unless their tiles are decidedly for the motion: little detail is easily misaligned by a pixel.
     pub(crate) fn keep_static_frames_static(&self, verdicts: &mut [Verdict]) {
-        let still = |v: &&Verdict| v.transform == Some(Transform::Identity) && v.confidence >= LEAST_CONFIDENCE;
-        let sure = verdicts.iter().filter(|v| v.transform.is_some() && v.confidence >= LEAST_CONFIDENCE).count();
+        let still = |v: &&Verdict| v.transform == Some(Transform::Identity) && v.confidence >= INFERRING_CONFIDENCE;
+        let sure = verdicts.iter().filter(|v| v.transform.is_some() && v.confidence >= INFERRING_CONFIDENCE).count();
         if 2 * verdicts.iter().filter(still).count() <= sure.max(2) {
             return;
         }
@@ -51,7 +48,7 @@ impl Search<'_> {
                 && self.contents[i].detail.share <= LITTLE_DETAIL;
             let Some(transform) = verdict.transform.filter(|_| is_open) else { continue };
             let (here, there) = (self.evaluate(i, Transform::Identity), self.evaluate(i, transform));
-            if there.tiles.evidence_over(&here.tiles) <= DECISIVE {
+            if there.tiles.evidence_over(&here.tiles) <= DECISIVE_NATS {
                 *verdict = unmoved(&here, verdict, here.error_px);
             }
         }
@@ -81,7 +78,7 @@ impl Search<'_> {
     /// The transforms from which others are inferred.
     pub(crate) fn known(&self, verdicts: &[Verdict]) -> Vec<KnownTransform> {
         let known = |(i, v): (usize, &Verdict)| {
-            let transform = v.transform.filter(|_| v.confidence >= LEAST_CONFIDENCE)?;
+            let transform = v.transform.filter(|_| v.confidence >= INFERRING_CONFIDENCE)?;
             Some(KnownTransform { time: self.capture_times[i], transform, error_px: v.error_px.unwrap_or(0.0) })
         };
         verdicts.iter().enumerate().filter_map(known).collect()

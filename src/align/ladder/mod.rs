@@ -15,6 +15,7 @@ mod inferred;
 mod reduction;
 mod selection;
 mod starts;
+mod thresholds;
 
 use crate::align::AlignOptions;
 use crate::align::agreement::LEAST_SIDE;
@@ -27,6 +28,7 @@ use crate::align::ladder::candidate::{Candidate, evaluate};
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::selection::{FeatureCounts, aligned_verdict, rejected_verdict, rejection_reason};
 use crate::align::ladder::starts::by_bitmaps;
+use crate::align::ladder::thresholds::LEAST_INLIERS;
 use crate::align::refinement::FramePair;
 use crate::align::result::{Status, Verdict};
 use crate::align::transform::{Transform, level_to_full};
@@ -34,9 +36,6 @@ use crate::bracket::Bracket;
 use crate::error::Result;
 use crate::plane::{Plane, map_at_once};
 use std::sync::{Mutex, PoisonError};
-
-/// Fewest matches that make a motion: a homography needs four, chance may add as many.
-const LEAST_INLIERS: usize = 10;
 
 /// One run over a bracket.
 pub(crate) struct Search<'a> {

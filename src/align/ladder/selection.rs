@@ -4,17 +4,12 @@
 //! of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
+use crate::align::ladder::thresholds::{
+    ACCEPTED_CONFIDENCE, ACCEPTED_RELIABILITY, COMPARABLE_EVIDENCE, DECISIVE_NATS, EXPLAINING_TILES,
+    LATER_EVIDENCE_FACTOR, LATER_EVIDENCE_TILES, UNOPPOSED_AGREEING, UNOPPOSED_AGREEING_PER_DISAGREEING,
+};
 use crate::align::result::{KeypointCounts, Status, Verdict};
 use crate::align::transform::Model;
-
-/// Least confidence of an accepted candidate, unless nearly all tiles agree with it.
-const LEAST_CONFIDENCE: f64 = 0.35;
-
-/// Fewest agreeing tiles then. A frame of which little is neither black nor clipped is often the one that matters.
-const LEAST_AGREEING: usize = 3;
-
-/// Least reliability of an accepted candidate, whatever the number of its tiles.
-const LEAST_RELIABILITY: f64 = 0.25;
 
 /// What features found for a frame.
 #[derive(Debug, Clone, Default)]
@@ -26,9 +21,10 @@ pub(crate) struct FeatureCounts {
 /// Whether a candidate is good enough to merge by.
 pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let agreement = candidate.agreement();
-    let unopposed = agreement.agreeing >= LEAST_AGREEING && agreement.disagreeing * 8 <= agreement.agreeing;
-    candidate.confidence() >= LEAST_CONFIDENCE
-        || (unopposed && candidate.reliability >= LEAST_RELIABILITY && candidate.error_px < candidate.tolerance_px)
+    let unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
+        && agreement.disagreeing * UNOPPOSED_AGREEING_PER_DISAGREEING <= agreement.agreeing;
+    candidate.confidence() >= ACCEPTED_CONFIDENCE
+        || (unopposed && candidate.reliability >= ACCEPTED_RELIABILITY && candidate.error_px < candidate.tolerance_px)
 }
 
 /// The candidates of a frame, each with the index of the target that it was found against.
@@ -42,10 +38,13 @@ impl Candidates {
 
     /// The one with the most evidence; of nearly equals the first, which was found more directly.
     pub(super) fn best(&self) -> Option<(usize, &Candidate)> {
-        self.0
-            .iter()
-            .map(|(b, c)| (*b, c))
-            .reduce(|best, other| if other.1.evidence() > best.1.evidence() * 1.01 + 0.5 { other } else { best })
+        self.0.iter().map(|(b, c)| (*b, c)).reduce(|best, other| {
+            if other.1.evidence() > best.1.evidence() * LATER_EVIDENCE_FACTOR + LATER_EVIDENCE_TILES {
+                other
+            } else {
+                best
+            }
+        })
     }
 
     /// Marks the best as corroborated by features, if `found` holds for it.
@@ -69,7 +68,7 @@ impl Candidates {
             let others = contenders.iter().filter(|o| !alike(o, c));
             others.map(|o| c.tiles.evidence_over(&o.tiles)).fold(f64::INFINITY, f64::min)
         };
-        if worst_lead(best) >= -DECISIVE {
+        if worst_lead(best) >= -DECISIVE_NATS {
             return Some((target, best));
         }
         let leads = contenders.iter().map(|c| (worst_lead(c), *c));
@@ -85,24 +84,18 @@ impl Candidates {
     }
 
     /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer
-    /// `best` to one of the `others` by no more than [`DECISIVE`].
+    /// `best` to one of the `others` by no more than [`DECISIVE_NATS`].
     pub(super) fn uniqueness(&self, (target, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
         let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
-        if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE) }
+        if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE_NATS) }
     }
 }
-
-/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it.
-const COMPARABLE_EVIDENCE: f64 = 0.4;
-
-/// Evidence for one candidate over another from which the choice is decided, in nats.
-pub(crate) const DECISIVE: f64 = 2.0;
 
 pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to tell how it moved".into(),
-        Some(c) if c.agreement().agreeing + c.agreement().disagreeing < 8 => {
+        Some(c) if c.agreement().agreeing + c.agreement().disagreeing < EXPLAINING_TILES => {
             "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
         }
         Some(c) => format!(
@@ -135,7 +128,137 @@ pub(super) fn rejected_verdict(reason: String, confidence: f64, found: FeatureCo
         inliers: found.inliers,
         keypoints: found.keypoints,
         error_px: None,
-        confidence: confidence.min(LEAST_CONFIDENCE),
+        confidence: confidence.min(ACCEPTED_CONFIDENCE),
         reason: Some(reason),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::agreement::{Agreement, TileCheck};
+    use crate::align::scene::shift;
+    use std::sync::Arc;
+
+    /// A candidate that moves by `x` pixels, with so many tiles that agree and disagree, in all parts of the picture.
+    fn candidate(x: f64, agreeing: usize, disagreeing: usize) -> Candidate {
+        let agreement = Agreement { agreeing, disagreeing, parts: 9.min(agreeing), ..Agreement::default() };
+        let correlation = |i| Some(if i < agreeing { 0.95 } else { 0.1 });
+        let correlations = (0..agreeing + disagreeing).map(correlation).collect();
+        Candidate {
+            transform: shift(x, 0.0),
+            tiles: Arc::new(TileCheck { agreement, correlations, displacements: Vec::new() }),
+            error_px: 0.1,
+            tile_error_px: 0.0,
+            by_tiles: false,
+            reliability: 1.0,
+            tolerance_px: 1.5,
+            corroborated: false,
+        }
+    }
+
+    fn candidates(list: impl IntoIterator<Item = (usize, Candidate)>) -> Candidates {
+        let mut all = Candidates::default();
+        list.into_iter().for_each(|(target, candidate)| all.add(target, Some(candidate)));
+        all
+    }
+
+    /// Transforms that are more than a pixel apart are different.
+    fn alike(a: &Candidate, b: &Candidate) -> bool {
+        a.transform.corner_distance(&b.transform, 480, 320) < 1.0
+    }
+
+    /// Tiles, and whether the candidate is settled, accepted, and its confidence within 0.01.
+    #[test]
+    fn candidate_by_its_tiles_is_settled_accepted_or_rejected() {
+        let table = [
+            // Many agree, one in forty disagrees: (78 + 1.5) / (80 + 5).
+            ((78, 2), (true, true, 0.93)),
+            // One more disagrees.
+            ((77, 3), (false, true, 0.92)),
+            // Too few to settle, none disagrees.
+            ((11, 0), (false, true, 0.78)),
+            // Few, but nearly all agree.
+            ((3, 0), (false, true, 0.49)),
+            // As many disagree: (10 + 1.5) / (20 + 5).
+            ((10, 10), (false, true, 0.46)),
+            ((10, 30), (false, false, 0.25)),
+            // Nothing decided, as of a black frame: the prior and half the coverage.
+            ((0, 0), (false, false, 0.15)),
+        ];
+        for ((agreeing, disagreeing), (settled, accepted, confidence)) in table {
+            let found = candidate(3.0, agreeing, disagreeing);
+            assert_eq!((found.is_settled(), is_acceptable(&found)), (settled, accepted), "{agreeing} {disagreeing}");
+            assert!((found.confidence() - confidence).abs() < 0.01, "{agreeing} {disagreeing}: {}", found.confidence());
+        }
+    }
+
+    #[test]
+    fn candidate_with_a_large_error_or_an_unreliable_target_is_rejected() {
+        let blurred = Candidate { error_px: 3.0, ..candidate(3.0, 20, 10) };
+        let unreliable = Candidate { reliability: 0.2, ..candidate(3.0, 78, 0) };
+        assert!(!is_acceptable(&blurred) && !blurred.is_settled(), "{}", blurred.confidence());
+        assert!(!is_acceptable(&unreliable), "{}", unreliable.confidence());
+    }
+
+    #[test]
+    fn features_that_find_the_best_candidate_again_raise_its_confidence_alone() {
+        let mut all = candidates([(0, candidate(3.0, 6, 4)), (0, candidate(40.0, 3, 5))]);
+        let before = all.best().map(|(_, best)| best.confidence());
+        assert!(!all.corroborate(|_| false));
+        assert!(all.corroborate(|c| alike(c, &candidate(3.2, 0, 0))));
+        let after = all.best().map(|(_, best)| best.confidence());
+        assert!(before < Some(0.6) && after > Some(0.69), "{before:?} {after:?}");
+        assert_eq!(all.0.iter().filter(|(_, c)| c.corroborated).count(), 1);
+    }
+
+    #[test]
+    fn equal_evidence_is_won_by_the_candidate_found_first_and_is_not_unique() {
+        let all = candidates([(0, candidate(3.0, 30, 0)), (0, candidate(40.0, 30, 0))]);
+        let (target, winner) = all.winner(alike).unwrap();
+        assert_eq!((target, winner.transform), (0, shift(3.0, 0.0)));
+        // The tiles that are decided under both prefer neither.
+        assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 0.0);
+    }
+
+    #[test]
+    fn candidate_without_a_comparable_alternative_is_unique() {
+        let all = candidates([(0, candidate(3.0, 30, 0)), (0, candidate(40.0, 8, 0)), (1, candidate(80.0, 30, 0))]);
+        let (target, winner) = all.winner(alike).unwrap();
+        assert_eq!(winner.transform, shift(3.0, 0.0));
+        assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
+    }
+
+    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each matches worse.
+    #[test]
+    fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
+        let weak = |x, tiles: usize, correlation| {
+            let mut found = candidate(x, tiles, 0);
+            Arc::make_mut(&mut found.tiles).correlations = vec![Some(correlation); tiles];
+            found
+        };
+        let all = candidates([(0, weak(40.0, 30, 0.7)), (0, weak(3.0, 24, 0.95))]);
+        assert_eq!(all.best().unwrap().1.transform, shift(40.0, 0.0));
+        let (target, winner) = all.winner(alike).unwrap();
+        assert_eq!(winner.transform, shift(3.0, 0.0));
+        assert!(all.uniqueness((target, winner), |c| !alike(c, winner)) > 0.5);
+    }
+
+    #[test]
+    fn candidate_against_an_unreliable_neighbour_loses_to_one_against_the_reference() {
+        let neighbour = Candidate { reliability: 0.3, ..candidate(40.0, 30, 0) };
+        let all = candidates([(1, neighbour), (0, candidate(3.0, 14, 2))]);
+        assert_eq!(all.winner(alike).map(|(target, c)| (target, c.transform)), Some((0, shift(3.0, 0.0))));
+    }
+
+    #[test]
+    fn frame_without_any_candidate_is_rejected_with_the_reason() {
+        let none = Candidates::default();
+        assert!(none.winner(alike).is_none());
+        let verdict = rejected_verdict(rejection_reason(None), 0.0, FeatureCounts::default());
+        assert_eq!((verdict.status, verdict.transform, verdict.confidence), (Status::Rejected, None, 0.0));
+        assert!(verdict.reason.unwrap().contains("too little in common"));
+        assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few parts"));
+        assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 parts"));
     }
 }
