@@ -65,7 +65,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 
-    /// No progress, summary or warnings: errors alone on standard error; results are still listed on standard output
+    /// No progress, summary or warnings; results are still listed on stdout
     #[arg(short, long)]
     quiet: bool,
 }

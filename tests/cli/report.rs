@@ -136,7 +136,7 @@ fn what_was_asked_for_is_in_the_report() {
         "align": "auto", "robust": "ransac", "max_rotation_deg": 5.0, "crop": "common", "exposures": "fine-tuned",
         "response_model": "debevec", "response_file": null, "weight": "hat", "deghost_strength": 0.5, "flare": false,
         "colour": null, "operator": {
-            "name": "natural", "brightness": 0.48, "contrast": 0.2, "detail": 1.0, "saturation": 1.0
+            "name": "natural", "brightness": null, "contrast": 0.2, "detail": 1.0, "saturation": 1.0
         },
         "adjust": {
             "white_balance": "as-shot", "brightness": 0.0, "contrast": 0.0, "saturation": 0.0, "shadows": 0.0,
