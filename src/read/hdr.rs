@@ -7,10 +7,10 @@ use super::{Contents, Turn};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;
+use crate::pixel::rgbe::{self, Rgbe};
 use crate::plane::Plane;
 use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
-use crate::write::rgbe::{self, Rgbe};
 
 /// The picture in the `bytes` of a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
 /// and for XYZE, which becomes RGB of BT.2020, 179 times that: by it, pixels are to be divided to be W/sr/m2. Without PRIMARIES RGBE is

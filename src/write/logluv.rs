@@ -3,10 +3,9 @@
 //! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, as they are) or 34676 (32 bits, by runs) and photometric
 //! interpretation 32845, by strips of 64 rows, that libtiff reads, and with it ImageMagick and OpenCV. Grey is written as X = Y = Z and the
 //! white it was under as WhitePoint, as `tif_luv.c` asks for. StoNits is what a luminance read is to be multiplied by. Cost: 80 ns a pixel
-//! and core; 3 bytes, or about 3 by runs. Source: see [`luv`].
+//! and core; 3 bytes, or about 3 by runs. Source: see [`crate::pixel::logluv`].
 
 use super::ifd::tag;
-use super::luv::{self, Depth};
 use super::tiff::Strips;
 use super::{Bands, Metadata, Pending, RowWriter, Written, clamped};
 use crate::bracket::colour::NeutralXyz;
@@ -15,6 +14,7 @@ use crate::merge::calibration::Unit;
 use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 use crate::merge::{Photographed, RadianceMap};
+use crate::pixel::logluv::{self, Depth};
 
 /// The luminance that 0.1 % of the pixels of `map` are above.
 pub(super) fn bright(map: &RadianceMap) -> f32 {
@@ -125,8 +125,8 @@ fn encode_band(
             let c = xyz.of_rgb(p).map(|v| v * scale);
             beyond += u64::from(!(low..=high).contains(&c[1]));
             *code = match depth {
-                Depth::Bits24 => luv::encode24(c),
-                Depth::Bits32 => luv::encode32(c),
+                Depth::Bits24 => logluv::encode24(c),
+                Depth::Bits32 => logluv::encode32(c),
             };
         }
         match depth {
@@ -134,7 +134,7 @@ fn encode_band(
                 let [_, a, b, c] = code.to_be_bytes();
                 [a, b, c]
             })),
-            Depth::Bits32 => luv::put_row(row, out),
+            Depth::Bits32 => logluv::put_row(row, out),
         }
     }
     beyond

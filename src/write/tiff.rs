@@ -10,10 +10,10 @@
 
 use super::deflate::zlib;
 use super::ifd::{Directory, tag};
-use super::luv::Depth;
 use super::{Bands, Metadata, Pending, RowWriter, Written, exif};
 use crate::bracket::colour::{Curve, Profile};
 use crate::error::Result;
+use crate::pixel::logluv::Depth;
 use crate::plane::BAND_ROWS;
 use std::io::{self, Seek, SeekFrom, Write};
 

@@ -6,7 +6,7 @@
 use crate::simd::{Loops, vectorised};
 
 /// The largest half.
-pub(super) const HALF_MAX: f32 = 65504.0;
+pub(crate) const HALF_MAX: f32 = 65504.0;
 
 /// The bits of [`HALF_MAX`] as a float.
 const MAX_BITS: u32 = HALF_MAX.to_bits();
@@ -67,12 +67,12 @@ impl Loops for Halves<'_> {
 
 /// The halves of `pixels` as three planes, one after the other: all B, then G, then R. Gives how many values were beyond the largest or
 /// not a number.
-pub(super) fn planes_of_halves(pixels: &[[f32; 3]], planes: &mut [u16]) -> u64 {
+pub(crate) fn planes_of_halves(pixels: &[[f32; 3]], planes: &mut [u16]) -> u64 {
     vectorised(Halves { pixels, planes })
 }
 
 /// The floats of `pixels` as six planes: the low words of B, the high ones, and so for G and R.
-pub(super) fn planes_of_floats(pixels: &[[f32; 3]], planes: &mut [u16]) {
+pub(crate) fn planes_of_floats(pixels: &[[f32; 3]], planes: &mut [u16]) {
     vectorised(Floats { pixels, planes });
 }
 

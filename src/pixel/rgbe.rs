@@ -20,7 +20,7 @@ const SMALLEST: f32 = {
 /// The pixel as Ward's `setcolr` makes it, by truncation, and how many of its components were beyond what it holds.
 /// Negative components and NaN become 0, as do all of a pixel whose largest is not above 1e-32.
 #[inline(always)]
-pub(super) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
+pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     // All cases are computed and one is chosen, so that loops can be made of vectors. Of NaN no comparison holds.
     let over = rgb.map(|c| u32::from(c > MAX || c.is_nan()));
     let [r, g, b] = rgb.map(|c| if c < MAX { c } else { MAX }).map(|c| if c > 0.0 { c } else { 0.0 });
@@ -52,14 +52,14 @@ fn pow2(n: i32) -> f32 {
 }
 
 /// Widths that can be run-length encoded: others are written flat.
-pub(super) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
+pub(crate) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 
 /// The shortest run that is worth its two bytes.
 const MIN_RUN: usize = 4;
 
 /// Buffers for scanlines.
 #[derive(Debug, Default)]
-pub(super) struct Scanline {
+pub(crate) struct Scanline {
     /// The components, one after the other.
     components: Vec<u8>,
     /// For every byte whether a run begins there.
@@ -70,7 +70,7 @@ impl Scanline {
     /// Appends the scanline of `pixels`, by components and run-length encoded where the width allows, flat otherwise; gives how many
     /// values were beyond what is held. A flat pixel is never mistaken for the mark of an encoded line, (2, 2, ..), nor of a repetition,
     /// (1, 1, 1, n): the largest mantissa of a pixel that is not 0 is 128 at least.
-    pub(super) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
+    pub(crate) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
         let width = pixels.len();
         self.components.resize(4 * width, 0);
         let over = vectorised(Encode { pixels, components: &mut self.components });

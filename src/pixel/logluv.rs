@@ -110,7 +110,7 @@ pub enum Depth {
 
 impl Depth {
     /// The least and the greatest luminance that are told from what lies beyond.
-    pub(super) fn range(self) -> (f32, f32) {
+    pub(crate) fn range(self) -> (f32, f32) {
         let (low, high) = match self {
             Depth::Bits24 => RANGE24,
             Depth::Bits32 => RANGE32,
