@@ -6,10 +6,7 @@
 
 mod adler;
 pub mod aligned;
-mod anonymous;
 mod bands;
-mod check;
-mod claim;
 mod deflate;
 pub mod display;
 mod exif;
@@ -19,29 +16,27 @@ pub mod gain_map;
 pub mod hdr;
 mod ifd;
 pub mod jpeg;
-mod kept;
 pub mod logluv;
 pub mod mask;
 pub mod picture;
 mod piz;
-mod target;
+pub(crate) mod staging;
 pub mod tiff;
 pub mod ultra_hdr;
-mod unnamed;
 
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
-use crate::error::{Error, Result, Warning};
+use crate::error::{Error, Result};
 use crate::merge::calibration::Factor;
 use crate::plane::Plane;
 use std::path::{Path, PathBuf};
 
 use bands::Bands;
-pub use check::{Target, check_targets};
-pub use claim::sweep;
 pub use files::{Codes, Files, Settled, is_among, write};
-pub use target::{Pending, Whole, commit, place};
-pub use unnamed::{NewFolder, abandon};
+use staging::clamped;
+pub use staging::{
+    NewFolder, Pending, Target, Whole, Written, abandon, bytes, check_targets, commit, place, sweep, text, whole,
+};
 
 /// The formats written, told by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -234,23 +229,6 @@ pub trait RowWriter<P>: Send {
     fn finish(self: Box<Self>) -> Result<Written>;
 }
 
-/// A file that is whole but does not have its name yet: give it to [`commit`].
-#[derive(Debug)]
-pub struct Written {
-    /// The file.
-    pub file: Pending,
-    /// What should be known about its values.
-    pub warnings: Vec<Warning>,
-}
-
-impl Written {
-    /// A file after its last byte: from here on it goes to the disk, while other work goes on.
-    fn ended(mut file: Pending, warnings: Vec<Warning>) -> Result<Self> {
-        file.sync_ahead()?;
-        Ok(Written { file, warnings })
-    }
-}
-
 /// How results are written.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
@@ -279,34 +257,6 @@ impl Options {
     }
 }
 
-/// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn text(path: &Path, text: &str) -> Result<Written> {
-    bytes(path, text.as_bytes())
-}
-
-/// Writes `bytes` to `path`, as [`text`] does.
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn bytes(path: &Path, bytes: &[u8]) -> Result<Written> {
-    let mut file = Pending::create(path)?;
-    file.put(bytes)?;
-    Written::ended(file, Vec::new())
-}
-
-/// A file of `bytes`, on the disk but not yet named.
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn whole(path: &Path, bytes: &[u8]) -> Result<Whole> {
-    let mut file = Pending::create(path)?;
-    file.put(bytes)?;
-    file.complete()
-}
-
 /// All of `plane` through `writer`.
 ///
 /// # Errors
@@ -314,12 +264,6 @@ pub fn whole(path: &Path, bytes: &[u8]) -> Result<Whole> {
 pub fn push_all<P>(mut writer: Box<dyn RowWriter<P> + '_>, plane: &Plane<P>) -> Result<Written> {
     writer.push(plane.as_slice())?;
     writer.finish()
-}
-
-/// The warning that `count` values of `file` were beyond what `format` holds, if any were.
-fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
-    let warning = Warning::OutOfRange { path: file.target().to_owned(), detail: format!("{count} values {what}") };
-    if count > 0 { vec![warning] } else { Vec::new() }
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 //! In: paths. Out: a [`Pending`] is the temporary file in the target's folder; [`commit`] names all of a run when all are whole.
 //! Cost: one fsync a file, begun when the file has its last byte.
 
-use super::check::folder_of;
-use super::unnamed::{Kept, OF_PROCESS, Registry, State, Unnamed};
+use super::targets::folder_of;
+use super::temporary::{Kept, OF_PROCESS, Registry, State, Unnamed};
 use crate::error::{Error, Result};
 use crate::intake::{Identity, identity};
 use std::collections::HashMap;
@@ -67,12 +67,12 @@ impl Pending {
     }
 
     /// What the system said, as this file's error.
-    pub(super) fn error(&self, source: io::Error) -> Error {
+    pub(crate) fn error(&self, source: io::Error) -> Error {
         write_error(&self.target, source)
     }
 
     /// Writes all of `bytes`.
-    pub(super) fn put(&mut self, bytes: &[u8]) -> Result<()> {
+    pub(crate) fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.write_all(bytes).map_err(|source| write_error(&self.target, source))
     }
 
@@ -80,7 +80,7 @@ impl Pending {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub(super) fn sync_ahead(&mut self) -> Result<()> {
+    pub(crate) fn sync_ahead(&mut self) -> Result<()> {
         self.file.flush().map_err(|source| write_error(&self.target, source))?;
         // The thread sleeps in the system, and so takes no core from those that encode. Without one, complete() does its work.
         let thread =

@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn signature_is_that_of_the_tests_through_the_binary() {
-        assert_eq!(SIGNATURE, include_bytes!("../../tests/support/claim.txt"));
+        assert_eq!(SIGNATURE, include_bytes!("../../../tests/support/claim.txt"));
     }
 
     #[test]

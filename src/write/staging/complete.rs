@@ -4,7 +4,7 @@
 //! Cost: a few calls of the system for each file. Bytes are copied only where a file system has anonymous files and does not name them.
 
 use super::anonymous;
-use super::unnamed::{Kept, Registry, State, TemporaryName};
+use super::temporary::{Kept, Registry, State, TemporaryName};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Seek};
 use std::path::{Path, PathBuf};
