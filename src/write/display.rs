@@ -6,8 +6,7 @@
 //!
 //! Every row is filtered by Paeth: choosing by row took half as long again and won one percent.
 
-use super::adler::Adler;
-use super::deflate::deflate;
+use super::deflate::{Adler, deflate};
 use super::{Bands, Metadata, Pending, RowWriter, Written, exif, one_line};
 use crate::error::Result;
 use crate::simd::{Loops, vectorised};

@@ -4,7 +4,6 @@
 //! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
 //! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
 
-mod adler;
 pub mod aligned;
 mod bands;
 mod deflate;

@@ -6,7 +6,7 @@ use crate::simd::{Loops, vectorised};
 
 /// The Adler-32 checksum (RFC 1950, section 8.2) of some bytes, with their number: sums of parts make that of the whole.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Adler {
+pub(crate) struct Adler {
     a: u32,
     b: u32,
     length: u64,
@@ -22,7 +22,7 @@ impl Adler {
     const MODULUS: u32 = 65521;
 
     /// That of `bytes`.
-    pub(super) fn of(bytes: &[u8]) -> Self {
+    pub(crate) fn of(bytes: &[u8]) -> Self {
         let mut sum = Adler::default();
         // So many bytes that their sums, each times its distance from the end, surely fit 32 bits.
         for part in bytes.chunks(4096) {
@@ -37,7 +37,7 @@ impl Adler {
     }
 
     /// The checksum of these bytes and `next` behind them: b counts a of all before once per byte, the 1 that `next` began with not.
-    pub(super) fn followed_by(self, next: Adler) -> Adler {
+    pub(crate) fn followed_by(self, next: Adler) -> Adler {
         let modulus = u64::from(Self::MODULUS);
         let before = u64::from(self.a) + modulus - 1;
         let b = u64::from(self.b) + u64::from(next.b) + before % modulus * (next.length % modulus);
@@ -49,7 +49,7 @@ impl Adler {
     }
 
     /// The number as it is written, high byte first.
-    pub(super) fn sum(self) -> u32 {
+    pub(crate) fn sum(self) -> u32 {
         self.b << 16 | self.a
     }
 }

@@ -5,7 +5,9 @@
 //! RFC 1951, sections 3.2.5 to 3.2.7; A. Moffat and J. Katajainen, "In-Place Calculation of Minimum-Redundancy Codes", WADS 1995; for the
 //! idea that runs of 8 bytes are all that is worth looking for, the `fdeflate` crate.
 
-use super::adler::Adler;
+mod adler;
+
+pub(crate) use adler::Adler;
 
 /// Bytes that share a code: few enough that it fits them, enough that its 150 bytes do not matter.
 const BLOCK: usize = 1 << 16;
@@ -24,7 +26,7 @@ const TABLE_BYTES: usize = (3 + 14 + 19 * 3 + 4 * (SYMBOLS + 1)).div_ceil(8) + 1
 const MOST_GROUPS: usize = 32;
 
 /// Appends `raw`, packed; `last` ends the stream.
-pub(super) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
+pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
     let mut bits = Bits { out, at: 0, word: 0, held: 0 };
     bits.at = bits.out.len();
     for start in (0..raw.len()).step_by(BLOCK) {
@@ -40,7 +42,7 @@ pub(super) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
 }
 
 /// Appends `raw`, packed, as a whole zlib stream.
-pub(super) fn zlib(raw: &[u8], out: &mut Vec<u8>) {
+pub(crate) fn zlib(raw: &[u8], out: &mut Vec<u8>) {
     // Deflate, window of 32 KB, fastest.
     out.extend_from_slice(&[0x78, 0x01]);
     deflate(raw, true, out);
