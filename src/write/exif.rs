@@ -3,7 +3,8 @@
 //! In: the [`Metadata`], with the fields that were carried from the reference where it had some. Out: a TIFF block, or its fields. Cost: nothing to speak of.
 //! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for what a JPEG must say.
 
-use super::{Metadata, ifd, one_line};
+use super::ifd;
+use super::metadata::{Metadata, one_line};
 use ::exif::experimental::Writer;
 use ::exif::{Field, In, Rational, Reader, Tag, Value};
 use std::collections::BTreeMap;

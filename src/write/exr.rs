@@ -8,8 +8,11 @@
 //! The `exr` crate's own block writer wants all blocks from inside one closure, which a writer fed from outside cannot give; so the
 //! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes the header, and blocks that are not PIZ.
 
+use super::bands::Bands;
+use super::metadata::{Metadata, one_line};
 use super::piz::Packer;
-use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written, clamped};
 use crate::bracket::colour::{Primaries, Space};
 use crate::error::Result;
 use crate::pixel::half::{HALF_MAX, planes_of_floats, planes_of_halves};

@@ -4,10 +4,12 @@
 //! its name yet. Cost: that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file
 //! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
 
+use super::format::{Format, Output};
 use super::gain_map::{Rendition, Survey};
-use super::{
-    Format, Metadata, Options, Output, Pending, RowWriter, Written, display, exr, hdr, logluv, tiff, ultra_hdr,
-};
+use super::metadata::Metadata;
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written};
+use super::{Options, display, exr, hdr, logluv, tiff, ultra_hdr};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -31,7 +33,12 @@ pub struct Settled {
 
 impl Settled {
     /// For `radiance`, shown as `display`, written to `outputs`.
-    fn of(outputs: &[Output], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Result<Settled> {
+    pub(super) fn of(
+        outputs: &[Output],
+        radiance: &RadianceMap,
+        display: &DisplayImage,
+        options: &Options,
+    ) -> Result<Settled> {
         let RadianceMap { pixels, primaries } = radiance;
         let bright = match options.tiff.depth() {
             Some(_) if is_among(outputs, Format::Tiff) => logluv::bright(radiance),
@@ -301,37 +308,11 @@ fn picture_writer<T: display::Sample>(
     })
 }
 
-/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
-/// [`commit`](super::commit).
-///
-/// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] for what a picture of 8 bits cannot give; [`Error::Write`]. Nothing is left behind then.
-pub fn write(
-    paths: &[PathBuf],
-    radiance: &RadianceMap,
-    display: &DisplayImage,
-    metadata: &Metadata,
-    options: &Options,
-) -> Result<Vec<Written>> {
-    if options.picture != super::picture::Options::default() {
-        let reason = "the picture is there already, of 8 bits; `tonemap` and `merge` make others".to_owned();
-        return Err(Error::Option { option: "--bit-depth", reason });
-    }
-    let outputs = Output::results(paths)?;
-    let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
-    let size = (radiance.pixels.width(), radiance.pixels.height());
-    let settled = Settled::of(&outputs, radiance, display, options)?;
-    let mut files = Files::begin(&outputs, size, &metadata, options, settled)?;
-    let rows = radiance.pixels.as_slice();
-    files.push(rows, rows, Codes::Eight(display.pixels.as_slice()))?;
-    files.finish()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::plane::Plane;
-    use crate::write::commit;
+    use crate::write::{commit, write};
 
     #[test]
     fn all_formats_are_written_or_none() {

@@ -6,7 +6,10 @@
 //! a pixel and core and 3 to 4 bytes. Source: "Radiance File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`,
 //! `src/px/ra_xyze.c`.
 
-use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
+use super::bands::Bands;
+use super::metadata::{Metadata, one_line};
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written, clamped};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::error::Result;
 use crate::pixel::rgbe::Scanline;

@@ -3,7 +3,7 @@
 //! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
 //! Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF 2.32, section 4.6; libtiff (StoNits).
 
-use super::{Metadata, one_line};
+use super::metadata::{Metadata, one_line};
 use crate::bracket::colour::Primaries;
 use ::exif::{Context, Field, Value};
 use std::collections::BTreeMap;

@@ -5,9 +5,12 @@
 //! white it was under as WhitePoint, as `tif_luv.c` asks for. StoNits is what a luminance read is to be multiplied by. Cost: 80 ns a pixel
 //! and core; 3 bytes, or about 3 by runs. Source: see [`crate::pixel::logluv`].
 
+use super::bands::Bands;
 use super::ifd::tag;
+use super::metadata::Metadata;
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written, clamped};
 use super::tiff::Strips;
-use super::{Bands, Metadata, Pending, RowWriter, Written, clamped};
 use crate::bracket::colour::NeutralXyz;
 use crate::error::Result;
 use crate::merge::calibration::Unit;

@@ -3,7 +3,8 @@
 //! In: a plane of bytes. Out: a PNG of them, for people and programs; linear numbers, not light, so that it states no colour space. Cost: some
 //! 10 ns a pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
 
-use super::{Metadata, Pending, Written};
+use super::metadata::Metadata;
+use super::staging::{Pending, Written};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use std::io::{self, Write};

@@ -2,8 +2,8 @@
 //!
 //! In: options and the files named. Out: whether they can be had. Cost: none.
 
+use super::format::{Format, Output};
 use super::gain_map::Resolution;
-use super::{Format, Output};
 use crate::error::{Error, Result, Warning};
 use crate::tonemap::adjust;
 use crate::tonemap::codes::{Colours, Depth};

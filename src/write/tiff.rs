@@ -8,9 +8,13 @@
 //! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so the little that is
 //! needed of the structure is here; the tests read it back by that crate's decoder.
 
+use super::bands::Bands;
 use super::deflate::zlib;
+use super::exif;
 use super::ifd::{Directory, tag};
-use super::{Bands, Metadata, Pending, RowWriter, Written, exif};
+use super::metadata::Metadata;
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written};
 use crate::bracket::colour::{Curve, Profile};
 use crate::error::Result;
 use crate::pixel::logluv::Depth;

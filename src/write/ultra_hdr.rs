@@ -9,9 +9,11 @@
 //! Gains are of what the encoded picture decodes to, not of what it was encoded from: what the JPEG of the picture loses, the map
 //! gives back.
 
+use super::exif;
 use super::gain_map::{Gains, OFFSET, Rendition, Resolution, STRIP_ROWS};
 use super::jpeg::{self, APP1, APP2, MOST_SIDE, Strip, Strips, put_segment};
-use super::{Metadata, Pending, Written, exif, one_line};
+use super::metadata::{Metadata, one_line};
+use super::staging::{Pending, Written};
 use crate::bracket::colour::Profile;
 use crate::error::{Error, Result};
 use crate::tonemap::codes::Colours;
