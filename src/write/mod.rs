@@ -20,7 +20,6 @@ mod logluv;
 pub(crate) mod mask;
 mod metadata;
 pub mod picture;
-mod piz;
 mod row_writer;
 mod staging;
 pub mod tiff;

@@ -1,23 +1,17 @@
-//! OpenEXR: half or float RGB, scan lines, lossless.
+//! The OpenEXR writer: header, offset table and blocks of rows.
 //!
-//! In: linear RGB by rows. Out: a file whose blocks lie in increasing order, so the bytes are the same on any number of threads.
-//! [`read`](crate::read) is the way back. Cost: PIZ 30 ns a pixel and core for halves, 55 for floats. On six radiance maps it is the smallest
-//! of all that lose nothing, 35 to 60 % of the halves as they are (ZIP 36 to 65, ZIPS 40 to 71, RLE 72 to 95), which is why it is the default. Source: "OpenEXR File
-//! Layout" and "Standard Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
-//!
-//! The `exr` crate's own block writer wants all blocks from inside one closure, which a writer fed from outside cannot give; so the
-//! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes the header, and blocks that are not PIZ.
+//! In: linear RGB by rows. Out: an `.exr` file. Cost and source: see [`super`].
 
-use super::bands::Bands;
-use super::metadata::{Metadata, one_line};
 use super::piz::Packer;
-use super::row_writer::RowWriter;
-use super::staging::{Pending, Written, clamped};
+use super::{Compression, Options, Sample};
 use crate::bracket::colour::{Primaries, Space};
 use crate::error::Result;
-use crate::pixel::half::{HALF_MAX, planes_of_floats, planes_of_halves};
+use crate::pixel::half::{planes_of_floats, planes_of_halves};
 use crate::plane::BAND_ROWS;
-use crate::simd::{Loops, vectorised};
+use crate::write::bands::Bands;
+use crate::write::metadata::{Metadata, one_line};
+use crate::write::row_writer::RowWriter;
+use crate::write::staging::{Pending, Written, clamped};
 use ::exr::math::Vec2;
 use ::exr::meta::attribute::{
     self, AttributeValue, ChannelDescription, Chromaticities, IntegerBounds, LineOrder, SampleType, Text,
@@ -25,107 +19,6 @@ use ::exr::meta::attribute::{
 use ::exr::meta::header::Header;
 use ::exr::meta::{BlockDescription, MetaData, magic_number, sequence_end};
 use std::io::{self, Seek, SeekFrom, Write};
-
-/// Sample type of an OpenEXR file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
-#[strum(serialize_all = "kebab-case")]
-pub enum Sample {
-    /// Half floats, or floats where halves are too small or too coarse for the radiance.
-    #[default]
-    Auto,
-    /// 16 bits: steps of 1/2048 or finer, up to 65504.
-    Half,
-    /// 32 bits: exactly as merged.
-    Float,
-}
-
-/// Below this the steps of a half, 2^-24, are over a hundredth of the value.
-const HALF_FINE: f32 = 6e-6;
-
-impl Sample {
-    /// What a picture that halves fit as `fit` says is kept as: of [`Auto`](Self::Auto) floats where a value is above 65504, or where more
-    /// than one in a thousand is below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
-    pub fn settled(self, fit: Fit) -> Sample {
-        match self {
-            Sample::Auto if fit.over > 0 || fit.fine > fit.values / 1000 => Sample::Float,
-            Sample::Auto => Sample::Half,
-            given => given,
-        }
-    }
-}
-
-/// How halves fit a picture: what [`Sample::Auto`] asks, counted by rows as they come.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Fit {
-    /// Values above the largest half, 65504.
-    pub over: u64,
-    /// Values below 6e-6, for which the steps of a half are coarse.
-    pub fine: u64,
-    /// All values.
-    pub values: u64,
-}
-
-impl Fit {
-    /// That of some rows.
-    pub fn of(rows: &[[f32; 3]]) -> Fit {
-        vectorised(Count(rows.as_flattened()))
-    }
-
-    /// That of these rows and others.
-    pub fn and(self, other: Fit) -> Fit {
-        Fit { over: self.over + other.over, fine: self.fine + other.fine, values: self.values + other.values }
-    }
-}
-
-struct Count<'a>(&'a [f32]);
-
-impl Loops for Count<'_> {
-    type Output = Fit;
-
-    #[inline(always)]
-    fn run(self) -> Fit {
-        let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
-        // Counters as wide as the values fill whole vectors; of so few values they do not overflow.
-        for part in self.0.chunks(1 << 20) {
-            let (mut over, mut fine) = (0u32, 0u32);
-            for &v in part {
-                over += u32::from(v > HALF_MAX);
-                fine += u32::from(v < HALF_FINE);
-            }
-            fit.over += u64::from(over);
-            fit.fine += u64::from(fine);
-        }
-        fit
-    }
-}
-
-/// Compression of an OpenEXR file, always lossless.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
-#[strum(serialize_all = "kebab-case")]
-pub enum Compression {
-    /// Wavelet and Huffman coding of 32 rows: the smallest for photographs.
-    #[default]
-    Piz,
-    /// Deflate of 16 rows.
-    #[strum(serialize = "zip")]
-    Zip16,
-    /// Deflate of single rows.
-    #[strum(serialize = "zips")]
-    Zip1,
-    /// No compression: twice the size.
-    None,
-}
-
-/// How OpenEXR is encoded.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Options {
-    /// Halves where they do by default.
-    pub sample: Sample,
-    /// PIZ by default.
-    pub compression: Compression,
-}
 
 /// The `.exr` writer.
 #[derive(Debug)]
@@ -480,20 +373,5 @@ mod tests {
         let (_, warnings, map, _) = written(&bright, &Metadata::default(), &halves, 2);
         assert!(matches!(&warnings[..], [Warning::OutOfRange { detail, .. }] if detail.starts_with("4 values")));
         assert_eq!(map.pixels.at(1, 1), [65504.0, 65504.0, f16::from_bits(1).to_f32()]);
-    }
-
-    #[test]
-    fn halves_are_taken_where_they_do() {
-        let fit = |picture: &Plane<[f32; 3]>| picture.as_slice().chunks(7).map(Fit::of).fold(Fit::default(), Fit::and);
-        let settled = |picture: Plane<[f32; 3]>| Sample::Auto.settled(fit(&picture));
-        assert_eq!(settled(Plane::filled(30, 70, [65504.0, 1.0, 1e-5])), Sample::Half);
-        assert_eq!(settled(Plane::filled(30, 70, [1.0, 1.0, 5e-6])), Sample::Float);
-        let mut sun = Plane::filled(30, 70, [1.0; 3]);
-        sun.row_mut(69)[29][1] = 65520.0;
-        assert_eq!(settled(sun.clone()), Sample::Float);
-        assert_eq!(Sample::Half.settled(fit(&sun)), Sample::Half);
-        // Few dark ones do not matter.
-        sun.row_mut(69)[29] = [1e-9; 3];
-        assert_eq!(settled(sun), Sample::Half);
     }
 }
