@@ -2,7 +2,7 @@
 //!
 //! In: a file. Out: the radiance of its first picture, RGB or grey, and what its tags tell. Strips and tiles, 16, 32 and 64 bits, every
 //! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
-//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and `crate::write::logluv`.
+//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and `crate::write::tiff::logluv`.
 
 use super::{Contents, Turn};
 use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};

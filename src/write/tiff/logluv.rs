@@ -5,12 +5,8 @@
 //! white it was under as WhitePoint, as `tif_luv.c` asks for. StoNits is what a luminance read is to be multiplied by. Cost: 80 ns a pixel
 //! and core; 3 bytes, or about 3 by runs. Source: see [`crate::pixel::logluv`].
 
-use super::bands::Bands;
-use super::ifd::tag;
-use super::metadata::Metadata;
-use super::row_writer::RowWriter;
-use super::staging::{Pending, Written, clamped};
-use super::tiff::Strips;
+use super::directory::tag;
+use super::strips::Strips;
 use crate::bracket::colour::NeutralXyz;
 use crate::error::Result;
 use crate::merge::calibration::Unit;
@@ -18,16 +14,20 @@ use crate::merge::gamut::weights;
 use crate::merge::statistics::Statistics;
 use crate::merge::{Photographed, RadianceMap};
 use crate::pixel::logluv::{self, Depth};
+use crate::write::bands::Bands;
+use crate::write::metadata::Metadata;
+use crate::write::row_writer::RowWriter;
+use crate::write::staging::{Pending, Written, clamped};
 
 /// The luminance that 0.1 % of the pixels of `map` are above.
-pub(super) fn bright(map: &RadianceMap) -> f32 {
+pub(crate) fn bright(map: &RadianceMap) -> f32 {
     Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9
 }
 
 /// What the values of a map are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of pixels,
 /// those above the luminance `bright`, stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a
 /// factor, the description tells it.
-pub(super) fn scale_under(depth: Depth, bright: f32) -> f32 {
+pub(crate) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
         scale *= 0.5;

@@ -3,13 +3,14 @@
 //! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
 //! Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF 2.32, section 4.6; libtiff (StoNits).
 
-use super::metadata::{Metadata, one_line};
 use crate::bracket::colour::Primaries;
+use crate::write::exif::fraction;
+use crate::write::metadata::{Metadata, one_line};
 use ::exif::{Context, Field, Value};
 use std::collections::BTreeMap;
 
 /// The tags that are written.
-pub(super) mod tag {
+pub(crate) mod tag {
     pub const WIDTH: u16 = 256;
     pub const HEIGHT: u16 = 257;
     pub const BITS: u16 = 258;
@@ -52,37 +53,21 @@ const LONG8: u16 = 16;
 
 /// An image file directory: tags in rising order, each with its type, count and bytes.
 #[derive(Debug)]
-pub(super) struct Directory {
-    pub(super) big: bool,
+pub(crate) struct Directory {
+    pub(crate) big: bool,
     entries: BTreeMap<u16, (u16, u64, Vec<u8>)>,
     /// The directories that tags point to: [`tag::EXIF`], [`tag::GPS`].
     others: BTreeMap<u16, Directory>,
 }
 
-/// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
-pub(super) fn fraction(v: f64) -> (u32, u32) {
-    let most = f64::from(u32::MAX);
-    let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
-    let inverse = 1.0 / v;
-    if v < 1.0 && whole(inverse) {
-        return (1, inverse.round() as u32);
-    }
-    let decimal = [1u32, 10, 100, 1000, 10_000, 100_000].into_iter();
-    let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
-    let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
-    let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
-    // The cast keeps what is beyond within the type.
-    ((v * f64::from(denominator)).round() as u32, denominator)
-}
-
 impl Directory {
-    pub(super) fn new(big: bool) -> Self {
+    pub(crate) fn new(big: bool) -> Self {
         Directory { big, entries: BTreeMap::new(), others: BTreeMap::new() }
     }
 
     /// What the reference frame tells of itself: camera and date, and by way of EXIF exposure and lens. Size and orientation are the
     /// picture's own; where it was taken is left out.
-    pub(super) fn capture(&mut self, metadata: &Metadata) {
+    pub(crate) fn capture(&mut self, metadata: &Metadata) {
         let capture = &metadata.capture;
         self.text(tag::DESCRIPTION, Some(&metadata.comments.join("; ")));
         self.text(tag::MAKE, capture.make.as_deref());
@@ -112,7 +97,7 @@ impl Directory {
     }
 
     /// What EXIF says of a picture, each field in its directory.
-    pub(super) fn photograph(&mut self, fields: &[Field]) {
+    pub(crate) fn photograph(&mut self, fields: &[Field]) {
         for field in fields {
             let Some((kind, count, bytes)) = value(&field.value) else { continue };
             let pointer = match field.tag.context() {
@@ -131,13 +116,13 @@ impl Directory {
     }
 
     /// What red, green, blue and white are.
-    pub(super) fn primaries(&mut self, primaries: &Primaries) {
+    pub(crate) fn primaries(&mut self, primaries: &Primaries) {
         let Primaries { red, green, blue, white } = primaries;
         self.white_point(*white);
         self.rational(tag::CHROMATICITIES, &[*red, *green, *blue].concat());
     }
 
-    pub(super) fn white_point(&mut self, white: [f64; 2]) {
+    pub(crate) fn white_point(&mut self, white: [f64; 2]) {
         self.rational(tag::WHITE_POINT, &white);
     }
 
@@ -147,7 +132,7 @@ impl Directory {
         self.put(tag, RATIONAL, values.len() as u64, bytes);
     }
 
-    pub(super) fn double(&mut self, tag: u16, value: f64) {
+    pub(crate) fn double(&mut self, tag: u16, value: f64) {
         self.put(tag, DOUBLE, 1, value.to_le_bytes().to_vec());
     }
 
@@ -155,24 +140,24 @@ impl Directory {
         self.entries.insert(tag, (kind, count, bytes));
     }
 
-    pub(super) fn short(&mut self, tag: u16, values: &[u16]) {
+    pub(crate) fn short(&mut self, tag: u16, values: &[u16]) {
         let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         self.put(tag, SHORT, values.len() as u64, bytes);
     }
 
-    pub(super) fn long(&mut self, tag: u16, values: &[u64]) {
+    pub(crate) fn long(&mut self, tag: u16, values: &[u64]) {
         let bytes = values.iter().flat_map(|&v| self.word(v)).collect();
         self.put(tag, if self.big { LONG8 } else { LONG }, values.len() as u64, bytes);
     }
 
-    pub(super) fn text(&mut self, tag: u16, text: Option<&str>) {
+    pub(crate) fn text(&mut self, tag: u16, text: Option<&str>) {
         let text = one_line(text.unwrap_or_default());
         if !text.is_empty() {
             self.put(tag, ASCII, text.len() as u64 + 1, [text.as_bytes(), &[0]].concat());
         }
     }
 
-    pub(super) fn opaque(&mut self, tag: u16, bytes: &[u8]) {
+    pub(crate) fn opaque(&mut self, tag: u16, bytes: &[u8]) {
         self.put(tag, UNDEFINED, bytes.len() as u64, bytes.to_vec());
     }
 
@@ -187,13 +172,13 @@ impl Directory {
     }
 
     /// The first bytes of the file, which say where the directory is.
-    pub(super) fn file_header(&self, place: u64) -> Vec<u8> {
+    pub(crate) fn file_header(&self, place: u64) -> Vec<u8> {
         let magic: &[u8] = if self.big { b"II\x2b\0\x08\0\0\0" } else { b"II\x2a\0" };
         [magic, &self.word(place)].concat()
     }
 
     /// The directory as it stands at `place`; behind it the values that are too long for their entries, and the other directories.
-    pub(super) fn bytes(&mut self, place: u64) -> Vec<u8> {
+    pub(crate) fn bytes(&mut self, place: u64) -> Vec<u8> {
         let others = std::mem::take(&mut self.others);
         // Where they are does not change the length.
         others.keys().for_each(|&pointer| self.long(pointer, &[0]));
@@ -258,20 +243,4 @@ fn value(value: &Value) -> Option<(u16, u64, Vec<u8>)> {
         Value::Unknown(..) => return None,
     };
     Some((kind, (bytes.len() / size) as u64, bytes))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fractions_are_the_simplest() {
-        assert_eq!([1.0 / 60.0, 0.125, 2.8, 30.0].map(fraction), [(1, 60), (1, 8), (28, 10), (30, 1)]);
-        assert_eq!([0.3127, 0.0].map(fraction), [(3127, 10_000), (0, 1)]);
-        for v in [0.318_753_1, 1_234.567_891, 3e9, 0.000_123_4] {
-            let (n, d) = fraction(v);
-            assert!((f64::from(n) / f64::from(d) - v).abs() <= 1e-6 * v, "{v}: {n}/{d}");
-        }
-        assert_eq!(fraction(1e12), (u32::MAX, 1));
-    }
 }

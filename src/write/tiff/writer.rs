@@ -1,169 +1,19 @@
-//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
+//! The TIFF writer for integers and floats: packed strips and the tags that describe them.
 //!
-//! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Radiance has its
-//! primaries in the tags of TIFF 6.0, section 20, or where these are negative in an ICC profile, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
-//! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
-//! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4 (tag 34675).
-//!
-//! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so the little that is
-//! needed of the structure is here; the tests read it back by that crate's decoder.
+//! In: pixels by rows. Out: a TIFF. Cost and source: see [`super`].
 
-use super::bands::Bands;
-use super::deflate::zlib;
-use super::exif;
-use super::ifd::{Directory, tag};
-use super::metadata::Metadata;
-use super::row_writer::RowWriter;
-use super::staging::{Pending, Written};
+use super::directory::{Directory, tag};
+use super::sample::Sample;
+use super::strips::Strips;
 use crate::bracket::colour::{Curve, Profile};
 use crate::error::Result;
-use crate::pixel::logluv::Depth;
-use crate::plane::BAND_ROWS;
-use std::io::{self, Seek, SeekFrom, Write};
-
-/// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
-pub trait Sample: Copy + Send + Sync + 'static {
-    /// Its size.
-    const BITS: u16;
-    /// The TIFF sample format: 1 for unsigned integers, 3 for floats.
-    const FORMAT: u16;
-    /// The TIFF predictor: 2 for differences, 3 for those of floats.
-    const PREDICTOR: u16;
-
-    /// Appends `row`, predicted from the pixel on the left: little-endian, or by bytes for floats.
-    fn put_predicted(row: &[[Self; 3]], out: &mut Vec<u8>);
-}
-
-impl Sample for u8 {
-    const BITS: u16 = 8;
-    const FORMAT: u16 = 1;
-    const PREDICTOR: u16 = 2;
-
-    fn put_predicted(row: &[[u8; 3]], out: &mut Vec<u8>) {
-        let mut left = [0u8; 3];
-        for p in row {
-            out.extend((0..3).map(|c| p[c].wrapping_sub(left[c])));
-            left = *p;
-        }
-    }
-}
-
-impl Sample for u16 {
-    const BITS: u16 = 16;
-    const FORMAT: u16 = 1;
-    const PREDICTOR: u16 = 2;
-
-    fn put_predicted(row: &[[u16; 3]], out: &mut Vec<u8>) {
-        let mut left = [0u16; 3];
-        for p in row {
-            for c in 0..3 {
-                out.extend_from_slice(&p[c].wrapping_sub(left[c]).to_le_bytes());
-            }
-            left = *p;
-        }
-    }
-}
-
-impl Sample for f32 {
-    const BITS: u16 = 32;
-    const FORMAT: u16 = 3;
-    const PREDICTOR: u16 = 3;
-
-    /// All first bytes of the row, then all second ones, from the sign down; of these the differences, three apart.
-    fn put_predicted(row: &[[f32; 3]], out: &mut Vec<u8>) {
-        let samples = row.as_flattened();
-        let start = out.len();
-        for byte in 0..4 {
-            out.extend(samples.iter().map(|v| v.to_be_bytes()[byte]));
-        }
-        let bytes = &mut out[start..];
-        for i in (3..bytes.len()).rev() {
-            bytes[i] = bytes[i].wrapping_sub(bytes[i - 3]);
-        }
-    }
-}
-
-/// Pixel encoding of radiance in a TIFF.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
-#[strum(serialize_all = "kebab-case")]
-pub enum Encoding {
-    /// 32-bit floats: exactly as merged.
-    #[default]
-    Float,
-    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %.
-    #[strum(serialize = "logluv24")]
-    LogLuv24,
-    /// LogLuv of 32 bits: 126 stops in steps of 0.27 %.
-    #[strum(serialize = "logluv32")]
-    LogLuv32,
-}
-
-impl Encoding {
-    /// The bits of LogLuv; none for floats.
-    pub(super) fn depth(self) -> Option<Depth> {
-        match self {
-            Encoding::Float => None,
-            Encoding::LogLuv24 => Some(Depth::Bits24),
-            Encoding::LogLuv32 => Some(Depth::Bits32),
-        }
-    }
-}
-
-/// A file whose strips come in order and whose directory comes last.
-#[derive(Debug)]
-pub(super) struct Strips {
-    pub(super) file: Pending,
-    pub(super) directory: Directory,
-    at: u64,
-    strips: Vec<(u64, u64)>,
-}
-
-impl Strips {
-    /// Begins a picture of `size` pixels, `bits_per_pixel` each before they are packed, in strips of 64 rows.
-    pub(super) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
-        let (width, height) = (size.0 as u64, size.1 as u64);
-        let raw = width * height * bits_per_pixel / 8;
-        // Noise can make packing grow by a little; the directory needs some room too.
-        let mut directory = Directory::new(raw + raw / 64 + (1 << 24) > u64::from(u32::MAX));
-        directory.long(tag::WIDTH, &[width]);
-        directory.long(tag::HEIGHT, &[height]);
-        directory.long(tag::ROWS_PER_STRIP, &[BAND_ROWS as u64]);
-        directory.short(tag::SAMPLES, &[3]);
-        directory.short(tag::PLANAR, &[1]);
-        let start = directory.file_header(0);
-        file.put(&start)?;
-        Ok(Strips { file, directory, at: start.len() as u64, strips: Vec::new() })
-    }
-
-    /// The next strip.
-    pub(super) fn put(&mut self, strip: &[u8]) -> Result<()> {
-        self.file.put(strip)?;
-        self.strips.push((self.at, strip.len() as u64));
-        self.at += strip.len() as u64;
-        Ok(())
-    }
-
-    /// The directory, and the place of it.
-    pub(super) fn end(mut self) -> Result<Pending> {
-        let (offsets, counts): (Vec<u64>, Vec<u64>) = self.strips.iter().copied().unzip();
-        self.directory.long(tag::STRIP_OFFSETS, &offsets);
-        self.directory.long(tag::STRIP_COUNTS, &counts);
-        // The directory begins at an even place.
-        let place = self.at.next_multiple_of(2);
-        let mut end = vec![0; (place - self.at) as usize];
-        end.extend(self.directory.bytes(place));
-        let start = self.directory.file_header(place);
-        let file = &mut self.file;
-        let mut put = || -> io::Result<()> {
-            file.write_all(&end)?;
-            file.seek(SeekFrom::Start(0))?;
-            file.write_all(&start)
-        };
-        put().map_err(|e| self.file.error(e))?;
-        Ok(self.file)
-    }
-}
+use crate::write::bands::Bands;
+use crate::write::deflate::zlib;
+use crate::write::exif;
+use crate::write::metadata::Metadata;
+use crate::write::row_writer::RowWriter;
+use crate::write::staging::{Pending, Written};
+use std::io;
 
 /// The TIFF writer for pixels `[T; 3]`.
 #[derive(Debug)]
@@ -256,10 +106,11 @@ mod tests {
     use super::*;
     use crate::bracket::colour::Profile;
     use crate::merge::calibration::Factor;
-    use crate::plane::Plane;
+    use crate::plane::{BAND_ROWS, Plane};
     use crate::write::{commit, push_all};
     use ::tiff::decoder::{Decoder, DecodingResult};
     use ::tiff::tags::Tag;
+    use std::io::{Seek, SeekFrom, Write};
 
     fn picture<T: Copy + Default + Send>(
         width: usize,
