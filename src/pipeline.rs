@@ -276,7 +276,7 @@ fn merged(
             let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
             files.splice(0..0, results.into_iter().chain(curve_file));
             if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
-                files.push(write::mask::write(path, &ghosts.mask())?);
+                files.push(write::png::mask::write(path, &ghosts.mask())?);
             }
             let files = line.report(&mut report, files, options)?;
             let prepared = Prepared { report, files, overwrite: options.write.overwrite };
@@ -422,7 +422,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
         report::Format::of(path)?;
     }
     options.deghost.validate()?;
-    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
+    write::png::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 

@@ -10,7 +10,7 @@ use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
 use super::tiff::logluv;
-use super::{Options, display, exr, hdr, tiff, ultra_hdr};
+use super::{Options, exr, hdr, png, tiff, ultra_hdr};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -296,7 +296,7 @@ fn radiance_writer(
 }
 
 /// A writer of codes to `output`.
-fn picture_writer<T: display::Sample>(
+fn picture_writer<T: png::Sample>(
     output: &Output,
     size: (usize, usize),
     metadata: &Metadata,
@@ -305,7 +305,7 @@ fn picture_writer<T: display::Sample>(
     let file = Pending::create(&output.path)?;
     Ok(match output.format {
         Format::TiffPicture => Box::new(tiff::Writer::picture(file, size, metadata)?),
-        _ => Box::new(display::Writer::new(file, size, metadata, colours)?),
+        _ => Box::new(png::Writer::new(file, size, metadata, colours)?),
     })
 }
 

@@ -7,7 +7,6 @@
 pub(crate) mod aligned;
 mod bands;
 mod deflate;
-pub(crate) mod display;
 mod exif;
 pub mod exr;
 mod files;
@@ -15,9 +14,9 @@ mod format;
 pub mod gain_map;
 pub mod hdr;
 mod jpeg;
-pub(crate) mod mask;
 mod metadata;
 pub mod picture;
+pub(crate) mod png;
 mod row_writer;
 mod staging;
 pub mod tiff;

@@ -3,10 +3,10 @@
 //! In: a plane of bytes. Out: a PNG of them, for people and programs; linear numbers, not light, so that it states no colour space. Cost: some
 //! 10 ns a pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
 
-use super::metadata::Metadata;
-use super::staging::{Pending, Written};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
+use crate::write::metadata::Metadata;
+use crate::write::staging::{Pending, Written};
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -26,7 +26,7 @@ pub fn check(path: Option<&Path>, is_one: bool) -> Result<()> {
     Err(Error::Option { option: "--ghost-mask", reason })
 }
 
-/// Writes `mask` to `path`: a whole file that does not have its name yet, for [`commit`](super::commit).
+/// Writes `mask` to `path`: a whole file that does not have its name yet, for [`commit`](crate::write::commit).
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -60,7 +60,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("m.png");
         let mask = Plane::from_vec(7, 5, (0..35).map(|i| (i * 7) as u8).collect());
-        super::super::commit(vec![write(&path, &mask).unwrap().file], false).unwrap();
+        crate::write::commit(vec![write(&path, &mask).unwrap().file], false).unwrap();
         let read = image::open(&path).unwrap();
         assert_eq!(read.color(), image::ColorType::L8);
         assert_eq!(read.to_luma8().into_raw(), mask.as_slice());

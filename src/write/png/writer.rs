@@ -1,26 +1,22 @@
-//! PNG: the display picture, of 8 or 16 bits.
+//! The PNG writer: bands of rows, filtered and deflated side by side.
 //!
-//! In: display-encoded RGB by rows. Out: a PNG whose bands of 64 rows were deflated by themselves, side by side: the same bytes on any
-//! number of threads. Cost: 10 ns a pixel and core, 9 to 12 MB for 12 MP. Source: PNG (3rd ed., W3C 2025), sections 5 (chunks),
-//! 9 (filtering), 11.3.2 (cICP, iCCP, sRGB), 11.3.4.6 (eXIf); RFC 1950 (zlib), RFC 1951 (deflate), section 2.3.
-//!
-//! Every row is filtered by Paeth: choosing by row took half as long again and won one percent.
+//! In: display-encoded RGB by rows. Out: a `.png` file. Cost and source: see [`super`].
 
-use super::bands::Bands;
-use super::deflate::{Adler, deflate};
-use super::exif;
-use super::metadata::{Metadata, one_line};
-use super::row_writer::RowWriter;
-use super::staging::{Pending, Written};
 use crate::error::Result;
 use crate::simd::{Loops, vectorised};
 use crate::tonemap::codes::Colours;
+use crate::write::bands::Bands;
+use crate::write::deflate::{Adler, deflate};
+use crate::write::exif;
+use crate::write::metadata::{Metadata, one_line};
+use crate::write::row_writer::RowWriter;
+use crate::write::staging::{Pending, Written};
 use flate2::write::ZlibEncoder;
 use flate2::{Compression, Crc};
 use std::io::{self, Write};
 
 /// A code that PNG can hold.
-pub trait Sample: super::tiff::Sample {
+pub trait Sample: crate::write::tiff::Sample {
     /// The bytes of `pixels`, the upper ones first; in `buffer` where they are not these themselves.
     fn bytes<'a>(pixels: &'a [[Self; 3]], buffer: &'a mut Vec<u8>) -> &'a [u8];
 }
