@@ -5,12 +5,12 @@
 //! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
 
 use super::format::{Format, Output};
-use super::gain_map::{Rendition, Survey};
+use super::jpeg::{self, Rendition, Survey};
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
 use super::tiff::logluv;
-use super::{Options, exr, hdr, png, tiff, ultra_hdr};
+use super::{Options, exr, hdr, png, tiff};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -144,7 +144,7 @@ impl<P: Sync> Slot<P> {
 struct Both {
     place: usize,
     path: PathBuf,
-    state: Option<Box<ultra_hdr::Writer>>,
+    state: Option<Box<jpeg::Writer>>,
 }
 
 impl Both {
@@ -209,8 +209,7 @@ impl Files {
             let (path, pixels) = (output.path.clone(), size.0 * size.1);
             if output.format == Format::Jpeg {
                 let pending = Pending::create(&path)?;
-                let writer =
-                    ultra_hdr::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
+                let writer = jpeg::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
                 files.both.push(Both { place, path, state: Some(Box::new(writer)) });
             } else if output.format.holds_radiance() {
                 let state = State::Begun(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);

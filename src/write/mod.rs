@@ -11,16 +11,14 @@ mod exif;
 pub mod exr;
 mod files;
 mod format;
-pub mod gain_map;
 pub mod hdr;
-mod jpeg;
+pub mod jpeg;
 mod metadata;
 pub mod picture;
 pub(crate) mod png;
 mod row_writer;
 mod staging;
 pub mod tiff;
-pub mod ultra_hdr;
 
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -47,7 +45,7 @@ pub struct Options {
     /// What the pixels of a radiance `.tif` are.
     pub tiff: tiff::Encoding,
     /// How `.jpg` is encoded.
-    pub jpeg: ultra_hdr::Options,
+    pub jpeg: jpeg::Options,
     /// How pictures are made.
     pub picture: picture::Options,
 }

@@ -3,7 +3,7 @@
 //! In: options and the files named. Out: whether they can be had. Cost: none.
 
 use super::format::{Format, Output};
-use super::gain_map::Resolution;
+use super::jpeg::Resolution;
 use crate::error::{Error, Result, Warning};
 use crate::tonemap::adjust;
 use crate::tonemap::codes::{Colours, Depth};

@@ -1,54 +1,20 @@
-//! Ultra HDR: a JPEG that every program reads, and behind it a gain map that lights it up on an HDR display.
+//! The JPEG writer: the picture by strips, its gain map beside it, and the file of both.
 //!
-//! In: radiance and the picture, by rows. Out: one file of two JPEGs: the picture with GContainer XMP, the ISO version block and the
-//! multi-picture index, and the map with its numbers as XMP and as the ISO block. Cost: 35 ns a pixel and core. Memory: both encoded, about
-//! two bytes a pixel, as the head of the file tells their sizes.
-//! Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF), sections 5.2 and A.2; libultrahdr, the
-//! layout described at `JpegR::appendGainMap`.
-//!
-//! Gains are of what the encoded picture decodes to, not of what it was encoded from: what the JPEG of the picture loses, the map
-//! gives back.
+//! In: radiance and the picture, by rows. Out: a `.jpg` file. Cost and source: see [`super`].
 
-use super::exif;
-use super::gain_map::{Gains, OFFSET, Rendition, Resolution, STRIP_ROWS};
-use super::jpeg::{self, APP1, APP2, MOST_SIDE, Strip, Strips, put_segment};
-use super::metadata::{Metadata, one_line};
-use super::staging::{Pending, Written};
+use super::Options;
+use super::gain_map::{Gains, Rendition, STRIP_ROWS};
+use super::strips::{self, APP1, APP2, MOST_SIDE, Strip, Strips, put_segment};
+use super::ultra_hdr::{ISO, MPF, MPF_BYTES, MPF_HEADER, VERSION, index, iso_numbers, map_xmp, primary_xmp, put_xmp};
 use crate::bracket::colour::Profile;
 use crate::error::{Error, Result};
 use crate::tonemap::codes::Colours;
+use crate::write::exif;
+use crate::write::metadata::{Metadata, one_line};
+use crate::write::staging::{Pending, Written};
 use rayon::prelude::*;
 use std::io;
 use std::path::Path;
-
-/// How `.jpg` is encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
-    /// The quality of the picture, 1 to 100, on the scale of libjpeg. Default: 93.
-    pub quality: u8,
-    /// How large the gain map is. Default: full.
-    pub gain_map: Resolution,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Options { quality: 93, gain_map: Resolution::Full }
-    }
-}
-
-impl Options {
-    /// Whether the quality is one.
-    ///
-    /// # Errors
-    /// [`Error::Option`].
-    pub fn validate(&self) -> Result<()> {
-        if (1..=100).contains(&self.quality) {
-            return Ok(());
-        }
-        let reason = format!("{} is no quality; give 1 to 100", self.quality);
-        Err(Error::Option { option: "--jpeg-quality", reason })
-    }
-}
 
 /// The `.jpg` writer.
 pub struct Writer {
@@ -204,13 +170,13 @@ fn check_size(path: &Path, (width, height): (usize, usize)) -> Result<()> {
 /// What both kinds of file begin with: JFIF, EXIF, the profile.
 fn segments(size: (usize, usize), metadata: &Metadata) -> io::Result<Vec<u8>> {
     let mut out = Vec::new();
-    jpeg::put_jfif(&mut out)?;
+    strips::put_jfif(&mut out)?;
     if let Some(exif) = exif::block(size, metadata) {
         put_segment(APP1, &[b"Exif\0\0", &exif], &mut out)?;
     }
     let profile = metadata.profile.clone().or_else(Profile::srgb);
     if let Some(profile) = &profile {
-        jpeg::put_profile(profile, &mut out)?;
+        strips::put_profile(profile, &mut out)?;
     }
     Ok(out)
 }
@@ -234,90 +200,4 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     debug_assert_eq!(parts[0].len() + parts[1].len(), first_size, "the index tells the size of the first image");
     parts.extend(second);
     Ok(parts)
-}
-
-const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
-/// The least version that a reader must know, and the writer's.
-const VERSION: [u8; 4] = [0; 4];
-const MPF: &[u8] = b"MPF\0";
-/// Bytes of the index from its header on: header, three tags, two entries.
-const MPF_BYTES: usize = 8 + 2 + 3 * 12 + 4 + 2 * 16;
-/// From the start of the index's segment to its header.
-const MPF_HEADER: usize = 4 + MPF.len();
-
-/// The multi-picture index (DC-007, 5.2): sizes of both images, and where the second begins, from the index's header on.
-fn index(first: usize, second: usize, offset: usize) -> io::Result<Vec<u8>> {
-    let four = |n: usize| {
-        let number = u32::try_from(n).map_err(|_| io::Error::other("JPEG with a gain map holds no 4 GB; name a .png"));
-        number.map(u32::to_be_bytes)
-    };
-    four(first.saturating_add(second))?;
-    let mut out = b"MM\0*\0\0\0\x08\0\x03".to_vec();
-    // Version 0100; two images; their entries.
-    out.extend_from_slice(b"\xB0\0\0\x07\0\0\0\x040100");
-    out.extend_from_slice(b"\xB0\x01\0\x04\0\0\0\x01\0\0\0\x02");
-    out.extend_from_slice(b"\xB0\x02\0\x07\0\0\0\x20\0\0\0\x32");
-    out.extend_from_slice(&[0; 4]);
-    // The first is the representative one, a baseline primary image; of what kind the second is, the standard has no word for.
-    for (kind, size, offset) in [([0, 3, 0, 0], first, 0), ([0; 4], second, offset)] {
-        out.extend_from_slice(&kind);
-        out.extend_from_slice(&four(size)?);
-        out.extend_from_slice(&four(offset)?);
-        out.extend_from_slice(&[0; 4]);
-    }
-    Ok(out)
-}
-
-/// The numbers of `rendition` as ISO 21496-1 has them, after the version: one channel's for all, in the picture's primaries.
-fn iso_numbers(rendition: &Rendition) -> Vec<u8> {
-    const IN_BASE_SPACE: u8 = 0x40;
-    // The numbers are whole multiples of 1/1024 within +-16: the cast is exact.
-    let fraction = |value: f64| [((value * 1024.0).round() as i32).to_be_bytes(), 1024i32.to_be_bytes()];
-    let Rendition { least_stops, most_stops, headroom_stops, .. } = *rendition;
-    let mut out = vec![IN_BASE_SPACE];
-    for value in [0.0, headroom_stops, least_stops, most_stops, 1.0, OFFSET, OFFSET] {
-        out.extend_from_slice(fraction(value).as_flattened());
-    }
-    out
-}
-
-fn put_xmp(packet: &str, out: &mut Vec<u8>) -> io::Result<()> {
-    put_segment(APP1, &[b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()], out)
-}
-
-/// An XMP packet of the attributes and content `description`. It ends with a line: ImageMagick overwrites the last byte before it reads.
-fn packet(software: &str, description: &str) -> String {
-    let software: String = software.chars().filter(|c| !matches!(c, '<' | '>' | '&' | '"')).collect();
-    format!(
-        r#"<x:xmpmeta xmlns:x="adobe:ns:meta/" x:xmptk="{software}"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" {description}</rdf:RDF></x:xmpmeta>
-"#
-    )
-}
-
-/// The XMP of the picture: that there is a gain map, and how long it is.
-fn primary_xmp(map_size: usize, software: &str) -> String {
-    let item = |semantic: &str, length: String| {
-        format!(
-            r#"<rdf:li rdf:parseType="Resource"><Container:Item Item:Semantic="{semantic}" Item:Mime="image/jpeg"{length}/></rdf:li>"#
-        )
-    };
-    let items = item("Primary", String::new()) + &item("GainMap", format!(r#" Item:Length="{map_size}""#));
-    let namespaces = r#"xmlns:Container="http://ns.google.com/photos/1.0/container/" xmlns:Item="http://ns.google.com/photos/1.0/container/item/" xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/""#;
-    packet(
-        software,
-        &format!(
-            r#"{namespaces} hdrgm:Version="1.0"><Container:Directory><rdf:Seq>{items}</rdf:Seq></Container:Directory></rdf:Description>"#
-        ),
-    )
-}
-
-/// The XMP of the map: its numbers, in stops.
-fn map_xmp(rendition: &Rendition, software: &str) -> String {
-    let Rendition { least_stops, most_stops, headroom_stops, .. } = rendition;
-    packet(
-        software,
-        &format!(
-            r#"xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0" hdrgm:GainMapMin="{least_stops}" hdrgm:GainMapMax="{most_stops}" hdrgm:Gamma="1" hdrgm:OffsetSDR="{OFFSET}" hdrgm:OffsetHDR="{OFFSET}" hdrgm:HDRCapacityMin="0" hdrgm:HDRCapacityMax="{headroom_stops}" hdrgm:BaseRenditionIsHDR="False"/>"#
-        ),
-    )
 }
