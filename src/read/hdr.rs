@@ -3,7 +3,8 @@
 //! In: a file. Out: its radiance and what its header tells. Runs of the new and the old kind, flat pixels, and any of the eight
 //! orders of scanlines are read. Cost: 10 ns a pixel. Source: as for [`crate::write::hdr`]; `src/common/resolu.c` (orders).
 
-use super::{Contents, Turn};
+use super::Contents;
+use super::orientation::Turn;
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;

@@ -4,7 +4,8 @@
 //! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
 //! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and `crate::write::tiff::logluv`.
 
-use super::{Contents, Turn};
+use super::Contents;
+use super::orientation::Turn;
 use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
 use crate::error::{Error, Result};
 use crate::intake;
