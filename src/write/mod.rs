@@ -25,7 +25,7 @@ use crate::merge::RadianceMap;
 use crate::tonemap::DisplayImage;
 use std::path::PathBuf;
 
-pub use files::{Codes, Files, Settled, is_among};
+pub(crate) use files::{Codes, Files, Settled};
 pub use format::{Format, Output};
 pub use metadata::Metadata;
 pub use row_writer::{RowWriter, push_all};

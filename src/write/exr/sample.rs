@@ -1,6 +1,6 @@
 //! Half or float: the sample type of an OpenEXR file, and how well half floats hold the radiance.
 //!
-//! In: linear RGB by rows. Out: a [`Sample`]. Cost: under 1 ns a value.
+//! In: linear RGB by rows. Out: a [`Sample`]. Cost: one pass over the values.
 
 use crate::pixel::half::HALF_MAX;
 use crate::simd::{Loops, vectorised};

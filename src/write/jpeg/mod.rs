@@ -11,13 +11,14 @@
 
 mod gain_map;
 mod strips;
+mod survey;
 mod ultra_hdr;
 mod writer;
 
 use crate::error::{Error, Result};
 
-pub(crate) use gain_map::Survey;
 pub use gain_map::{Rendition, Resolution};
+pub(crate) use survey::Survey;
 pub(crate) use writer::Writer;
 
 /// How `.jpg` is encoded.

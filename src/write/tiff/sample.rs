@@ -1,6 +1,6 @@
 //! Samples of a TIFF, and the predictor that makes rows of them small.
 //!
-//! In: a row of pixels. Out: its bytes, as differences from the pixel on the left. Cost: 1 ns a byte. Source: TIFF 6.0, section 14; Adobe
+//! In: a row of pixels. Out: its bytes, as differences from the pixel on the left. Cost: see [`super`]. Source: TIFF 6.0, section 14; Adobe
 //! Photoshop TIFF Technical Note 3 (floating-point predictor).
 
 /// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
