@@ -34,7 +34,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, Output, Pending, Target, Whole, aligned};
+use crate::write::{self, CompleteFile, Output, Pending, Target, aligned};
 use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
@@ -182,7 +182,7 @@ impl<R> Prepared<R> {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn complete(self) -> Result<(R, Vec<Whole>)> {
+    pub fn complete(self) -> Result<(R, Vec<CompleteFile>)> {
         let files = self.files.into_iter().map(Pending::complete).collect::<Result<_>>()?;
         Ok((self.report, files))
     }

@@ -1,8 +1,8 @@
-//! The files of a run, fed side by side.
+//! All output files of a run, written in parallel from the same rows.
 //!
-//! In: radiance and pictures by rows, in portions of any size. Out: every file that the user named, whole and on its way to the disk, without
-//! its name yet. Cost: that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file
-//! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
+//! In: radiance and pictures by rows, in portions of any size. Out: a complete temporary file for every output. Cost: that of the encoders, spread
+//! over all threads: bands of one file are encoded while another is written, and a file is synced after its last row while others are
+//! encoded. Memory: a few encoded bands for each file.
 
 use super::format::{Format, Output};
 use super::jpeg::{self, Rendition, Survey};

@@ -1,8 +1,11 @@
-//! Writing: every output goes to a temporary file in its folder and gets its name when all of a run are complete.
+//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are complete.
 //!
-//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] that headers are made of. Out: files. A name that
-//! exists is a file that is whole; a failed run leaves nothing behind. Encoding goes by bands of 64 rows in parallel and is written
-//! in order: the same bytes on any number of threads. Cost: see each format; the renaming waits for the disk (fsync).
+//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that exists is a complete
+//! file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written in order, so the bytes do not depend on
+//! the number of threads. Cost: see each format; the commit waits for the disk (fsync).
+//!
+//! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`, then the formats (`exr`, `hdr`,
+//! `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
 
 pub(crate) mod aligned;
 mod bands;
@@ -30,7 +33,8 @@ pub use format::{Format, Output};
 pub use metadata::Metadata;
 pub use row_writer::{RowWriter, push_all};
 pub use staging::{
-    NewFolder, Pending, Target, Whole, Written, abandon, bytes, check_targets, commit, place, sweep, text, whole,
+    CompleteFile, NewFolder, Pending, Target, Written, abandon, bytes, check_targets, commit, complete, rename_all,
+    sweep, text,
 };
 
 /// How results are written.
@@ -61,8 +65,7 @@ impl Options {
     }
 }
 
-/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
-/// [`commit`].
+/// Writes all of `paths`, the radiance or the picture by extension, to temporary files that [`commit`] renames.
 ///
 /// # Errors
 /// [`Error::UnknownExtension`]; [`Error::Option`] for what a picture of 8 bits cannot give; [`Error::Write`]. Nothing is left behind then.

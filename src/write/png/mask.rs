@@ -26,7 +26,7 @@ pub fn check(path: Option<&Path>, is_one: bool) -> Result<()> {
     Err(Error::Option { option: "--ghost-mask", reason })
 }
 
-/// Writes `mask` to `path`: a whole file that does not have its name yet, for [`commit`](crate::write::commit).
+/// Writes `mask` to a temporary file for `path`, to be committed by [`commit`](crate::write::commit).
 ///
 /// # Errors
 /// [`Error::Write`].

@@ -1,7 +1,7 @@
-//! Anonymous files: bytes in a folder under no name at all, so that nothing is left of them when their process ends, however it ends.
+//! Anonymous files: files without a name, which the system removes when their process ends, however it ends.
 //!
-//! In: a folder. Out: an open file, and later a name for it. Cost: that of any file. Linux has them (`O_TMPFILE`), on most of its file
-//! systems; elsewhere there are none, and files have temporary names.
+//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports them (`O_TMPFILE`) on most of its file
+//! systems. On other systems there are none, and temporary names are used.
 
 use std::fs::File;
 use std::io;

@@ -1,8 +1,8 @@
 //! Claims: temporary names in a folder, and the process that they belong to.
 //!
-//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them `.hdralign-ID.lock`, which holds [`SIGNATURE`] and is locked for as
-//! long as the process lives. [`sweep`] removes the files of claims on which nobody holds a lock; a file without a claim is the user's,
-//! whatever its name. Cost: one open file for a folder, however many names; a lock is one call of the system, the signature one fsync.
+//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them the file `.hdralign-ID.lock`, which contains [`SIGNATURE`] and is
+//! locked while the process runs. [`sweep`] removes the files of claims that no process has locked. A file without a claim belongs to the
+//! user, whatever its name. Cost: one open file for each folder; a lock is one system call, the signature one fsync.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -38,7 +38,7 @@ impl Claim {
     /// A claim on `folder`, without names.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub fn new(folder: &Path) -> io::Result<Claim> {
         let mut lock = locked_in(folder)?;
         lock.write_all(SIGNATURE)?;

@@ -1,10 +1,10 @@
-//! Targets: from the name of an output to a whole file of that name, or none at all.
+//! Commit: all files of a run are completed and then renamed to their targets, or none is.
 //!
-//! In: paths. Out: a [`Pending`] is the temporary file in the target's folder; [`commit`] names all of a run when all are whole.
-//! Cost: one fsync a file, begun when the file has its last byte.
+//! In: the paths of outputs, and bytes. Out: a [`Pending`] is a temporary file in the folder of its target; [`commit`] completes and renames all
+//! files of a run. Cost: one fsync for each file, started when its last byte is written.
 
 use super::targets::folder_of;
-use super::temporary::{Kept, OF_PROCESS, Registry, State, Unnamed};
+use super::temporary::{PROCESS_REGISTRY, Registry, Staged, State, TemporaryFile};
 use crate::error::{Error, Result};
 use crate::intake::{Identity, identity};
 use std::collections::HashMap;
@@ -17,18 +17,18 @@ fn write_error(path: &Path, source: io::Error) -> Error {
     Error::Write { path: path.to_owned(), source }
 }
 
-/// A file that is being written in the target's own folder, without its name; dropped, it is gone.
+/// A file that is being written to a temporary file in the folder of its target. When dropped, it is removed.
 #[derive(Debug)]
 pub struct Pending {
     target: PathBuf,
     file: BufWriter<Open>,
-    /// A thread that brings to the disk what was written until it began.
+    /// The thread that syncs what was written before it started.
     syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 /// What the buffer writes to.
 #[derive(Debug)]
-struct Open(Unnamed);
+struct Open(TemporaryFile);
 
 impl Write for Open {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -47,26 +47,26 @@ impl Seek for Open {
 }
 
 impl Pending {
-    /// Opens the temporary file, with the permissions that a new file has: without any name where the system has such files, else hidden and named
+    /// Creates the temporary file with the permissions of a new file: anonymous where the system supports it, otherwise hidden and named
     /// `.hdralign-*.part`.
     ///
     /// # Errors
     /// [`Error::Write`]; [`Error::Abandoned`] after [`abandon`](super::abandon).
     pub fn create(target: &Path) -> Result<Self> {
-        Self::create_by(&OF_PROCESS, target)
+        Self::create_in(&PROCESS_REGISTRY, target)
     }
 
-    fn create_by(registry: &'static Registry, target: &Path) -> Result<Self> {
-        let file = Open(Unnamed::create(registry, folder_of(target), target)?);
+    fn create_in(registry: &'static Registry, target: &Path) -> Result<Self> {
+        let file = Open(TemporaryFile::create(registry, folder_of(target), target)?);
         Ok(Pending { target: target.to_owned(), file: BufWriter::with_capacity(1 << 18, file), syncing: None })
     }
 
-    /// The name it will have.
+    /// The path that it will be renamed to.
     pub fn target(&self) -> &Path {
         &self.target
     }
 
-    /// What the system said, as this file's error.
+    /// `source` as an error of this file.
     pub(crate) fn error(&self, source: io::Error) -> Error {
         write_error(&self.target, source)
     }
@@ -76,13 +76,13 @@ impl Pending {
         self.write_all(bytes).map_err(|source| write_error(&self.target, source))
     }
 
-    /// Begins to bring to the disk what is written so far, and returns at once: [`complete`](Self::complete) waits for it.
+    /// Starts to sync what is written so far and returns at once; [`complete`](Self::complete) waits for it.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub(crate) fn sync_ahead(&mut self) -> Result<()> {
         self.file.flush().map_err(|source| write_error(&self.target, source))?;
-        // The thread sleeps in the system, and so takes no core from those that encode. Without one, complete() does its work.
+        // The thread sleeps in a system call and takes no core from the encoders. Without a thread, complete() syncs.
         let thread =
             |file: File| std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all());
         self.syncing = self.file.get_ref().0.file().try_clone().and_then(thread).ok();
@@ -107,28 +107,28 @@ impl Seek for Pending {
     }
 }
 
-/// A file that is complete and on the disk, without its name; dropped, it is gone. Of many only some are open.
+/// A complete, synced file that waits to be renamed to its target. When dropped, it is removed. Only some of many stay open.
 #[derive(Debug)]
-pub struct Whole {
+pub struct CompleteFile {
     target: PathBuf,
-    file: Kept,
+    file: Staged,
 }
 
-impl Whole {
-    /// The name it will have.
+impl CompleteFile {
+    /// The path that it will be renamed to.
     pub fn target(&self) -> &Path {
         &self.target
     }
 
-    /// Its bytes, to be read.
+    /// Opens the file for reading.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub fn open(&self) -> io::Result<fs::File> {
         self.file.open()
     }
 
-    /// Takes the permissions away that the file `source` does not have.
+    /// Removes the permissions that the file `source` does not have.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -138,11 +138,11 @@ impl Whole {
 }
 
 impl Pending {
-    /// Ends the file: everything is brought to the disk, and it is closed.
+    /// Completes the file: syncs it and closes it.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn complete(self) -> Result<Whole> {
+    pub fn complete(self) -> Result<CompleteFile> {
         let Pending { target, file, syncing } = self;
         let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|Open(file)| {
             match syncing {
@@ -153,67 +153,72 @@ impl Pending {
             }
             Ok(file)
         });
-        let kept = synced.and_then(Unnamed::keep);
-        let file = kept.map_err(|source| write_error(&target, source))?;
-        Ok(Whole { target, file })
+        let staged = synced.and_then(TemporaryFile::stage);
+        let file = staged.map_err(|source| write_error(&target, source))?;
+        Ok(CompleteFile { target, file })
     }
 }
 
-/// Gives all `files` their names: first every one is brought to the disk, then all are renamed, as [`place`] does.
+/// Commits `files`: completes every one, then renames all, as [`rename_all`] does.
 ///
 /// # Errors
 /// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
 pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
-    place(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
+    rename_all(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
 }
 
-/// Gives all `files` their names, in their order: of a process that is killed meanwhile the first ones have theirs, so that the last may vouch for
-/// all. A file that replaces another has its permissions. When a renaming fails, the files placed before it are removed again, but for those
-/// that replaced an older file, which cannot be had back.
+/// Renames `files` to their targets, in order: if the process is killed meanwhile, the first ones are renamed, so the last file proves that
+/// all are there. A file that replaces another gets its permissions. When a rename fails, the files renamed before it are removed again,
+/// except those that replaced an older file, which cannot be restored.
 ///
 /// # Errors
 /// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
-pub fn place(mut files: Vec<Whole>, overwrite: bool) -> Result<()> {
+pub fn rename_all(mut files: Vec<CompleteFile>, overwrite: bool) -> Result<()> {
     let Some(first) = files.first() else { return Ok(()) };
     let (target, registry) = (first.target.clone(), first.file.registry());
-    registry.unless_abandoned(&target, |state| name(state, &mut files, overwrite))
+    registry.unless_abandoned(&target, |state| rename_files(state, &mut files, overwrite))
 }
 
-/// The naming.
-fn name(state: &mut State, files: &mut [Whole], overwrite: bool) -> Result<()> {
+/// Renames `files` under the lock of the registry.
+fn rename_files(state: &mut State, files: &mut [CompleteFile], overwrite: bool) -> Result<()> {
     let is_there = |target: &Path| fs::symlink_metadata(target).is_ok();
-    // All that may fail before the first older file is replaced is done before.
-    for Whole { target, file } in files.iter_mut().filter(|file| overwrite && is_there(&file.target)) {
+    // Everything that may fail is done before the first older file is replaced.
+    for CompleteFile { target, file } in files.iter_mut().filter(|file| overwrite && is_there(&file.target)) {
         file.prepare(state, target).map_err(|source| write_error(target, source))?;
     }
-    let mut placed = Placed::default();
-    files.iter_mut().try_for_each(|file| placed.place(state, file, overwrite)).inspect_err(|_| placed.withdraw())
+    let mut renamed = Renamed::default();
+    files.iter_mut().try_for_each(|file| renamed.rename(state, file, overwrite)).inspect_err(|_| renamed.remove_new())
 }
 
-/// Files that have their names.
+/// Files that are renamed.
 #[derive(Default)]
-struct Placed<'a> {
-    /// Those whose names were free.
+struct Renamed<'a> {
+    /// Those whose targets did not exist.
     new: Vec<&'a Path>,
     all: HashMap<Identity, &'a Path>,
 }
 
-impl<'a> Placed<'a> {
-    /// Gives `file` its name.
-    fn place(&mut self, state: &mut State, Whole { target, file }: &'a mut Whole, overwrite: bool) -> Result<()> {
+impl<'a> Renamed<'a> {
+    /// Renames `file` to its target.
+    fn rename(
+        &mut self,
+        state: &mut State,
+        CompleteFile { target, file }: &'a mut CompleteFile,
+        overwrite: bool,
+    ) -> Result<()> {
         let failed = |source: io::Error| match source.kind() {
             io::ErrorKind::AlreadyExists => Error::OutputExists { path: target.clone() },
             _ => write_error(target, source),
         };
-        match file.name(state, target) {
+        match file.rename_new(state, target) {
             Ok(()) => self.new.push(target),
             Err(error) if overwrite && error.kind() == io::ErrorKind::AlreadyExists => {
-                // As where a file system does not tell cases apart.
+                // As on a case-insensitive file system.
                 if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
                     let reason = format!("{} is the same file there; give it another name", other.display());
                     return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
                 }
-                file.replace(state, target).map_err(failed)?;
+                file.rename_over(state, target).map_err(failed)?;
             }
             Err(error) => return Err(failed(error)),
         }
@@ -221,8 +226,8 @@ impl<'a> Placed<'a> {
         Ok(())
     }
 
-    /// Removes the new ones.
-    fn withdraw(&self) {
+    /// Removes the files whose targets did not exist.
+    fn remove_new(&self) {
         for path in &self.new {
             // The first failure is the one to report; a second while clearing up would only hide it.
             let _ = fs::remove_file(path);
@@ -248,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn names_appear_together_and_drops_leave_nothing() {
+    fn commit_renames_all_files_and_drop_removes_them() {
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a.exr"), dir.path().join("b.png"));
         let files = vec![pending(&a, "A"), pending(&b, "B")];
@@ -260,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_that_appears_meanwhile_is_kept_and_the_rest_withdrawn() {
+    fn commit_target_exists_meanwhile_removes_the_other_files() {
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a.exr"), dir.path().join("b.exr"));
         let files = vec![pending(&a, "new"), pending(&b, "new")];
@@ -272,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn force_replaces_but_never_withdraws_what_was_there() {
+    fn commit_overwrite_failure_keeps_replaced_files() {
         let dir = tempfile::tempdir().unwrap();
         let (a, b, c) = (dir.path().join("a.exr"), dir.path().join("b.exr"), dir.path().join("c.exr"));
         fs::write(&a, "old").unwrap();
@@ -287,7 +292,7 @@ mod tests {
     /// As two names of one file where cases are not told apart.
     #[cfg(unix)]
     #[test]
-    fn two_targets_that_are_one_file_are_refused_when_they_are_named() {
+    fn commit_two_targets_one_file_is_refused() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("folder");
         fs::create_dir(&folder).unwrap();
@@ -300,7 +305,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn replacement_keeps_the_permissions_of_the_file_replaced() {
+    fn commit_overwrite_keeps_the_permissions_of_the_replaced_file() {
         use std::os::unix::fs::PermissionsExt;
         let dir = tempfile::tempdir().unwrap();
         let a = dir.path().join("a.exr");
@@ -316,7 +321,7 @@ mod tests {
 
     /// While pairs are written and named by several threads, the end comes: each pair is there as a whole or not at all.
     #[test]
-    fn the_end_leaves_no_half_of_a_run() {
+    fn abandon_during_commits_leaves_complete_sets_only() {
         let dir = tempfile::tempdir().unwrap();
         let registry: &'static Registry = Box::leak(Box::new(Registry::new()));
         let at = |k: usize, i: usize, half: &str| dir.path().join(format!("{k}-{i}.{half}"));
@@ -324,7 +329,7 @@ mod tests {
             let mut named = 0;
             for i in 0.. {
                 let pair = ["exr", "png"].map(|half| {
-                    let mut file = Pending::create_by(registry, &at(k, i, half))?;
+                    let mut file = Pending::create_in(registry, &at(k, i, half))?;
                     file.put(half.as_bytes()).map(|()| file)
                 });
                 let pair = pair.into_iter().collect::<Result<Vec<_>>>();
@@ -355,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_names_the_target_and_not_the_temporary_file() {
+    fn error_names_the_target_and_not_the_temporary_file() {
         let dir = tempfile::tempdir().unwrap();
         let error = Pending::create(&dir.path().join("gone/a.exr")).unwrap_err().to_string();
         assert!(error.contains("gone/a.exr") && !error.contains(".hdralign-"), "{error}");
@@ -370,7 +375,7 @@ mod tests {
 
     /// What is written after the disk was sent the rest is in the file as well.
     #[test]
-    fn syncing_ahead_may_be_early() {
+    fn sync_ahead_before_the_last_byte_loses_nothing() {
         let dir = tempfile::tempdir().unwrap();
         let a = dir.path().join("a.exr");
         let mut file = pending(&a, "one");
@@ -385,7 +390,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn permissions_are_those_of_any_new_file() {
+    fn commit_new_file_has_default_permissions() {
         use std::os::unix::fs::PermissionsExt;
         let dir = tempfile::tempdir().unwrap();
         let (ours, plain) = (dir.path().join("a.exr"), dir.path().join("plain"));

@@ -1,39 +1,39 @@
-//! Kept: files that are complete, and how they get their names.
+//! Renaming of complete files to their targets, with or without replacement.
 //!
-//! In: files with temporary names, or anonymous ones. Out: files under their targets' names, which were free, or whose files are replaced.
-//! Cost: a few calls of the system for each file. Bytes are copied only where a file system has anonymous files and does not name them.
+//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few system calls for each file.
+//! Bytes are copied only where a file system supports anonymous files but cannot link them.
 
 use super::anonymous;
-use super::temporary::{Kept, Registry, State, TemporaryName};
+use super::temporary::{Registry, Staged, State, TemporaryName};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Seek};
 use std::path::{Path, PathBuf};
 use tempfile::TempPath;
 
-impl Kept {
+impl Staged {
     pub fn registry(&self) -> &'static Registry {
         match self {
-            Kept::Held(held, _) => held.registry,
-            Kept::Named(name) => name.registry,
+            Staged::Anonymous(held, _) => held.registry,
+            Staged::Named(name) => name.registry,
         }
     }
 
-    /// Its bytes from the first on, for one reader at a time.
+    /// Opens the file at its first byte, for one reader at a time.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub fn open(&self) -> io::Result<File> {
         match self {
-            Kept::Held(held, _) => {
+            Staged::Anonymous(held, _) => {
                 let mut file = held.file.try_clone()?;
                 file.rewind()?;
                 Ok(file)
             }
-            Kept::Named(name) => File::open(&name.path),
+            Staged::Named(name) => File::open(&name.path),
         }
     }
 
-    /// Makes `mode` of the bits of its permissions.
+    /// Sets its permission bits to `mode` of those it has.
     #[cfg(unix)]
     fn set_mode(&self, mode: impl Fn(u32) -> u32) -> io::Result<()> {
         use std::os::unix::fs::PermissionsExt;
@@ -44,10 +44,10 @@ impl Kept {
         if wanted == own { Ok(()) } else { file.set_permissions(fs::Permissions::from_mode(wanted)) }
     }
 
-    /// Takes the permissions away that `source` does not have, where there are such.
+    /// Removes the permissions that `source` does not have, on systems with permission bits.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub fn restrict(&self, source: &Path) -> io::Result<()> {
         #[cfg(unix)]
         {
@@ -59,11 +59,10 @@ impl Kept {
         Ok(())
     }
 
-    /// Gives it a temporary name, unless it has one, and the permissions of the file `target`, so that nothing but [`replace`](Self::replace) is
-    /// left to be done.
+    /// Gives it a temporary name and the permissions of the file `target`: everything that may fail before [`rename_over`](Self::rename_over).
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub fn prepare(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
         self.temporary(state)?;
         #[cfg(unix)]
@@ -75,21 +74,21 @@ impl Kept {
         Ok(())
     }
 
-    /// Gives it the name `target`, in place of the file that has it.
+    /// Renames it to `target`, replacing the file there.
     ///
     /// # Errors
-    /// What the system says.
-    pub fn replace(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
+    /// The error of the system.
+    pub fn rename_over(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
         self.prepare(state, target)?;
         fs::rename(self.temporary(state)?, target)
     }
 
-    /// Gives it the name `target`, which must be free.
+    /// Renames it to `target`, which must not exist.
     ///
     /// # Errors
-    /// [`ErrorKind::AlreadyExists`], and what else the system says.
-    pub fn name(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
-        if let Kept::Held(held, None) = self {
+    /// [`ErrorKind::AlreadyExists`], and other errors of the system.
+    pub fn rename_new(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
+        if let Staged::Anonymous(held, None) = self {
             match anonymous::link(&held.file, target) {
                 Err(error) if error.kind() != ErrorKind::AlreadyExists => {}
                 linked => return linked,
@@ -101,8 +100,8 @@ impl Kept {
     /// Its temporary name.
     fn temporary(&mut self, state: &mut State) -> io::Result<&Path> {
         match self {
-            Kept::Named(name) | Kept::Held(_, Some(name)) => Ok(&name.path),
-            Kept::Held(held, name) => {
+            Staged::Named(name) | Staged::Anonymous(_, Some(name)) => Ok(&name.path),
+            Staged::Anonymous(held, name) => {
                 let path = state.temporary_of(&held.folder, &held.file)?;
                 Ok(&name.insert(TemporaryName { registry: held.registry, path }).path)
             }
@@ -110,10 +109,10 @@ impl Kept {
     }
 }
 
-/// Renames the file `from` to `to`, which must be free.
+/// Renames the file `from` to `to`, which must not exist.
 fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     let Err(failed) = TempPath::try_from_path(from)?.persist_noclobber(to) else { return Ok(()) };
-    // The temporary name is removed by whoever owns it.
+    // The owner of the temporary name removes it.
     let _: Result<PathBuf, _> = failed.path.keep();
     match failed.error.kind() {
         ErrorKind::AlreadyExists => Err(failed.error),
@@ -121,12 +120,12 @@ fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// The same where a file system knows neither renaming without replacement nor hard links, as some by FUSE: an empty file takes the name, and is
-/// replaced. Nobody else can take it meanwhile.
+/// The same for file systems with neither rename-without-replacement nor hard links (some FUSE file systems): creates an empty file at `to` and
+/// replaces it, so that no other process can create `to` in between.
 fn replace_reservation(from: &Path, to: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create_new(true).open(to)?;
     fs::rename(from, to).inspect_err(|_| {
-        // What went wrong first is reported.
+        // The first failure is the one to report.
         let _ = fs::remove_file(to);
     })
 }
@@ -136,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reservation_takes_a_free_name_only_and_leaves_none_in_vain() {
+    fn replace_reservation_target_exists_or_source_missing_changes_nothing() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::write(at("from"), "bytes").unwrap();
@@ -152,7 +151,7 @@ mod tests {
 
     /// As from a folder that is gone.
     #[test]
-    fn rename_that_fails_says_why_and_keeps_the_temporary_file() {
+    fn rename_new_failure_keeps_the_temporary_file() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::write(at("from"), "bytes").unwrap();

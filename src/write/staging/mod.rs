@@ -16,28 +16,28 @@ use crate::error::{Result, Warning};
 use std::path::Path;
 
 pub use claim::sweep;
-pub use commit::{Pending, Whole, commit, place};
+pub use commit::{CompleteFile, Pending, commit, rename_all};
 pub use targets::{Target, check_targets};
 pub use temporary::{NewFolder, abandon};
 
-/// A file that is whole but does not have its name yet: give it to [`commit`].
+/// A file after its last byte that waits for [`commit`].
 #[derive(Debug)]
 pub struct Written {
     /// The file.
     pub file: Pending,
-    /// What should be known about its values.
+    /// Warnings about its values.
     pub warnings: Vec<Warning>,
 }
 
 impl Written {
-    /// A file after its last byte: from here on it goes to the disk, while other work goes on.
+    /// A file after its last byte; syncing starts at once, while other work goes on.
     pub(crate) fn ended(mut file: Pending, warnings: Vec<Warning>) -> Result<Self> {
         file.sync_ahead()?;
         Ok(Written { file, warnings })
     }
 }
 
-/// Writes `text` to `path`: a whole file that does not have its name yet, for [`commit`].
+/// Writes `text` to a temporary file for `path`, to be committed by [`commit`].
 ///
 /// # Errors
 /// [`Error::Write`](crate::error::Error::Write).
@@ -45,7 +45,7 @@ pub fn text(path: &Path, text: &str) -> Result<Written> {
     bytes(path, text.as_bytes())
 }
 
-/// Writes `bytes` to `path`, as [`text`] does.
+/// Writes `bytes` to a temporary file for `path`, as [`text`] does.
 ///
 /// # Errors
 /// [`Error::Write`](crate::error::Error::Write).
@@ -55,11 +55,11 @@ pub fn bytes(path: &Path, bytes: &[u8]) -> Result<Written> {
     Written::ended(file, Vec::new())
 }
 
-/// A file of `bytes`, on the disk but not yet named.
+/// Writes `bytes` to a complete, synced file for `path`, to be renamed by [`rename_all`].
 ///
 /// # Errors
 /// [`Error::Write`](crate::error::Error::Write).
-pub fn whole(path: &Path, bytes: &[u8]) -> Result<Whole> {
+pub fn complete(path: &Path, bytes: &[u8]) -> Result<CompleteFile> {
     let mut file = Pending::create(path)?;
     file.put(bytes)?;
     file.complete()

@@ -1,7 +1,7 @@
-//! Check: whether files can be written, before any work is done.
+//! Checks of the targets: whether all files can be written, before any work is done.
 //!
-//! In: [`Target`]s, and the files that are read. Out: nothing, or what is wrong with the first target that cannot be. Cost: a few calls of
-//! the system for each file.
+//! In: [`Target`]s, and the files that are read. Out: an error for the first target that cannot be written. Cost: a few
+//! system calls for each file.
 //!
 //! Files and folders are compared by device and inode, so that links, mounts and ways to spell a path do not matter.
 

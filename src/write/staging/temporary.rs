@@ -1,9 +1,9 @@
-//! Unnamed: files that are being written, or are complete but not yet named, and what becomes of them when a run ends too early.
+//! Temporary files, and the registry that removes them when a run ends early.
 //!
-//! In: the target of a file. Out: an [`Unnamed`], later a [`Kept`], in the target's folder: an [anonymous] file where the
-//! system has them, else one with a temporary name that a [claim](super::claim) protects. A process that is told to end removes its own
-//! ([`abandon`]). Cost: that of the files; of complete ones none is open but anonymous ones, and of those no more than
-//! [`most`](anonymous::most).
+//! In: the target of a file. Out: a [`TemporaryFile`] in the target's folder, which becomes a [`Staged`] file when it is complete. It is an
+//! [anonymous] file where the system supports them, otherwise a file with a temporary name that a [claim](super::claim) protects.
+//! [`abandon`] removes all temporary files of the process. Cost: that of the files. At most [`most`](anonymous::most) complete files stay
+//! open.
 
 use super::anonymous;
 use super::claim::Claim;
@@ -14,7 +14,7 @@ use std::io::{self, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// The unnamed files of a process.
+/// The temporary files of a process.
 #[derive(Debug)]
 pub(super) struct Registry(Mutex<State>);
 
@@ -23,21 +23,26 @@ pub(super) struct State {
     is_abandoned: bool,
     /// Temporary names by their folders; none is empty.
     claims: BTreeMap<PathBuf, Claim>,
-    /// Folders that were made for them.
+    /// Folders that were created for them.
     folders: BTreeSet<PathBuf>,
-    /// How many complete files are kept open.
-    held: usize,
+    /// Number of complete anonymous files, which stay open.
+    open_anonymous: usize,
 }
 
-/// Those of this process.
-pub(super) static OF_PROCESS: Registry = Registry::new();
+/// The registry of this process.
+pub(super) static PROCESS_REGISTRY: Registry = Registry::new();
 
 impl Registry {
     pub const fn new() -> Self {
-        Registry(Mutex::new(State { is_abandoned: false, claims: BTreeMap::new(), folders: BTreeSet::new(), held: 0 }))
+        Registry(Mutex::new(State {
+            is_abandoned: false,
+            claims: BTreeMap::new(),
+            folders: BTreeSet::new(),
+            open_anonymous: 0,
+        }))
     }
 
-    /// What it holds is sound after every statement: a thread that panicked leaves nothing half-done.
+    /// The state is consistent after every statement, so a panic in another thread does not matter.
     fn state(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -48,26 +53,27 @@ impl Registry {
         state.is_abandoned = true;
         state.claims.clear();
         for folder in std::mem::take(&mut state.folders) {
-            // One that is not empty stays.
+            // A folder that is not empty stays.
             let _ = fs::remove_dir(folder);
         }
     }
 
-    /// `naming`, which gives files their names, as a whole before or after the registry is abandoned; not at all after it. It drops no file.
+    /// Runs `rename`, which renames files, under the lock of the registry: completely before it is abandoned, or not at all. `rename` must not
+    /// drop a file.
     ///
     /// # Errors
-    /// [`Error::Abandoned`], with the name of `target`; those of `naming`.
-    pub fn unless_abandoned<R>(&self, target: &Path, naming: impl FnOnce(&mut State) -> Result<R>) -> Result<R> {
+    /// [`Error::Abandoned`] with the path of `target`; those of `rename`.
+    pub fn unless_abandoned<R>(&self, target: &Path, rename: impl FnOnce(&mut State) -> Result<R>) -> Result<R> {
         let mut state = self.state();
         if state.is_abandoned {
             return Err(Error::Abandoned { path: target.to_owned() });
         }
-        naming(&mut state)
+        rename(&mut state)
     }
 }
 
 impl State {
-    /// A temporary name in `folder`, and what `make` makes of it.
+    /// Reserves a temporary name in `folder` and creates its file by `make`.
     fn temporary<R>(&mut self, folder: &Path, make: impl FnOnce(&Path) -> io::Result<R>) -> io::Result<(PathBuf, R)> {
         if !self.claims.contains_key(folder) {
             self.claims.insert(folder.to_owned(), Claim::new(folder)?);
@@ -82,13 +88,13 @@ impl State {
         }
     }
 
-    /// A temporary name in `folder` of the anonymous `file`; where it cannot have one, of a copy.
+    /// Links the anonymous `file` to a temporary name in `folder`, or copies it there where it cannot be linked.
     pub fn temporary_of(&mut self, folder: &Path, file: &File) -> io::Result<PathBuf> {
         let make = |path: &Path| anonymous::link(file, path).or_else(|_| copy(file, path));
         Ok(self.temporary(folder, make)?.0)
     }
 
-    /// Removes a temporary name, and its file if it is there; with the last one in a folder the claim goes.
+    /// Removes a temporary name and its file, if it exists. The claim on a folder is removed with its last name.
     fn release(&mut self, path: &Path) {
         let folder = path.parent().unwrap_or(path);
         if self.claims.get_mut(folder).is_some_and(|claim| claim.remove(path)) {
@@ -97,24 +103,24 @@ impl State {
     }
 }
 
-/// Gives up what this process writes: removes its files that have no name yet. From then on none is begun and none is named. A set of files that
-/// is being named just now gets all its names first. Any thread may call it at any time, as when the user interrupts the program; a handler
-/// that runs within a signal may not, for it waits for a lock.
+/// Removes all temporary files of this process. From then on no file can be created or renamed. A set of files that is being renamed is
+/// renamed completely first. Any thread may call it at any time, as when the user interrupts the program. A signal handler must not call
+/// it, because it waits for a lock.
 pub fn abandon() {
-    OF_PROCESS.abandon();
+    PROCESS_REGISTRY.abandon();
 }
 
-/// A folder for files that have no names yet. Dropped, it goes again if it was made here and is empty; so it does when the process gives up.
+/// A folder for output files. When dropped, it is removed if it was created here and is empty; [`abandon`] does the same.
 #[derive(Debug)]
 pub struct NewFolder(Option<PathBuf>);
 
 impl NewFolder {
-    /// Makes `folder`, unless it is there.
+    /// Creates `folder`, unless it exists.
     ///
     /// # Errors
     /// [`Error::Write`], [`Error::Abandoned`].
     pub fn create(folder: &Path) -> Result<Self> {
-        let mut state = OF_PROCESS.state();
+        let mut state = PROCESS_REGISTRY.state();
         if state.is_abandoned {
             return Err(Error::Abandoned { path: folder.to_owned() });
         }
@@ -128,10 +134,10 @@ impl NewFolder {
         }
     }
 
-    /// It stays.
+    /// Makes the folder permanent.
     pub fn keep(mut self) {
         if let Some(folder) = self.0.take() {
-            OF_PROCESS.state().folders.remove(&folder);
+            PROCESS_REGISTRY.state().folders.remove(&folder);
         }
     }
 }
@@ -139,14 +145,14 @@ impl NewFolder {
 impl Drop for NewFolder {
     fn drop(&mut self) {
         if let Some(folder) = self.0.take() {
-            OF_PROCESS.state().folders.remove(&folder);
-            // What went wrong before is what is told; a folder that is not empty stays.
+            PROCESS_REGISTRY.state().folders.remove(&folder);
+            // The first failure is the one to report. A folder that is not empty stays.
             let _ = fs::remove_dir(folder);
         }
     }
 }
 
-/// A temporary name. Dropped, it is free again, and a file that still has it is gone.
+/// A temporary name. When dropped, the name is released and a file that still has it is removed.
 #[derive(Debug)]
 pub(super) struct TemporaryName {
     pub registry: &'static Registry,
@@ -159,18 +165,18 @@ impl Drop for TemporaryName {
     }
 }
 
-/// A file that is being written; dropped, it is gone.
+/// A temporary file that is being written. When dropped, it is removed.
 #[derive(Debug)]
-pub(super) struct Unnamed {
+pub(super) struct TemporaryFile {
     registry: &'static Registry,
     folder: PathBuf,
     file: File,
-    /// None of an anonymous file.
+    /// `None` for an anonymous file.
     name: Option<TemporaryName>,
 }
 
-impl Unnamed {
-    /// Begins one in `folder`, for `target`, with the permissions that a new file has.
+impl TemporaryFile {
+    /// Creates a temporary file in `folder` for `target`, with the permissions of a new file.
     ///
     /// # Errors
     /// [`Error::Write`], [`Error::Abandoned`].
@@ -182,7 +188,7 @@ impl Unnamed {
             };
             let (file, path) = made.map_err(|source| Error::Write { path: target.to_owned(), source })?;
             let name = path.map(|path| TemporaryName { registry, path });
-            Ok(Unnamed { registry, folder: folder.to_owned(), file, name })
+            Ok(TemporaryFile { registry, folder: folder.to_owned(), file, name })
         })
     }
 
@@ -194,25 +200,25 @@ impl Unnamed {
         &mut self.file
     }
 
-    /// The same, when it is complete.
+    /// The file as a complete one.
     ///
     /// # Errors
-    /// What the system says where it must have a temporary name.
-    pub fn keep(self) -> io::Result<Kept> {
-        let Unnamed { registry, folder, file, name } = self;
+    /// The error of the system where it needs a temporary name.
+    pub fn stage(self) -> io::Result<Staged> {
+        let TemporaryFile { registry, folder, file, name } = self;
         if let Some(name) = name {
-            return Ok(Kept::Named(name));
+            return Ok(Staged::Named(name));
         }
         let mut state = registry.state();
-        // After the end there are no names any more.
-        if state.held < anonymous::most() || state.is_abandoned {
-            state.held += 1;
+        // An abandoned registry gives no names.
+        if state.open_anonymous < anonymous::most() || state.is_abandoned {
+            state.open_anonymous += 1;
             drop(state);
-            return Ok(Kept::Held(Held { registry, folder, file }, None));
+            return Ok(Staged::Anonymous(AnonymousFile { registry, folder, file }, None));
         }
         let path = state.temporary_of(&folder, &file)?;
         drop(state);
-        Ok(Kept::Named(TemporaryName { registry, path }))
+        Ok(Staged::Named(TemporaryName { registry, path }))
     }
 }
 
@@ -220,7 +226,7 @@ fn create_new(path: &Path) -> io::Result<File> {
     OpenOptions::new().read(true).write(true).create_new(true).open(path)
 }
 
-/// Copies `file` to the new file `path`, up to the disk.
+/// Copies `file` to the new file `path` and syncs it.
 fn copy(mut file: &File, path: &Path) -> io::Result<()> {
     file.rewind()?;
     let mut copy = create_new(path)?;
@@ -228,25 +234,25 @@ fn copy(mut file: &File, path: &Path) -> io::Result<()> {
     copy.sync_all()
 }
 
-/// An anonymous file that is complete; dropped, it is gone.
+/// A complete anonymous file. When dropped, it is removed.
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct AnonymousFile {
     pub registry: &'static Registry,
     pub folder: PathBuf,
     pub file: File,
 }
 
-impl Drop for Held {
+impl Drop for AnonymousFile {
     fn drop(&mut self) {
-        self.registry.state().held -= 1;
+        self.registry.state().open_anonymous -= 1;
     }
 }
 
-/// A file that is complete; dropped before it has its name, it is gone.
+/// A complete file that waits to be renamed. When dropped before that, it is removed.
 #[derive(Debug)]
-pub(super) enum Kept {
-    /// An anonymous file, and the temporary name that it has where it cannot get its own at once.
-    Held(Held, Option<TemporaryName>),
+pub(super) enum Staged {
+    /// An anonymous file, and its temporary name where it cannot be linked to its target directly.
+    Anonymous(AnonymousFile, Option<TemporaryName>),
     /// A file with a temporary name.
     Named(TemporaryName),
 }
@@ -272,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn folder_made_in_vain_is_removed() {
+    fn new_folder_dropped_empty_is_removed() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("new");
         drop(NewFolder::create(&folder).unwrap());
@@ -285,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn claim_goes_with_the_last_temporary_name_of_its_folder() {
+    fn claim_last_temporary_name_dropped_is_removed() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
         let [a, b] = two(registry, dir.path());
@@ -296,44 +302,44 @@ mod tests {
         assert_eq!((count(dir.path()), registry.state().claims.len()), (0, 0));
     }
 
-    /// Of many complete files no more are open than the process may well have, and the others keep their claim.
+    /// The number of open complete files is limited; the others have temporary names under a claim.
     #[cfg(target_os = "linux")]
     #[test]
-    fn complete_files_beyond_the_limit_are_closed_and_claimed() {
+    fn complete_files_above_limit_are_closed_and_claimed() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
         // An unlinked file stands for an anonymous one, which not every file system has: it gets its name by a copy.
         let keep = || {
             let file = tempfile::tempfile_in(dir.path()).unwrap();
-            Unnamed { registry, folder: dir.path().to_owned(), file, name: None }.keep().unwrap()
+            TemporaryFile { registry, folder: dir.path().to_owned(), file, name: None }.stage().unwrap()
         };
         let held = keep();
-        assert_eq!((count(dir.path()), registry.state().held), (0, 1));
+        assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 1));
         // As if so many more were open.
-        registry.state().held += anonymous::most();
+        registry.state().open_anonymous += anonymous::most();
         let named = keep();
         assert_eq!((count(dir.path()), super::super::sweep(dir.path())), (2, 0));
-        registry.state().held -= anonymous::most();
+        registry.state().open_anonymous -= anonymous::most();
         drop((held, named));
-        assert_eq!((count(dir.path()), registry.state().held), (0, 0));
+        assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 0));
     }
 
     #[test]
-    fn nothing_is_begun_or_named_after_the_end() {
+    fn registry_abandoned_refuses_new_files_and_renames() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
         let target = dir.path().join("a.exr");
-        let begun = Unnamed::create(registry, dir.path(), &target).unwrap();
+        let begun = TemporaryFile::create(registry, dir.path(), &target).unwrap();
         let names = two(registry, dir.path());
         registry.abandon();
         assert_eq!(count(dir.path()), 0);
         for error in [
-            Unnamed::create(registry, dir.path(), &target).map(|_| ()).unwrap_err(),
+            TemporaryFile::create(registry, dir.path(), &target).map(|_| ()).unwrap_err(),
             registry.unless_abandoned(&target, |_| Ok(())).unwrap_err(),
         ] {
             assert!(matches!(&error, Error::Abandoned { path } if *path == target), "{error}");
         }
-        drop((begun.keep().unwrap(), names));
-        assert_eq!((count(dir.path()), registry.state().held), (0, 0));
+        drop((begun.stage().unwrap(), names));
+        assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 0));
     }
 }
