@@ -1,7 +1,7 @@
-//! Halves: floats of 16 bits, clamped rather than infinite.
+//! Half floats: 16 bits, with values above the largest clamped to it instead of infinite.
 //!
-//! In: pixels. Out: planes of the nearest halves, or of the words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate
-//! rounds the same but overflows to infinity and loses small values to 0; it is the judge in the tests.
+//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate
+//! rounds the same but overflows to infinity and loses small values to 0; it is the oracle of the tests.
 
 use crate::simd::{Loops, vectorised};
 

@@ -1,6 +1,6 @@
-//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity, in 24 or 32 bits, and the run lengths of the latter.
+//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity in 24 or 32 bits, and the run-length coding of the latter.
 //!
-//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other. Cost: 40 ns a pixel for the logarithm; decoding by table.
+//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other one. Cost: 40 ns a pixel for the logarithm; decoding by table.
 //! Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and
 //! `uvcode.h` for what the paper leaves open: truncation, the order of bytes, the squares of the 24-bit index. Unlike libtiff nothing is
 //! dithered: the same bytes every time.
@@ -109,7 +109,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// The least and the greatest luminance that are told from what lies beyond.
+    /// The least and the greatest luminance that the encoding holds.
     pub(crate) fn range(self) -> (f32, f32) {
         let (low, high) = match self {
             Depth::Bits24 => RANGE24,

@@ -1,6 +1,6 @@
-//! RGBE: three mantissas of 8 bits and an exponent in common, and the run lengths in which scanlines of it are kept.
+//! RGBE: three mantissas of 8 bits with a shared exponent, and the run-length coding of scanlines.
 //!
-//! In: linear RGB or the bytes of a scanline. Out: the other. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
+//! In: linear RGB or the bytes of a scanline. Out: the other one. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
 //! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
 
 use crate::simd::{Loops, floor32, integer32, vectorised};
@@ -312,7 +312,7 @@ mod tests {
         }
     }
 
-    /// Whole rows, with pixels that do not fill the lanes.
+    /// Complete rows, with pixels that do not fill the vector lanes.
     #[test]
     fn rows_are_their_pixels() {
         let mut scanline = Scanline::default();

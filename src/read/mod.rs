@@ -50,7 +50,7 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// The radiance `pixels`, of which the headers told `metadata`, its primaries among it. Primaries that span no colour space are
+    /// The radiance `pixels`, with the `metadata` of its headers, including the primaries. Primaries that span no colour space are
     /// replaced, with a note.
     fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
         let mut notes = Vec::new();
@@ -111,7 +111,7 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, told by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
+/// Whether the file `path` is a radiance map, known by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for a TIFF whose directory is damaged.

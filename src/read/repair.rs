@@ -9,7 +9,7 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// What had to be mended before a picture could be used.
+/// Counts of the pixels that had to be changed before a picture could be used.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Repaired {
     /// Pixels with a value that is no number: they are black.
@@ -32,8 +32,9 @@ impl Repaired {
                 "pixels hold negative values, colours outside of their primaries; they are drawn to grey until inside",
             ),
         ];
-        let told = all.into_iter().filter(|(count, _)| *count > 0);
-        told.map(|(count, what)| Warning::Metadata { path: path.to_owned(), detail: format!("{count} {what}") })
+        let found = all.into_iter().filter(|(count, _)| *count > 0);
+        found
+            .map(|(count, what)| Warning::Metadata { path: path.to_owned(), detail: format!("{count} {what}") })
             .collect()
     }
 }
@@ -63,7 +64,7 @@ pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
         }
         done
     });
-    // Whole numbers add up to the same in any order.
+    // Integers add up to the same sum in any order.
     let done = parts.reduce(Repaired::default, |a, b| Repaired {
         not_numbers: a.not_numbers + b.not_numbers,
         infinite: a.infinite + b.infinite,

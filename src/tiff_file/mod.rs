@@ -45,7 +45,7 @@ struct Entry {
     value: u64,
 }
 
-/// A directory: where it is, and what it says.
+/// A directory: its offset and its entries.
 #[derive(Debug)]
 struct Directory {
     at: u64,
@@ -219,7 +219,7 @@ pub(crate) fn put_first(bytes: &mut [u8], picture: Picture) {
 }
 
 /// Turns round the bits of each byte of the first picture's data where its FillOrder says that the lowest comes first. The crate does not
-/// know the tag. Where the directory is not sound nothing is done, and the crate will say so.
+/// know the tag. Where the directory is damaged nothing is done, and the crate reports it.
 pub(crate) fn order_bits(bytes: &mut [u8]) {
     let ranges = || {
         let mut file = Directories::of(Cursor::new(&*bytes))?;

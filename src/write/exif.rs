@@ -1,7 +1,7 @@
-//! The EXIF of a picture: what the reference tells of the photograph, and what the file is.
+//! EXIF of a picture: the capture data of the reference frame, and the properties of the file.
 //!
-//! In: the [`Metadata`], with the fields that were carried from the reference where it had some. Out: a TIFF block, or its fields. Cost: nothing to speak of.
-//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for what a JPEG must say.
+//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: a TIFF block, or its fields. Cost: negligible.
+//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for the fields that a JPEG must have.
 
 use super::metadata::{Metadata, one_line};
 use ::exif::experimental::Writer;
@@ -31,7 +31,7 @@ pub(crate) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     all.filter(|field| !of_jpeg.contains(&field.tag)).collect()
 }
 
-/// The fields that were carried over, or what headers say.
+/// The fields carried over from the reference frame, or those made of the metadata.
 fn of_the_photograph(metadata: &Metadata) -> Vec<Field> {
     let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
     carried.map_or_else(|| of(metadata), |exif| exif.fields().cloned().collect())
@@ -84,7 +84,7 @@ fn text(text: &str) -> Value {
     Value::Ascii(vec![text.as_bytes().to_vec()])
 }
 
-/// What the headers of radiance maps say of the photograph, as EXIF fields.
+/// The capture data of the metadata as EXIF fields.
 fn of(metadata: &Metadata) -> Vec<Field> {
     let capture = &metadata.capture;
     let mut fields = Vec::new();

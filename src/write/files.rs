@@ -129,7 +129,7 @@ impl<P: Sync> Slot<P> {
         Ok(())
     }
 
-    /// The whole file; its writer refuses to end one that lacks rows.
+    /// Ends the file; its writer refuses to end one that lacks rows.
     fn ended(self) -> Result<(usize, Written)> {
         let written = match self.state {
             State::Begun(writer, _) => writer.finish()?,

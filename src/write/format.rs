@@ -5,7 +5,7 @@
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// The formats written, told by the extension.
+/// The formats that are written, chosen by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// OpenEXR, `.exr`: radiance.

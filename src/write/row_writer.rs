@@ -11,13 +11,13 @@ use crate::plane::Plane;
 /// Bands may arrive as they are merged while several writers run; a writer encodes what it is given in parallel before it returns.
 /// A writer that is dropped unfinished leaves nothing behind.
 pub trait RowWriter<P>: Send {
-    /// Takes the next rows, whole and without gaps: any number of them, `rows.len()` a multiple of the width.
+    /// Takes the next complete rows, without gaps: any number of them, `rows.len()` a multiple of the width.
     ///
     /// # Errors
     /// [`Error::Write`] when the encoder or the disk fails.
     ///
     /// # Panics
-    /// When a row is not whole or there are more than the picture has: a fault of the caller, never of a file.
+    /// When a row is incomplete or there are more than the picture has: an error of the caller, never of a file.
     fn push(&mut self, rows: &[P]) -> Result<()>;
 
     /// Ends the file after its last row.

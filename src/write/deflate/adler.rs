@@ -4,7 +4,7 @@
 
 use crate::simd::{Loops, vectorised};
 
-/// The Adler-32 checksum (RFC 1950, section 8.2) of some bytes, with their number: sums of parts make that of the whole.
+/// The Adler-32 checksum (RFC 1950, section 8.2) of some bytes, with their number: the sums of parts can be combined.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Adler {
     a: u32,

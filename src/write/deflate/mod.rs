@@ -1,7 +1,7 @@
-//! Deflate in a hurry: Huffman codes and runs, of what prediction has left over.
+//! Fast deflate: Huffman codes and runs, for bytes that a predictor has filtered.
 //!
-//! In: bytes, filtered. Out: deflate blocks that end at a byte, so that parts that were packed by themselves make one stream one after the
-//! other. Cost: 2 ns a byte and core; photographs end smaller than by a quick search for repetitions, which noise does not have. Source:
+//! In: bytes, filtered. Out: deflate blocks that end at a byte boundary, so that parts compressed in parallel form one stream when
+//! they are concatenated. Cost: 2 ns a byte and core; photographs end smaller than by a quick search for repetitions, which noise does not have. Source:
 //! RFC 1951, sections 3.2.5 to 3.2.7; A. Moffat and J. Katajainen, "In-Place Calculation of Minimum-Redundancy Codes", WADS 1995; for the
 //! idea that runs of 8 bytes are all that is worth looking for, the `fdeflate` crate.
 
@@ -22,10 +22,10 @@ const END: usize = 256;
 /// What the head of a block takes at most, of its last byte a part.
 const TABLE_BYTES: usize = (3 + 14 + 19 * 3 + 4 * (SYMBOLS + 1)).div_ceil(8) + 1;
 
-/// Runs are whole groups of 8 bytes, up to 32 of them.
+/// Runs are groups of 8 bytes, up to 32 of them.
 const MOST_GROUPS: usize = 32;
 
-/// Appends `raw`, packed; `last` ends the stream.
+/// Appends `raw`, compressed; `last` ends the stream.
 pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
     let mut bits = Bits { out, at: 0, word: 0, held: 0 };
     bits.at = bits.out.len();
@@ -41,7 +41,7 @@ pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
     bits.end();
 }
 
-/// Appends `raw`, packed, as a whole zlib stream.
+/// Appends `raw`, compressed, as a complete zlib stream.
 pub(crate) fn zlib(raw: &[u8], out: &mut Vec<u8>) {
     // Deflate, window of 32 KB, fastest.
     out.extend_from_slice(&[0x78, 0x01]);

@@ -23,7 +23,7 @@ pub enum Sample {
 const HALF_FINE: f32 = 6e-6;
 
 impl Sample {
-    /// What a picture that halves fit as `fit` says is kept as: of [`Auto`](Self::Auto) floats where a value is above 65504, or where more
+    /// The sample type for a picture that half floats fit as `fit` counts: for [`Auto`](Self::Auto) floats where a value is above 65504, or where more
     /// than one in a thousand is below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
     pub fn settled(self, fit: Fit) -> Sample {
         match self {
@@ -65,7 +65,7 @@ impl Loops for Count<'_> {
     #[inline(always)]
     fn run(self) -> Fit {
         let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
-        // Counters as wide as the values fill whole vectors; of so few values they do not overflow.
+        // Counters as wide as the values fill whole vectors; for so few values they do not overflow.
         for part in self.0.chunks(1 << 20) {
             let (mut over, mut fine) = (0u32, 0u32);
             for &v in part {

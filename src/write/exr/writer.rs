@@ -103,7 +103,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, options: &Option
         Compression::Zip1 => ::exr::compression::Compression::ZIP1,
         Compression::None => ::exr::compression::Compression::Uncompressed,
     };
-    // Channels are kept by name.
+    // Channels are ordered by name.
     let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, sample));
     let mut header = Header::new(Text::default(), (width, height), channels.into_iter().collect()).with_encoding(
         compression,
@@ -168,7 +168,7 @@ fn io_error(error: ::exr::error::Error) -> io::Error {
 /// The length of every block, and how many values were beyond what is held.
 type Encoded = (std::result::Result<Vec<usize>, ::exr::error::Error>, u64);
 
-/// What is kept from band to band: PIZ's tables, and the planes of others.
+/// Buffers that are reused from band to band: the tables of PIZ, and planes for the other compressions.
 #[derive(Debug, Default)]
 struct Scratch {
     packer: Packer,
@@ -268,7 +268,7 @@ mod tests {
         })
     }
 
-    /// Writes in portions of `portion` rows; gives the bytes and what reading says.
+    /// Writes in portions of `portion` rows; gives the bytes and what is read back.
     fn written(
         picture: &Plane<[f32; 3]>,
         metadata: &Metadata,

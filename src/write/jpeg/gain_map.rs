@@ -75,7 +75,7 @@ impl Default for Rendition {
 
 impl Rendition {
     /// The quality at which the map is encoded: the more stops a code of it is, the finer, so that the error is about as many stops.
-    /// Measured: 0.1 stop is kept by 97 % and more of what is in range.
+    /// Measured: 97 % or more of the pixels in range are within 0.1 stop.
     pub(super) fn map_quality(&self) -> u8 {
         let range = self.most_stops - self.least_stops;
         // The cast keeps what is beyond within the type.
@@ -202,7 +202,7 @@ impl Gains {
     }
 }
 
-/// Rows of the picture that become a strip: a strip of the map has whole blocks of eight rows at any resolution.
+/// Rows of the picture that become a strip: a strip of the map has complete blocks of eight rows at any resolution.
 pub(super) const STRIP_ROWS: usize = BAND_ROWS;
 
 #[cfg(test)]

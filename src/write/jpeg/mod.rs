@@ -1,4 +1,4 @@
-//! Ultra HDR: a JPEG that every program reads, and behind it a gain map that lights it up on an HDR display.
+//! JPEG, with an Ultra HDR gain map behind the picture: every program shows the picture, and HDR displays apply the map.
 //!
 //! In: radiance and the picture, by rows. Out: one file of two JPEGs: the picture with GContainer XMP, the ISO version block and the
 //! multi-picture index, and the map with its numbers as XMP and as the ISO block. Cost: 35 ns a pixel and core. Memory: both encoded, about

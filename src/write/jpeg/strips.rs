@@ -1,10 +1,10 @@
-//! JPEG: 8-bit RGB as YCbCr at full resolution, by strips of 64 rows that know nothing of each other.
+//! Baseline JPEG: 8-bit RGB as YCbCr at full resolution, by independent strips of 64 rows.
 //!
 //! In: rows of codes. Out: a baseline JPEG. Cost: 15 ns a pixel and core.
 //! Source: ITU-T T.81, annex B (markers), E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02; by the `jpeg-encoder` crate.
 //!
-//! Every strip is encoded as a picture of its own, side by side, and its data becomes one restart interval of the whole: the
-//! same bytes on any number of threads.
+//! Strips are encoded in parallel as pictures of their own, and the data of each becomes one restart interval of the file: the same bytes on
+//! any number of threads.
 
 use crate::bracket::colour::Profile;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
@@ -18,7 +18,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 /// The longest side. The format holds 65535, most decoders (libjpeg's) 65500.
 pub const MOST_SIDE: usize = 65_500;
 
-/// A JPEG of some rows: whole, so that it can be decoded by itself.
+/// A JPEG of some rows, complete, so that it can be decoded by itself.
 #[derive(Debug)]
 pub(super) struct Strip {
     bytes: Vec<u8>,
@@ -29,7 +29,7 @@ pub(super) struct Strip {
 }
 
 impl Strip {
-    /// Encodes whole rows of `width` pixels; `quality` is 1..=100.
+    /// Encodes complete rows of `width` pixels; `quality` is 1..=100.
     pub(super) fn encode(pixels: &[[u8; 3]], width: usize, quality: u8) -> io::Result<Self> {
         let side = |n: usize| u16::try_from(n).map_err(|_| io::Error::other("JPEG holds no side of 65536 pixels"));
         let mut bytes = Vec::with_capacity(pixels.len());
@@ -179,7 +179,7 @@ mod tests {
         })
     }
 
-    /// The strips' own pixels are those that a reader of the whole file has: the map is made for these.
+    /// The strips' own pixels are those that a reader of the file decodes: the map is made for these.
     #[test]
     fn another_decoder_reads_what_the_strips_say() {
         for (width, height) in [(1, 1), (9, 64), (50, 65), (131, 64 * 11 + 9)] {

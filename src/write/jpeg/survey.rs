@@ -65,9 +65,9 @@ impl Survey {
         for (light, codes) in &self.seen {
             let light = light.map(|v| shown(v, scale));
             peaks.push(light[0].max(light[1]).max(light[2]));
-            // What is next to black tells nothing of its gain.
-            let told = light.iter().zip(codes).filter(|(_, code)| **code >= LEAST_CODE);
-            gains.extend(told.map(|(&v, &code)| (libm::log2(f64::from(v) + OFFSET) - base.stops(code)) as f32));
+            // Values next to black have no reliable gain.
+            let reliable = light.iter().zip(codes).filter(|(_, code)| **code >= LEAST_CODE);
+            gains.extend(reliable.map(|(&v, &code)| (libm::log2(f64::from(v) + OFFSET) - base.stops(code)) as f32));
         }
         gains.sort_unstable_by(f32::total_cmp);
         peaks.sort_unstable_by(f32::total_cmp);

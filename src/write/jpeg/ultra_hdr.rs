@@ -1,4 +1,4 @@
-//! Ultra HDR metadata: what tells readers of a JPEG that a gain map is behind the picture, and how to apply it.
+//! Ultra HDR metadata: the blocks of a JPEG that announce the gain map and describe how to apply it.
 //!
 //! In: the [`Rendition`] and the sizes of both images. Out: XMP packets, the ISO 21496-1 block and the multi-picture index. Cost: none.
 //! Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF), sections 5.2 and A.2.
@@ -42,7 +42,7 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
 /// The numbers of `rendition` as ISO 21496-1 has them, after the version: one channel's for all, in the picture's primaries.
 pub(super) fn iso_numbers(rendition: &Rendition) -> Vec<u8> {
     const IN_BASE_SPACE: u8 = 0x40;
-    // The numbers are whole multiples of 1/1024 within +-16: the cast is exact.
+    // The numbers are multiples of 1/1024 within +-16: the cast is exact.
     let fraction = |value: f64| [((value * 1024.0).round() as i32).to_be_bytes(), 1024i32.to_be_bytes()];
     let Rendition { least_stops, most_stops, headroom_stops, .. } = *rendition;
     let mut out = vec![IN_BASE_SPACE];

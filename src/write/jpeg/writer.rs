@@ -39,7 +39,7 @@ struct Map {
 }
 
 impl Writer {
-    /// Begins a file of `size` pixels, a picture of `colours`, of which the [`profile`](Metadata::profile) is; without one it is sRGB and says so.
+    /// Begins a file of `size` pixels, a picture of `colours`, of which the [`profile`](Metadata::profile) is; without one it is sRGB and marked as such.
     ///
     /// # Errors
     /// [`Error::Write`]: JPEG holds no side longer than 65500.
@@ -76,13 +76,13 @@ impl Writer {
         })
     }
 
-    /// Takes the next rows of either or both, whole and without gaps.
+    /// Takes the next complete rows of either or both, without gaps.
     ///
     /// # Errors
     /// [`Error::Write`].
     ///
     /// # Panics
-    /// When a row is not whole or there are more than the picture has.
+    /// When a row is incomplete or there are more than the picture has.
     pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[u8; 3]]) -> Result<()> {
         let (width, height) = self.size;
         let missing = (height - self.done) * width;
@@ -111,7 +111,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Encodes whole strips, side by side.
+    /// Encodes complete strips in parallel.
     fn encode(&mut self, radiance: &[[f32; 3]], shown: &[[u8; 3]]) -> Result<()> {
         let (width, quality, map) = (self.size.0, self.quality, self.map.as_ref());
         let strip = STRIP_ROWS * width;

@@ -48,7 +48,7 @@ pub struct Writer<T> {
 
 impl<T: Sample> Writer<T> {
     /// Writes the header of a picture of `size` pixels of `colours`, of which the [`profile`](Metadata::profile) is; rows follow. Without one it is
-    /// sRGB and says so.
+    /// sRGB and marked as such.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -238,7 +238,7 @@ mod tests {
         std::fs::read(&path).unwrap()
     }
 
-    /// The decoder checks every CRC and, told so, the Adler sum.
+    /// The decoder checks every CRC and, when asked to, the Adler sum.
     #[test]
     fn another_decoder_reads_the_same_pixels() {
         for (width, height) in [(1, 1), (3, 64), (200, 65), (61, 64 * 18 + 7)] {

@@ -19,14 +19,14 @@ pub(super) fn create(folder: &Path) -> Option<File> {
 /// Gives the anonymous `file` its name `path`, which must be new.
 ///
 /// # Errors
-/// [`AlreadyExists`](io::ErrorKind::AlreadyExists), and what else the system says.
+/// [`AlreadyExists`](io::ErrorKind::AlreadyExists), and other errors of the system.
 #[cfg(target_os = "linux")]
 pub(super) fn link(file: &File, path: &Path) -> io::Result<()> {
     use rustix::fs::{AtFlags, CWD, linkat};
     use rustix::io::Errno;
     use std::os::fd::AsRawFd;
     match linkat(file, "", CWD, path, AtFlags::EMPTY_PATH) {
-        // Before Linux 6.10 only a privileged process may say it so; then /proc must be there.
+        // Before Linux 6.10 only a privileged process may do so; /proc is needed then.
         Err(e) if e != Errno::EXIST => {
             let entry = format!("/proc/self/fd/{}", file.as_raw_fd());
             Ok(linkat(CWD, entry, CWD, path, AtFlags::SYMLINK_FOLLOW)?)
@@ -35,7 +35,7 @@ pub(super) fn link(file: &File, path: &Path) -> io::Result<()> {
     }
 }
 
-/// How many anonymous files are kept open at most when they are complete: half of what the process may open.
+/// Maximum number of complete anonymous files that stay open: half of the files that the process may open.
 #[cfg(target_os = "linux")]
 pub(super) fn most() -> usize {
     use rustix::process::{Resource, getrlimit};

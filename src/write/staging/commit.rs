@@ -289,7 +289,7 @@ mod tests {
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
     }
 
-    /// As two names of one file where cases are not told apart.
+    /// As two names of one file on a case-insensitive file system.
     #[cfg(unix)]
     #[test]
     fn commit_two_targets_one_file_is_refused() {
@@ -319,7 +319,7 @@ mod tests {
         }
     }
 
-    /// While pairs are written and named by several threads, the end comes: each pair is there as a whole or not at all.
+    /// Several threads commit pairs of files when `abandon` is called: both files of a pair exist, or none.
     #[test]
     fn abandon_during_commits_leaves_complete_sets_only() {
         let dir = tempfile::tempdir().unwrap();

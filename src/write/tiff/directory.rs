@@ -96,7 +96,7 @@ impl Directory {
         }
     }
 
-    /// What EXIF says of a picture, each field in its directory.
+    /// Adds the EXIF fields of a picture, each to its directory.
     pub(crate) fn photograph(&mut self, fields: &[Field]) {
         for field in fields {
             let Some((kind, count, bytes)) = value(&field.value) else { continue };
@@ -171,7 +171,7 @@ impl Directory {
         }
     }
 
-    /// The first bytes of the file, which say where the directory is.
+    /// The first bytes of the file, with the offset of the directory.
     pub(crate) fn file_header(&self, place: u64) -> Vec<u8> {
         let magic: &[u8] = if self.big { b"II\x2b\0\x08\0\0\0" } else { b"II\x2a\0" };
         [magic, &self.word(place)].concat()

@@ -54,7 +54,7 @@ impl Writer {
     pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata, depth: Depth, scale: f32) -> Result<Self> {
         let mut strips = Strips::begin(file, size, 32)?;
         let directory = &mut strips.directory;
-        // The bits are those of what libtiff's users read and write; the compression tells what is kept.
+        // The bits are those of the values that users of libtiff read and write; the compression defines what is stored.
         directory.short(tag::BITS, &[16; 3]);
         directory.short(tag::SAMPLE_FORMAT, &[2; 3]);
         let compression = match depth {

@@ -13,7 +13,7 @@ const SYMBOLS: usize = (1 << 16) + 1;
 /// The longest code that a table can tell; in a block of fewer than 2^39 values none is as long.
 const LONGEST: usize = 58;
 
-/// A run of fewer empty entries in the table is told by 6 bits, up to that many more by 8 more bits.
+/// A run of fewer empty entries in the table takes 6 bits; up to that many more take 8 more bits.
 const LONG_RUN: usize = 6;
 const MOST_RUN: usize = 255 + LONG_RUN;
 

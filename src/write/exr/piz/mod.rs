@@ -1,11 +1,11 @@
 //! PIZ, OpenEXR's wavelet compression of blocks of 32 rows, without loss.
 //!
 //! In: the rows of a block as planes of 16-bit values. Out: the block as the file wants it. Cost: 10 ns a value and core for halves of noisy
-//! photographs, and no memory but what is kept from block to block. Source: the PIZ format of C. Rouet as OpenEXR has it:
+//! photographs, and no memory but buffers that are reused from block to block. Source: the PIZ format of C. Rouet as OpenEXR has it:
 //! `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
 //!
 //! Values that occur are numbered in order, so that few bits are left; wavelets take out what is smooth; and a Huffman code with run
-//! lengths packs the rest. The `exr` crate, which packs to the same bytes in three times the time, is the judge in the tests.
+//! lengths packs the rest. The `exr` crate, which packs to the same bytes in three times the time, is the oracle of the tests.
 
 mod huffman;
 mod wavelet;
