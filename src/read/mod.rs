@@ -4,7 +4,7 @@
 //! and the [`Metadata`] that came along; with [`read_within`] also what else the file holds. Cost: see each format.
 //!
 //! What is stored is given as it is by [`read`], but for the scale that a header tells: `.hdr` is divided by its EXPOSURE, LogLuv
-//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair`] makes of them what the later
+//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] makes of them what the later
 //! stages take, and counts them.
 
 pub mod exr;

@@ -14,7 +14,7 @@ pub trait RowWriter<P>: Send {
     /// Takes the next complete rows, without gaps: any number of them, `rows.len()` a multiple of the width.
     ///
     /// # Errors
-    /// [`Error::Write`] when the encoder or the disk fails.
+    /// [`Error::Write`](crate::error::Error::Write) when the encoder or the disk fails.
     ///
     /// # Panics
     /// When a row is incomplete or there are more than the picture has: an error of the caller, never of a file.
@@ -23,7 +23,7 @@ pub trait RowWriter<P>: Send {
     /// Ends the file after its last row.
     ///
     /// # Errors
-    /// [`Error::Write`] when the disk fails or rows are missing.
+    /// [`Error::Write`](crate::error::Error::Write) when the disk fails or rows are missing.
     fn finish(self: Box<Self>) -> Result<Written>;
 }
 

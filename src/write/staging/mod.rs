@@ -1,7 +1,7 @@
 //! Staging: files get their names when all files of a run are complete.
 //!
 //! In: the paths of outputs, and bytes. Out: files under those paths, or none at all. [`check_targets`] runs before any work is done. A
-//! [`Pending`] is a temporary file in the folder of its target; [`commit`] renames all files of a run. Cost: one fsync for each file.
+//! [`Pending`] is a temporary file in the folder of its target; [`commit()`] renames all files of a run. Cost: one fsync for each file.
 //!
 //! Each file uses only those before it: `anonymous`, `claim`, `temporary`, `complete`, `targets`, `commit`.
 
@@ -20,7 +20,7 @@ pub use commit::{CompleteFile, Pending, commit, rename_all};
 pub use targets::{Target, check_targets};
 pub use temporary::{NewFolder, abandon};
 
-/// A file after its last byte that waits for [`commit`].
+/// A file after its last byte that waits for [`commit()`].
 #[derive(Debug)]
 pub struct Written {
     /// The file.
@@ -37,7 +37,7 @@ impl Written {
     }
 }
 
-/// Writes `text` to a temporary file for `path`, to be committed by [`commit`].
+/// Writes `text` to a temporary file for `path`, to be committed by [`commit()`].
 ///
 /// # Errors
 /// [`Error::Write`](crate::error::Error::Write).
