@@ -80,7 +80,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], [`scratch`], `budget`, [`pyramid`], [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! [`plane`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
 //! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
@@ -100,6 +100,7 @@ pub mod limits;
 pub mod merge;
 pub mod page;
 pub mod pipeline;
+mod pixel;
 pub mod plane;
 pub mod pyramid;
 pub mod read;

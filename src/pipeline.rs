@@ -35,7 +35,7 @@ use crate::response::ResponseModel;
 use crate::response::file::{self, SavedResponse};
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, Output, Pending, Target, Whole, aligned};
+use crate::write::{self, CompleteFile, Output, Pending, Target, aligned};
 use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
@@ -184,7 +184,7 @@ impl<R> Prepared<R> {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn complete(self) -> Result<(R, Vec<Whole>)> {
+    pub fn complete(self) -> Result<(R, Vec<CompleteFile>)> {
         let files = self.files.into_iter().map(Pending::complete).collect::<Result<_>>()?;
         Ok((self.report, files))
     }
@@ -292,7 +292,7 @@ fn developed(
     let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
     files.splice(0..0, results.into_iter().chain(curve_file));
     if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
-        files.push(write::mask::write(path, &ghosts.mask())?);
+        files.push(write::png::mask::write(path, &ghosts.mask())?);
     }
     let files = line.report(&mut report, files, options)?;
     let prepared = Prepared { report, files, overwrite: options.write.overwrite };
@@ -446,7 +446,7 @@ fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
     if let Some(path) = &options.report {
         report::Format::of(path)?;
     }
-    write::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
+    write::png::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 

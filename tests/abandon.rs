@@ -11,9 +11,9 @@ fn after_the_end_nothing_is_there_and_nothing_comes() {
     let folder = Folder::empty();
     let at = |name: &str| folder.at(name);
     let pending = write::text(&at("a.txt"), "a").unwrap().file;
-    let whole = write::whole(&at("b.txt"), b"b").unwrap();
+    let whole = write::complete(&at("b.txt"), b"b").unwrap();
     let new = write::NewFolder::create(&at("new")).unwrap();
-    let inside = write::whole(&at("new/c.txt"), b"c").unwrap();
+    let inside = write::complete(&at("new/c.txt"), b"c").unwrap();
     write::abandon();
     assert!(folder.listing().is_empty(), "at once");
     let is_abandoned = |error: Error, name: &str| {
@@ -21,7 +21,7 @@ fn after_the_end_nothing_is_there_and_nothing_comes() {
         assert!(matches!(error, Error::Abandoned { .. }) && text.contains(name) && !error.is_usage(), "{text}");
     };
     is_abandoned(write::commit(vec![pending], true).unwrap_err(), "a.txt");
-    is_abandoned(write::place(vec![whole], true).unwrap_err(), "b.txt");
+    is_abandoned(write::rename_all(vec![whole], true).unwrap_err(), "b.txt");
     is_abandoned(Pending::create(&at("c.txt")).unwrap_err(), "c.txt");
     is_abandoned(write::NewFolder::create(&at("d")).unwrap_err(), "d: is not written");
     drop((inside, new));

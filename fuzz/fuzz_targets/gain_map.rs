@@ -10,8 +10,8 @@ use hdralign::bracket::colour::{Primaries, Profile, Space};
 use hdralign::merge::RadianceMap;
 use hdralign::plane::Plane;
 use hdralign::tonemap::DisplayImage;
-use hdralign::write::gain_map::Resolution;
-use hdralign::write::{self, Metadata, commit, ultra_hdr};
+use hdralign::write::jpeg::{self, Resolution};
+use hdralign::write::{self, Metadata, commit};
 use hdralign_fuzz::{folder, held, set_up, ultra_hdr as reader};
 use libfuzzer_sys::fuzz_target;
 
@@ -107,7 +107,7 @@ fn gain_map(case: Case) {
         ..Metadata::default()
     };
     let options =
-        write::Options { jpeg: ultra_hdr::Options { quality, gain_map }, overwrite: true, ..write::Options::default() };
+        write::Options { jpeg: jpeg::Options { quality, gain_map }, overwrite: true, ..write::Options::default() };
     let path = folder().join("g.jpg");
     let (width, height) = (radiance.width() as u32, radiance.height() as u32);
     let map = RadianceMap { pixels: radiance, primaries };

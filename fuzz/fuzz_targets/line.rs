@@ -19,7 +19,7 @@ use hdralign::response::{ResponseModel, debevec, mitsunaga_nayar, robertson};
 use hdralign::scratch::MemoryLimit;
 use hdralign::tonemap::settings::Place;
 use hdralign::tonemap::{Operator, Rendering};
-use hdralign::write::{exr, gain_map, hdr, tiff};
+use hdralign::write::{exr, hdr, jpeg, tiff};
 use hdralign::{read, tonemap};
 use hdralign_fuzz::{folder, held, set_up};
 use image::{DynamicImage, ImageBuffer, Rgb};
@@ -168,7 +168,7 @@ fn options(u: &mut Unstructured, frames: usize) -> arbitrary::Result<Options> {
     ])?;
     options.write.hdr = *u.choose(&[hdr::Encoding::Rgbe, hdr::Encoding::Xyze])?;
     options.write.tiff = *u.choose(&[tiff::Encoding::Float, tiff::Encoding::LogLuv24, tiff::Encoding::LogLuv32])?;
-    options.write.jpeg.gain_map = *u.choose(&[gain_map::Resolution::Full, gain_map::Resolution::Half])?;
+    options.write.jpeg.gain_map = *u.choose(&[jpeg::Resolution::Full, jpeg::Resolution::Half])?;
     let formats = u8::arbitrary(u)?;
     let names = ["o.exr", "o.hdr", "o.tif", "o.jpg", "o.png"].iter().enumerate();
     options.outputs = names.filter(|(i, _)| formats >> i & 1 == 1).map(|(_, name)| folder().join(name)).collect();

@@ -1,6 +1,6 @@
 //! A strict reader of JPEG files with a gain map: whatever it does not expect is a fault of the writer.
 //!
-//! In: a file. Out: the sizes of its two pictures, or a panic. Source: as for `hdralign::write::ultra_hdr`; the checks are those of
+//! In: a file. Out: the sizes of its two pictures, or a panic. Source: as for `hdralign::write::jpeg`; the checks are those of
 //! `tests/cli/ultra_hdr.rs`.
 
 /// Segments of a JPEG up to its scan: marker codes, places in the file, contents.

@@ -13,7 +13,7 @@ use crate::intake::{self, Stamp};
 use crate::pipeline::camera::{self, CameraReport};
 use crate::pipeline::{self, Options, Progress};
 use crate::report::Report;
-use crate::write::{self, Target, Whole};
+use crate::write::{self, CompleteFile, Target};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -211,7 +211,7 @@ impl Made<'_> {
         };
         report["step"] = as_value(&record);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default() + "\n";
-        let placed = place(write::whole(&step.report, text.as_bytes())?, files, &existing, twin(step, &record.key));
+        let placed = place(write::complete(&step.report, text.as_bytes())?, files, &existing, twin(step, &record.key));
         match placed {
             Err(Error::OutputExists { .. }) if is_done_by_twin(step, &record) => {}
             other => other?,
@@ -222,15 +222,15 @@ impl Made<'_> {
 }
 
 /// Gives the report its name and then the results theirs; those that are `existing`, or that a `twin` made meanwhile, are replaced.
-fn place(report: Whole, files: Vec<Whole>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
+fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
     let is_ours = |path: &Path| existing.iter().any(|there| there == path);
     let replaces_report = is_ours(report.target()) || twin.is_some();
-    write::place(vec![report], replaces_report)?;
+    write::rename_all(vec![report], replaces_report)?;
     let is_twins = |path: &Path| twin.as_ref().is_some_and(|record| record.made(path).unwrap_or(false));
-    let replaces = |file: &Whole| is_ours(file.target()) || is_twins(file.target());
-    let (replacing, new): (Vec<Whole>, Vec<Whole>) = files.into_iter().partition(replaces);
-    write::place(replacing, true)?;
-    write::place(new, false)
+    let replaces = |file: &CompleteFile| is_ours(file.target()) || is_twins(file.target());
+    let (replacing, new): (Vec<CompleteFile>, Vec<CompleteFile>) = files.into_iter().partition(replaces);
+    write::rename_all(replacing, true)?;
+    write::rename_all(new, false)
 }
 
 /// The record of another process that did the same step meanwhile: an engine may begin one again while it is still going on elsewhere.
@@ -252,7 +252,7 @@ fn is_done_by_twin(step: &Step, own: &Record) -> bool {
 const TRIES: u32 = 50;
 
 /// What a whole file holds, before it has its name.
-fn content(file: &Whole) -> Result<Content> {
+fn content(file: &CompleteFile) -> Result<Content> {
     let target = file.target();
     let failed = |source| Error::Write { path: target.to_owned(), source };
     Content::read(target, file.open().map_err(failed)?).map_err(failed)
@@ -309,7 +309,7 @@ pub fn remember_failure(step: &Step, error: &str) {
     let folder = step.failure.parent().unwrap_or(Path::new("."));
     let _ = fs::create_dir_all(folder);
     let is_ours = Failure::read(step).is_some();
-    let _ = write::whole(&step.failure, text.as_bytes()).and_then(|whole| write::place(vec![whole], is_ours));
+    let _ = write::complete(&step.failure, text.as_bytes()).and_then(|whole| write::rename_all(vec![whole], is_ours));
 }
 
 /// The step is whole now.

@@ -220,9 +220,11 @@ impl Summary {
     /// [`Error::Write`], also for files that are kept.
     pub fn write(&self, path: &Path, overwrite: bool) -> Result<[PathBuf; 2]> {
         let [json, table] = files(path);
-        let whole =
-            vec![write::whole(&json, self.to_json().as_bytes())?, write::whole(&table, self.to_csv().as_bytes())?];
-        write::place(whole, overwrite || is_summary(path)).map_err(kept)?;
+        let whole = vec![
+            write::complete(&json, self.to_json().as_bytes())?,
+            write::complete(&table, self.to_csv().as_bytes())?,
+        ];
+        write::rename_all(whole, overwrite || is_summary(path)).map_err(kept)?;
         Ok([json, table])
     }
 }

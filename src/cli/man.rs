@@ -51,8 +51,8 @@ fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<
     let commands: Vec<_> = commands.map(|c| (folder.join(Man::new(c.clone()).get_filename()), c)).collect();
     let paths: Vec<PathBuf> = commands.iter().map(|(path, _)| path.clone()).collect();
     write::check_targets(&Target::of("FOLDER", &paths), &[], overwrite)?;
-    let write = |(path, command): &(PathBuf, &clap::Command)| write::whole(path, &page(command).map_err(failed)?);
-    write::place(commands.iter().map(write).collect::<Result<_, _>>()?, overwrite)?;
+    let write = |(path, command): &(PathBuf, &clap::Command)| write::complete(path, &page(command).map_err(failed)?);
+    write::rename_all(commands.iter().map(write).collect::<Result<_, _>>()?, overwrite)?;
     Ok(paths)
 }
 

@@ -4,7 +4,8 @@ use super::choice::{Choice, choice};
 use super::heading::OUTPUT;
 use clap::Args;
 use hdralign::bracket::colour::Space;
-use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
+use hdralign::write::jpeg::{self, Resolution};
+use hdralign::write::{self, exr, hdr, tiff};
 use strum::{EnumMessage, IntoEnumIterator};
 
 /// How radiance is written.
@@ -34,7 +35,7 @@ pub struct Radiance {
     tiff_encoding: tiff::Encoding,
 
     /// Set the quality of .jpg
-    #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = ultra_hdr::Options::default().quality)]
+    #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = jpeg::Options::default().quality)]
     jpeg_quality: u8,
 
     /// Set the size of the gain map in .jpg, from which HDR displays restore the radiance
@@ -69,7 +70,7 @@ impl Radiance {
             exr: exr::Options { sample: self.exr_type, compression: self.exr_compression },
             hdr: self.hdr_encoding,
             tiff: self.tiff_encoding,
-            jpeg: ultra_hdr::Options { quality: self.jpeg_quality, gain_map: self.gain_map },
+            jpeg: jpeg::Options { quality: self.jpeg_quality, gain_map: self.gain_map },
             picture: write::picture::Options::default(),
         }
     }

@@ -49,9 +49,9 @@ pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<(Blessed
     // A link stays one: what it points to is replaced.
     let target = fs::canonicalize(expected).unwrap_or_else(|_| expected.to_owned());
     write::check_targets(&Target::of("--bless", std::slice::from_ref(&target)), &[], true)?;
-    let copy = write::whole(&target, &bytes)?;
+    let copy = write::complete(&target, &bytes)?;
     copy.restrict(actual)?;
-    write::place(vec![copy], true)?;
+    write::rename_all(vec![copy], true)?;
     Ok((if is_there { Blessed::Replaced } else { Blessed::Created }, warnings))
 }
 

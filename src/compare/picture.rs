@@ -15,7 +15,7 @@ use crate::inspect::drawing::{Anchor, Area, Colour, Drawing, Path as Line, Pen, 
 use crate::inspect::lettering;
 use crate::plane::Plane;
 use crate::tonemap::codes::Colours;
-use crate::write::{self, Format, Metadata, Pending, Target, display};
+use crate::write::{self, Format, Metadata, Pending, Target, png};
 use std::path::{Path, PathBuf};
 
 /// Pixels of a side of a panel, at the most, and that a small one is magnified to.
@@ -73,7 +73,7 @@ pub(super) fn write(
     let failed = |reason: String| Error::Write { path: path.to_owned(), source: std::io::Error::other(reason) };
     let page = page((a, b), magnitudes, words).map_err(failed)?;
     let size = (page.width(), page.height());
-    let writer = display::Writer::new(Pending::create(path)?, size, &Metadata::default(), Colours::Srgb)?;
+    let writer = png::Writer::new(Pending::create(path)?, size, &Metadata::default(), Colours::Srgb)?;
     write::commit(vec![write::push_all(Box::new(writer), &page)?.file], overwrite)
 }
 

@@ -8,7 +8,7 @@ use super::picture::png_rgb;
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};
 use crate::error::{Error, Result};
-use crate::write::{self, NewFolder, Target, Whole};
+use crate::write::{self, CompleteFile, NewFolder, Target};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -64,7 +64,7 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
 pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
     // Declared first and so dropped last: a folder is only removed once the temporary files in it are gone.
     let made = NewFolder::create(folder)?;
-    let mut files: Vec<Whole> = Vec::new();
+    let mut files: Vec<CompleteFile> = Vec::new();
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {
         let stem = stem(frame.path());
         let kinds = inspection.kinds(i);
@@ -86,7 +86,7 @@ pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<
             .collect();
         for some in drawn {
             for (path, bytes) in some? {
-                files.push(write::whole(&path, &bytes)?);
+                files.push(write::complete(&path, &bytes)?);
             }
         }
     }
@@ -94,9 +94,9 @@ pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<
     let mut names: Vec<PathBuf> = files.iter().map(|f| f.target().to_owned()).collect();
     names.extend([TEXT, JSON].map(|name| folder.join(name)));
     tables.add_outputs(&names);
-    files.push(write::whole(&folder.join(TEXT), tables.to_text().as_bytes())?);
-    files.push(write::whole(&folder.join(JSON), tables.to_json().as_bytes())?);
-    write::place(files, overwrite)?;
+    files.push(write::complete(&folder.join(TEXT), tables.to_text().as_bytes())?);
+    files.push(write::complete(&folder.join(JSON), tables.to_json().as_bytes())?);
+    write::rename_all(files, overwrite)?;
     made.keep();
     Ok(tables)
 }

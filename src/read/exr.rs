@@ -45,7 +45,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         },
     };
     check(&MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?, bytes.len(), limits)?;
-    let (told, layers) = unpacked(bytes).map_err(failed)?;
+    let (meta, layers) = unpacked(bytes).map_err(failed)?;
     let chosen = layers.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
     let grey = || layers.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
     let Some((layer, channels)) = chosen.or_else(grey) else {
@@ -85,7 +85,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     };
     metadata.capture.date = words(own.capture_date.as_ref());
     metadata.comments.extend(words(own.comments.as_ref()));
-    if let Some(c) = told.headers.first().and_then(|header| header.shared_attributes.chromaticities) {
+    if let Some(c) = meta.headers.first().and_then(|header| header.shared_attributes.chromaticities) {
         let xy = |p: Vec2<f32>| [f64::from(p.0), f64::from(p.1)];
         metadata.primaries = Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) };
     }
@@ -106,10 +106,10 @@ fn compression(bytes: &[u8]) -> Option<u8> {
     header.get(at + attribute.len()).copied()
 }
 
-/// Holds what the headers say of all parts, which are all read, against what is there and what is allowed: the crate takes their word.
-fn check(told: &MetaData, length: usize, limits: &Limits) -> Result<(), String> {
+/// Checks the headers of all parts, which are all read, against the length of the file and the limits: the crate trusts them.
+fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> {
     let (mut needed, mut blocks, mut size) = (length as u64, 0, (0, 0));
-    for header in &told.headers {
+    for header in &meta.headers {
         size = (header.layer_size.width(), header.layer_size.height());
         limits.check_size(size.0, size.1)?;
         let pixels = size.0 as u64 * size.1 as u64;
@@ -129,36 +129,36 @@ fn check(told: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
     }
     // A place in the table, and at least the number and the length of the block itself.
     limits::check_length(length, blocks.saturating_mul(8 + 8), 1)?;
-    let pixels = told.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
+    let pixels = meta.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
     limits.check_memory(size, needed.saturating_add(12 * pixels))
 }
 
 /// Blocks that are unpacked side by side: enough for any number of threads, and some MB.
 const AT_ONCE: usize = 64;
 
-/// What the headers of the file say, and its parts. The crate's own loop unpacks in threads of its own, where a panic on a damaged block ends
-/// the process: nobody waits for them who could be told.
+/// The headers of the file, and its parts. The loop of the crate unpacks in threads of its own, where a panic on a damaged block ends the
+/// process, because no other thread joins them.
 fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<FlatSamples>>)> {
     let wanted = reader().no_deep_data().largest_resolution_level().all_channels().all_layers();
     let file = ::exr::block::read(Cursor::new(bytes), false)?;
     let mut layers = wanted.create_layers_reader(file.headers())?;
-    let mut chunks = file.filter_chunks(false, |told, tile, block| layers.filter_block(told, tile, block))?;
-    let told = chunks.meta_data().clone();
+    let mut chunks = file.filter_chunks(false, |meta, tile, block| layers.filter_block(meta, tile, block))?;
+    let meta = chunks.meta_data().clone();
     let mut seen = HashSet::new();
     loop {
         let some: Vec<Chunk> = chunks.by_ref().take(AT_ONCE).collect::<::exr::error::Result<_>>()?;
         if some.is_empty() {
-            return Ok((told, layers.into_layers()));
+            return Ok((meta, layers.into_layers()));
         }
         let blocks: Vec<_> =
-            some.into_par_iter().map(|chunk| UncompressedBlock::decompress_chunk(chunk, &told, false)).collect();
+            some.into_par_iter().map(|chunk| UncompressedBlock::decompress_chunk(chunk, &meta, false)).collect();
         for block in blocks {
             let block = block?;
             // Where one is there twice another is not, and would be black.
             if !seen.insert((block.index.layer, block.index.pixel_position)) {
                 return Err(::exr::error::Error::Invalid("table of blocks".into()));
             }
-            layers.read_block(&told.headers, block)?;
+            layers.read_block(&meta.headers, block)?;
         }
     }
 }

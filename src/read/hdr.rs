@@ -3,14 +3,15 @@
 //! In: a file. Out: its radiance and what its header tells. Runs of the new and the old kind, flat pixels, and any of the eight
 //! orders of scanlines are read. Cost: 10 ns a pixel. Source: as for [`crate::write::hdr`]; `src/common/resolu.c` (orders).
 
-use super::{Contents, Turn};
+use super::Contents;
+use super::orientation::Turn;
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;
+use crate::pixel::rgbe::{self, Rgbe};
 use crate::plane::Plane;
 use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
-use crate::write::rgbe::{self, Rgbe};
 
 /// The picture in the `bytes` of a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
 /// and for XYZE, which becomes RGB of BT.2020, 179 times that: by it, pixels are to be divided to be W/sr/m2. Without PRIMARIES RGBE is

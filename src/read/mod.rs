@@ -4,26 +4,29 @@
 //! and the [`Metadata`] that came along; with [`read_within`] also what else the file holds. Cost: see each format.
 //!
 //! What is stored is given as it is by [`read`], but for the scale that a header tells: `.hdr` is divided by its EXPOSURE, LogLuv
-//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair`] makes of them what the later
+//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] makes of them what the later
 //! stages take, and counts them.
 
 pub mod exr;
 pub mod hdr;
+mod orientation;
+mod repair;
 pub mod tiff;
 
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::Limits;
+use crate::merge::RadianceMap;
 use crate::merge::calibration::Factor;
-use crate::merge::gamut::{into_gamut, weights};
-use crate::merge::{FLOOR, RadianceMap};
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use crate::write::Metadata;
 use rayon::prelude::*;
 use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+
+pub use repair::{Repaired, repair};
 
 /// The radiance in the file `path`, and what its headers tell. Values may be anything that a float can be.
 ///
@@ -47,7 +50,7 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// The radiance `pixels`, of which the headers told `metadata`, its primaries among it. Primaries that span no colour space are
+    /// The radiance `pixels`, with the `metadata` of its headers, including the primaries. Primaries that span no colour space are
     /// replaced, with a note.
     fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
         let mut notes = Vec::new();
@@ -108,7 +111,7 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, told by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
+/// Whether the file `path` is a radiance map, known by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for a TIFF whose directory is damaged.
@@ -158,126 +161,9 @@ impl Kind {
     }
 }
 
-/// How stored lines lie in the picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Turn {
-    /// Lines are columns.
-    pub transposed: bool,
-    /// What comes first is on the right.
-    pub mirrored: bool,
-    /// What comes first is at the bottom.
-    pub flipped: bool,
-}
-
-impl Turn {
-    /// As it is to be seen.
-    pub(crate) fn upright<T: Copy + Default + Send + Sync>(self, stored: Plane<T>) -> Plane<T> {
-        if !(self.transposed || self.mirrored || self.flipped) {
-            return stored;
-        }
-        let (mut width, mut height) = (stored.width(), stored.height());
-        if self.transposed {
-            (width, height) = (height, width);
-        }
-        Plane::from_rows(width, height, |y, row| {
-            let y = if self.flipped { height - 1 - y } else { y };
-            for (x, p) in row.iter_mut().enumerate() {
-                let x = if self.mirrored { width - 1 - x } else { x };
-                *p = if self.transposed { stored.at(y, x) } else { stored.at(x, y) };
-            }
-        })
-    }
-}
-
-/// What had to be mended before a picture could be used.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Repaired {
-    /// Pixels with a value that is no number: they are black.
-    pub not_numbers: usize,
-    /// Pixels with an infinite value, which became the greatest finite value of the picture.
-    pub infinite: usize,
-    /// Pixels with a negative value: colours that the primaries do not hold, drawn to grey at their luminance until they do; black where
-    /// they have none.
-    pub negative: usize,
-}
-
-impl Repaired {
-    /// In words, if anything was done.
-    pub fn warnings(&self, path: &Path) -> Vec<Warning> {
-        let all = [
-            (self.not_numbers, "pixels hold values that are no numbers (NaN); they are shown black"),
-            (self.infinite, "pixels hold infinite values; they are shown as bright as the brightest other"),
-            (
-                self.negative,
-                "pixels hold negative values, colours outside of their primaries; they are drawn to grey until inside",
-            ),
-        ];
-        let told = all.into_iter().filter(|(count, _)| *count > 0);
-        told.map(|(count, what)| Warning::Metadata { path: path.to_owned(), detail: format!("{count} {what}") })
-            .collect()
-    }
-}
-
-/// `map` with every value positive and finite, and what was done for that. Zeros become [`FLOOR`] without being counted. A map as it was
-/// merged is not changed.
-pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
-    let values = || map.pixels.as_slice().as_flattened().par_iter();
-    let greatest = values().copied().filter(|v| v.is_finite()).reduce(|| FLOOR, f32::max);
-    let weights = weights(&map.primaries);
-    let band = (BAND_ROWS * map.pixels.width()).max(1);
-    let parts = map.pixels.as_mut_slice().par_chunks_mut(band).map(|pixels| {
-        let mut done = Repaired::default();
-        for pixel in pixels {
-            if pixel.iter().any(|v| v.is_nan()) {
-                done.not_numbers += 1;
-                *pixel = [FLOOR; 3];
-                continue;
-            }
-            if pixel.iter().any(|v| v.is_infinite()) {
-                done.infinite += 1;
-                *pixel = pixel.map(|v| v.clamp(-greatest, greatest));
-            }
-            let (inside, drawn) = into_gamut(*pixel, weights);
-            done.negative += usize::from(drawn);
-            *pixel = inside;
-        }
-        done
-    });
-    // Whole numbers add up to the same in any order.
-    let done = parts.reduce(Repaired::default, |a, b| Repaired {
-        not_numbers: a.not_numbers + b.not_numbers,
-        infinite: a.infinite + b.infinite,
-        negative: a.negative + b.negative,
-    });
-    (map, done)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_no_stage_takes_is_mended_and_counted() {
-        let odd = vec![
-            [f32::NAN, 1.0, 1.0],
-            [f32::INFINITY, 2.0, 7.0],
-            [-0.1, 1.0, 1.0],
-            [-1.0, -1.0, -1.0],
-            [0.0, 0.5, 0.5],
-            [f32::NEG_INFINITY, 1.0, 1.0],
-        ];
-        let map = RadianceMap { pixels: Plane::from_vec(6, 1, odd), primaries: Primaries::SRGB };
-        let (mended, done) = repair(map);
-        assert_eq!(done, Repaired { not_numbers: 1, infinite: 2, negative: 3 });
-        assert!(mended.pixels.as_slice().as_flattened().iter().all(|v| *v >= FLOOR && v.is_finite()));
-        assert_eq!((mended.pixels.at(0, 0), mended.pixels.at(1, 0)), ([FLOOR; 3], [7.0, 2.0, 7.0]));
-        assert_eq!((mended.pixels.at(4, 0), mended.pixels.at(3, 0)), ([FLOOR, 0.5, 0.5], [FLOOR; 3]));
-        let [r, g, b] = mended.pixels.at(2, 0);
-        let luminance = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-        assert!((luminance - (0.7874 - 0.02126)).abs() < 1e-5 && r == FLOOR && g == b);
-        assert_eq!(repair(mended.clone()), (mended, Repaired::default()));
-        assert_eq!(done.warnings(Path::new("a.exr")).len(), 3);
-    }
 
     #[test]
     fn content_decides_and_what_is_no_radiance_is_named() {

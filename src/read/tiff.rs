@@ -2,17 +2,20 @@
 //!
 //! In: a file. Out: the radiance of its first picture, RGB or grey, and what its tags tell. Strips and tiles, 16, 32 and 64 bits, every
 //! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
-//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and [`crate::write::logluv`].
+//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and `crate::write::tiff::logluv`.
 
-use super::{Contents, Turn};
+use super::Contents;
+use super::orientation::Turn;
 use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::limits::{self, Limits};
 use crate::merge::calibration::Factor;
+
+use crate::pixel::logluv;
 use crate::plane::Plane;
 use crate::tiff_file::{self, Picture, refusal};
-use crate::write::{Metadata, luv};
+use crate::write::Metadata;
 use std::io::Cursor;
 use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits as Buffers};
@@ -171,12 +174,12 @@ fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), pa
                 }
                 strip = rest;
             } else {
-                luv::take_row(&mut strip, &mut row, if grey { 2 } else { 4 }).ok_or_else(cut)?;
+                logluv::take_row(&mut strip, &mut row, if grey { 2 } else { 4 }).ok_or_else(cut)?;
             }
             pixels.extend(row.iter().map(|&code| match (grey, packed) {
-                (true, _) => [luv::luminance16(code) as f32; 3],
-                (false, true) => neutral.to_rgb(luv::decode24(code)),
-                (false, false) => neutral.to_rgb(luv::decode32(code)),
+                (true, _) => [logluv::luminance16(code) as f32; 3],
+                (false, true) => neutral.to_rgb(logluv::decode24(code)),
+                (false, false) => neutral.to_rgb(logluv::decode32(code)),
             }));
         }
     }

@@ -66,8 +66,8 @@ pub(super) fn to_linear(lab: Lab) -> [f32; 3] {
     ]
 }
 
-/// Steps of the search for the edge of the gamut: to a part in 64 of the chroma.
-const HALVINGS: usize = 6;
+/// Steps of the search for the edge of the gamut: to a part in 512 of the chroma, which is less than half a code of 8 bits.
+const HALVINGS: usize = 9;
 
 /// What the way there and back may be off by.
 const ROUNDING: f32 = 1e-5;

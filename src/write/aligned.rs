@@ -3,7 +3,10 @@
 //! In: a bracket and its alignment. Out: one file a frame, `PREFIX` and the frame's name; black where a frame does not reach. Cost:
 //! one resampling of every frame, by bands.
 
-use super::{Metadata, Pending, RowWriter, Written, tiff};
+use super::metadata::Metadata;
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written};
+use super::tiff;
 use crate::align::resampling::{OUTSIDE, resample_rows};
 use crate::align::{Alignment, Rect, Transform};
 use crate::bracket::{Bracket, Codes, Window};

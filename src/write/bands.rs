@@ -1,11 +1,11 @@
-//! The cut of rows into bands: what every writer does with the rows it is pushed.
+//! Bands: rows are cut into fixed bands, encoded in parallel and written in order.
 //!
-//! In: rows in order, in portions of any size. Out: the fixed bands of 64 rows, encoded in parallel and handed on in order, so that
-//! neither the portions nor the threads show in the file. Cost: a copy of rows that do not fill a band; about one encoded band a thread
-//! in memory, 16 where the disk is slower than the encoder. Buffers are kept from push to push.
+//! In: rows in order, in portions of any size. Out: the fixed bands of 64 rows, encoded in parallel and written in order, so that
+//! the file depends on neither the portions nor the threads. Cost: a copy of rows that do not fill a band; about one encoded band a thread
+//! in memory, 16 where the disk is slower than the encoder. Buffers are reused from push to push.
 //!
-//! Every thread takes the next band that nobody has. Whoever has encoded one and finds nobody at the disk hands on all that lie ready in
-//! order, while the others go on encoding: no thread waits for another.
+//! Every thread takes the next band. A thread that has encoded one writes all bands that are ready in order, unless another thread is
+//! writing; the others continue to encode. No thread waits for another.
 
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -38,7 +38,7 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
     }
 
     /// Takes `rows`; `encode(first row, pixels, scratch, out)` appends each band to the empty `out`; `sink` then gets that in order, with
-    /// what `encode` says of it. The first error of `sink` ends it all.
+    /// the value that `encode` returns. The first error of `sink` ends it all.
     pub(super) fn push<R: Send>(
         &mut self,
         mut rows: &[P],

@@ -1,9 +1,9 @@
-//! The EXIF of a picture: what the reference tells of the photograph, and what the file is.
+//! EXIF of a picture: the capture data of the reference frame, and the properties of the file.
 //!
-//! In: the [`Metadata`], with the fields that were carried from the reference where it had some. Out: a TIFF block, or its fields. Cost: nothing to speak of.
-//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for what a JPEG must say.
+//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: a TIFF block, or its fields. Cost: negligible.
+//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for the fields that a JPEG must have.
 
-use super::{Metadata, ifd, one_line};
+use super::metadata::{Metadata, one_line};
 use ::exif::experimental::Writer;
 use ::exif::{Field, In, Rational, Reader, Tag, Value};
 use std::collections::BTreeMap;
@@ -13,25 +13,25 @@ use std::io::Cursor;
 const MOST_BYTES: usize = 65_500;
 
 /// Whether there is anything to tell of the photograph.
-pub(super) fn tells(metadata: &Metadata) -> bool {
+pub(crate) fn tells(metadata: &Metadata) -> bool {
     !of_the_photograph(metadata).is_empty()
 }
 
 /// The EXIF block of a picture of `size` pixels.
-pub(super) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
+pub(crate) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
     let whole = written(&fields(of_the_photograph(metadata), size, metadata));
     // More than a segment holds is no camera's; what every file says is left.
     whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(&fields(of(metadata), size, metadata)))
 }
 
 /// The fields of a TIFF picture of `size` pixels: all but those that EXIF has for JPEG alone.
-pub(super) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
+pub(crate) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     let of_jpeg = [Tag::YCbCrPositioning, Tag::ComponentsConfiguration, Tag::PixelXDimension, Tag::PixelYDimension];
     let all = fields(of_the_photograph(metadata), size, metadata).into_iter();
     all.filter(|field| !of_jpeg.contains(&field.tag)).collect()
 }
 
-/// The fields that were carried over, or what headers say.
+/// The fields carried over from the reference frame, or those made of the metadata.
 fn of_the_photograph(metadata: &Metadata) -> Vec<Field> {
     let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
     carried.map_or_else(|| of(metadata), |exif| exif.fields().cloned().collect())
@@ -84,7 +84,7 @@ fn text(text: &str) -> Value {
     Value::Ascii(vec![text.as_bytes().to_vec()])
 }
 
-/// What the headers of radiance maps say of the photograph, as EXIF fields.
+/// The capture data of the metadata as EXIF fields.
 fn of(metadata: &Metadata) -> Vec<Field> {
     let capture = &metadata.capture;
     let mut fields = Vec::new();
@@ -108,7 +108,7 @@ fn of(metadata: &Metadata) -> Vec<Field> {
     ];
     for (tag, value) in numbers {
         if let Some(value) = value.filter(|v| v.is_finite() && *v > 0.0) {
-            let (num, denom) = ifd::fraction(value);
+            let (num, denom) = fraction(value);
             put(tag, Value::Rational(vec![Rational { num, denom }]));
         }
     }
@@ -117,6 +117,22 @@ fn of(metadata: &Metadata) -> Vec<Field> {
         put(Tag::PhotographicSensitivity, Value::Short(vec![iso.min(65535.0) as u16]));
     }
     fields
+}
+
+/// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
+pub(crate) fn fraction(v: f64) -> (u32, u32) {
+    let most = f64::from(u32::MAX);
+    let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
+    let inverse = 1.0 / v;
+    if v < 1.0 && whole(inverse) {
+        return (1, inverse.round() as u32);
+    }
+    let decimal = [1u32, 10, 100, 1000, 10_000, 100_000].into_iter();
+    let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
+    let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
+    let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
+    // The cast keeps what is beyond within the type.
+    ((v * f64::from(denominator)).round() as u32, denominator)
 }
 
 #[cfg(test)]
@@ -156,5 +172,16 @@ mod tests {
         assert_eq!(shown(&exif, Tag::PixelYDimension).as_deref(), Some("200"));
         assert_eq!(shown(&exif, Tag::Software), Some(format!("{:?}", metadata.software)));
         assert_eq!(exif.fields().filter(|f| f.tag == Tag::Software).count(), 1);
+    }
+
+    #[test]
+    fn fractions_are_the_simplest() {
+        assert_eq!([1.0 / 60.0, 0.125, 2.8, 30.0].map(fraction), [(1, 60), (1, 8), (28, 10), (30, 1)]);
+        assert_eq!([0.3127, 0.0].map(fraction), [(3127, 10_000), (0, 1)]);
+        for v in [0.318_753_1, 1_234.567_891, 3e9, 0.000_123_4] {
+            let (n, d) = fraction(v);
+            assert!((f64::from(n) / f64::from(d) - v).abs() <= 1e-6 * v, "{v}: {n}/{d}");
+        }
+        assert_eq!(fraction(1e12), (u32::MAX, 1));
     }
 }

@@ -1,13 +1,16 @@
-//! The files of a run, fed side by side.
+//! All output files of a run, written in parallel from the same rows.
 //!
-//! In: radiance and pictures by rows, in portions of any size. Out: every file that the user named, whole and on its way to the disk, without
-//! its name yet. Cost: that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file
-//! that has its last row goes to the disk while others are encoded. Memory: a few encoded bands a file.
+//! In: radiance and pictures by rows, in portions of any size. Out: a complete temporary file for every output. Cost: that of the encoders, spread
+//! over all threads: bands of one file are encoded while another is written, and a file is synced after its last row while others are
+//! encoded. Memory: a few encoded bands for each file.
 
-use super::gain_map::{Rendition, Survey};
-use super::{
-    Format, Metadata, Options, Output, Pending, RowWriter, Written, display, exr, hdr, logluv, tiff, ultra_hdr,
-};
+use super::format::{Format, Output};
+use super::jpeg::{self, Rendition, Survey};
+use super::metadata::Metadata;
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written};
+use super::tiff::logluv;
+use super::{Options, exr, hdr, png, tiff};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -31,7 +34,12 @@ pub struct Settled {
 
 impl Settled {
     /// For `radiance`, shown as `display`, written to `outputs`.
-    fn of(outputs: &[Output], radiance: &RadianceMap, display: &DisplayImage, options: &Options) -> Result<Settled> {
+    pub(super) fn of(
+        outputs: &[Output],
+        radiance: &RadianceMap,
+        display: &DisplayImage,
+        options: &Options,
+    ) -> Result<Settled> {
         let RadianceMap { pixels, primaries } = radiance;
         let bright = match options.tiff.depth() {
             Some(_) if is_among(outputs, Format::Tiff) => logluv::bright(radiance),
@@ -121,7 +129,7 @@ impl<P: Sync> Slot<P> {
         Ok(())
     }
 
-    /// The whole file; its writer refuses to end one that lacks rows.
+    /// Ends the file; its writer refuses to end one that lacks rows.
     fn ended(self) -> Result<(usize, Written)> {
         let written = match self.state {
             State::Begun(writer, _) => writer.finish()?,
@@ -136,7 +144,7 @@ impl<P: Sync> Slot<P> {
 struct Both {
     place: usize,
     path: PathBuf,
-    state: Option<Box<ultra_hdr::Writer>>,
+    state: Option<Box<jpeg::Writer>>,
 }
 
 impl Both {
@@ -201,8 +209,7 @@ impl Files {
             let (path, pixels) = (output.path.clone(), size.0 * size.1);
             if output.format == Format::Jpeg {
                 let pending = Pending::create(&path)?;
-                let writer =
-                    ultra_hdr::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
+                let writer = jpeg::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
                 files.both.push(Both { place, path, state: Some(Box::new(writer)) });
             } else if output.format.holds_radiance() {
                 let state = State::Begun(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);
@@ -288,7 +295,7 @@ fn radiance_writer(
 }
 
 /// A writer of codes to `output`.
-fn picture_writer<T: display::Sample>(
+fn picture_writer<T: png::Sample>(
     output: &Output,
     size: (usize, usize),
     metadata: &Metadata,
@@ -297,41 +304,15 @@ fn picture_writer<T: display::Sample>(
     let file = Pending::create(&output.path)?;
     Ok(match output.format {
         Format::TiffPicture => Box::new(tiff::Writer::picture(file, size, metadata)?),
-        _ => Box::new(display::Writer::new(file, size, metadata, colours)?),
+        _ => Box::new(png::Writer::new(file, size, metadata, colours)?),
     })
-}
-
-/// Writes all of `paths`, the radiance or the picture by extension: whole files that do not have their names yet, for
-/// [`commit`](super::commit).
-///
-/// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] for what a picture of 8 bits cannot give; [`Error::Write`]. Nothing is left behind then.
-pub fn write(
-    paths: &[PathBuf],
-    radiance: &RadianceMap,
-    display: &DisplayImage,
-    metadata: &Metadata,
-    options: &Options,
-) -> Result<Vec<Written>> {
-    if options.picture != super::picture::Options::default() {
-        let reason = "the picture is there already, of 8 bits; `tonemap` and `merge` make others".to_owned();
-        return Err(Error::Option { option: "--bit-depth", reason });
-    }
-    let outputs = Output::results(paths)?;
-    let metadata = Metadata { primaries: radiance.primaries, ..metadata.clone() };
-    let size = (radiance.pixels.width(), radiance.pixels.height());
-    let settled = Settled::of(&outputs, radiance, display, options)?;
-    let mut files = Files::begin(&outputs, size, &metadata, options, settled)?;
-    let rows = radiance.pixels.as_slice();
-    files.push(rows, rows, Codes::Eight(display.pixels.as_slice()))?;
-    files.finish()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::plane::Plane;
-    use crate::write::commit;
+    use crate::write::{commit, write};
 
     #[test]
     fn all_formats_are_written_or_none() {

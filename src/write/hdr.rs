@@ -6,10 +6,13 @@
 //! a pixel and core and 3 to 4 bytes. Source: "Radiance File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`,
 //! `src/px/ra_xyze.c`.
 
-use super::rgbe::Scanline;
-use super::{Bands, Metadata, Pending, RowWriter, Written, clamped, one_line};
+use super::bands::Bands;
+use super::metadata::{Metadata, one_line};
+use super::row_writer::RowWriter;
+use super::staging::{Pending, Written, clamped};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::error::Result;
+use crate::pixel::rgbe::Scanline;
 
 /// Lumens per watt of Radiance's white, by definition.
 pub const WHITE_EFFICACY: f64 = 179.0;
@@ -177,9 +180,9 @@ mod tests {
     use crate::limits::Limits;
     use crate::merge::RadianceMap;
     use crate::merge::calibration::Factor;
+    use crate::pixel::rgbe;
     use crate::plane::Plane;
     use crate::read::hdr;
-    use crate::write::rgbe;
     use crate::write::{commit, push_all};
 
     fn parsed(bytes: &[u8]) -> (RadianceMap, Metadata) {

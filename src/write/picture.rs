@@ -1,9 +1,9 @@
-//! What is asked of pictures, whatever their format: bits, colours and size.
+//! Options of pictures in any format: bit depth, colour space, size and adjustments.
 //!
-//! In: options and the files named. Out: whether they can be had. Cost: none.
+//! In: options and outputs. Out: an error where a format does not support them. Cost: none.
 
-use super::gain_map::Resolution;
-use super::{Format, Output};
+use super::format::{Format, Output};
+use super::jpeg::Resolution;
 use crate::error::{Error, Result, Warning};
 use crate::tonemap::adjust;
 use crate::tonemap::codes::{Colours, Depth};

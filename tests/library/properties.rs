@@ -21,7 +21,11 @@ use hdralign::response::{CODES, ResponseCurve, ResponseModel};
 use hdralign::tonemap::codes::Colours;
 use hdralign::tonemap::{self, DisplayImage, Operator, Rendering};
 use hdralign::write::picture::{self, Size};
-use hdralign::write::{self, Metadata, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
+use hdralign::write::{
+    self, Metadata, exr, hdr,
+    jpeg::{self, Resolution},
+    tiff,
+};
 use image::{DynamicImage, ImageBuffer, Rgb};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -166,7 +170,7 @@ fn writing() -> impl Strategy<Value = write::Options> {
             exr: exr::Options { sample, compression },
             hdr,
             tiff,
-            jpeg: ultra_hdr::Options { quality, gain_map },
+            jpeg: jpeg::Options { quality, gain_map },
             picture: picture::Options::default(),
         })
 }

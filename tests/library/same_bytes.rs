@@ -10,7 +10,11 @@ use hdralign::simd::{self, Arm};
 use hdralign::tonemap::adjust::{self, WhiteBalance};
 use hdralign::tonemap::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
-use hdralign::write::{self, exr, gain_map::Resolution, hdr, tiff, ultra_hdr};
+use hdralign::write::{
+    self, exr, hdr,
+    jpeg::{self, Resolution},
+    tiff,
+};
 use serde_json::Value;
 use std::fs;
 use std::path::PathBuf;
@@ -130,7 +134,7 @@ fn vector_instructions_do_not_change_a_byte() {
             exr: exr::Options { sample: exr::Sample::Float, ..Default::default() },
             hdr: hdr::Encoding::Xyze,
             tiff: tiff::Encoding::LogLuv32,
-            jpeg: ultra_hdr::Options { gain_map: Resolution::Half, ..Default::default() },
+            jpeg: jpeg::Options { gain_map: Resolution::Half, ..Default::default() },
             picture: picture::Options { colours: Colours::DisplayP3, size: Size::Percent(60.0), ..Default::default() },
         },
         ..by_default.clone()

@@ -188,7 +188,7 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     let home = path.parent().unwrap_or(Path::new(".")).to_owned();
     std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
     summary::check(path, args.work.force)?;
-    drop(write::whole(path, b"")?);
+    drop(write::complete(path, b"")?);
     Ok(home)
 }
 

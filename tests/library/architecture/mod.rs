@@ -6,7 +6,7 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 23] = [
+const LAYERS: [&str; 24] = [
     "error",
     "limits",
     "intake",
@@ -16,6 +16,7 @@ const LAYERS: [&str; 23] = [
     "scratch",
     "budget",
     "pyramid",
+    "pixel",
     "bracket",
     "align",
     "response",

@@ -1,0 +1,143 @@
+//! Half floats: 16 bits, with values above the largest clamped to it instead of infinite.
+//!
+//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate
+//! rounds the same but overflows to infinity and loses small values to 0; it is the oracle of the tests.
+
+use crate::simd::{Loops, vectorised};
+
+/// The largest half.
+pub(crate) const HALF_MAX: f32 = 65504.0;
+
+/// The bits of [`HALF_MAX`] as a float.
+const MAX_BITS: u32 = HALF_MAX.to_bits();
+
+/// The bits of the half nearest to `v`, ties to even (IEEE 754-2008, 4.3.1); beyond the largest, the largest; positive values below the
+/// smallest, the smallest, so that black stays the only 0; NaN becomes 0.
+#[inline(always)]
+fn half_bits(v: f32) -> u16 {
+    let bits = v.to_bits();
+    let sign = (bits >> 16) & 0x8000;
+    let size = bits & 0x7fff_ffff;
+    // All cases are computed and one is chosen, so that loops can be made of vectors.
+    // 2^-14 and above, the normal halves: rebias the exponent by 127 - 15 and round off 13 bits of the mantissa.
+    let rebiased = size.wrapping_sub(112 << 23);
+    let normal = rebiased.wrapping_add(0xfff + ((rebiased >> 13) & 1)) >> 13;
+    // Subnormal: in 2^-24. Adding 1/2 to a float below 2^-14 leaves that in its last bits, rounded to nearest even.
+    let units = (f32::from_bits(size) + 0.5).to_bits().wrapping_sub(0.5f32.to_bits());
+    let small = units.max(u32::from(size > 0));
+    let finite = if size >= 0x3880_0000 { normal } else { small };
+    let clamped = if size >= MAX_BITS { 0x7bff } else { finite };
+    if size > 0x7f80_0000 { 0 } else { (sign | clamped) as u16 }
+}
+
+/// Pixels to halves, by planes: see [`planes_of_halves`].
+struct Halves<'a> {
+    pixels: &'a [[f32; 3]],
+    planes: &'a mut [u16],
+}
+
+impl Loops for Halves<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run(self) -> u64 {
+        let size = self.pixels.len();
+        let (b, rest) = self.planes.split_at_mut(size);
+        let (g, r) = rest.split_at_mut(size);
+        let mut beyond = 0;
+        // In parts that stay in the cache, and of whose values a small counter does not overflow.
+        let parts = self.pixels.chunks(1024).zip(b.chunks_mut(1024)).zip(g.chunks_mut(1024)).zip(r.chunks_mut(1024));
+        for (((pixels, b), g), r) in parts {
+            let mut over = 0u32;
+            let values = pixels.as_flattened();
+            let mut halves = [0u16; 3 * 1024];
+            let halves = &mut halves[..values.len()];
+            for (to, &v) in halves.iter_mut().zip(values) {
+                over += u32::from(v.to_bits() & 0x7fff_ffff > MAX_BITS);
+                *to = half_bits(v);
+            }
+            for (((p, b), g), r) in halves.as_chunks::<3>().0.iter().zip(b).zip(g).zip(r) {
+                (*r, *g, *b) = (p[0], p[1], p[2]);
+            }
+            beyond += u64::from(over);
+        }
+        beyond
+    }
+}
+
+/// The halves of `pixels` as three planes, one after the other: all B, then G, then R. Gives how many values were beyond the largest or
+/// not a number.
+pub(crate) fn planes_of_halves(pixels: &[[f32; 3]], planes: &mut [u16]) -> u64 {
+    vectorised(Halves { pixels, planes })
+}
+
+/// The floats of `pixels` as six planes: the low words of B, the high ones, and so for G and R.
+pub(crate) fn planes_of_floats(pixels: &[[f32; 3]], planes: &mut [u16]) {
+    vectorised(Floats { pixels, planes });
+}
+
+struct Floats<'a> {
+    pixels: &'a [[f32; 3]],
+    planes: &'a mut [u16],
+}
+
+impl Loops for Floats<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let size = self.pixels.len();
+        for (channel, planes) in [2, 1, 0].into_iter().zip(self.planes.chunks_exact_mut(2 * size)) {
+            let (low, high) = planes.split_at_mut(size);
+            for ((p, low), high) in self.pixels.iter().zip(low).zip(high) {
+                let bits = p[channel].to_bits();
+                (*low, *high) = (bits as u16, (bits >> 16) as u16);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::exr::prelude::f16;
+
+    /// Every half, every middle between two and the floats beside it, against the `half` crate.
+    #[test]
+    fn halves_are_rounded_as_the_standard_says() {
+        for h in 0..0x7bffu16 {
+            let (low, high) = (f16::from_bits(h).to_f32(), f16::from_bits(h + 1).to_f32());
+            let middle = (low + high) / 2.0;
+            for v in [low, high, middle, middle.next_up(), middle.next_down(), low.next_up()] {
+                let want = f16::from_f32(v).to_bits();
+                let want = if v > 0.0 { want.max(1) } else { want };
+                assert_eq!((half_bits(v), half_bits(-v)), (want, want | 0x8000), "{v}");
+            }
+        }
+        assert_eq!([65504.1, 65520.0, 1e9, f32::INFINITY].map(half_bits), [0x7bff; 4]);
+        assert_eq!([-65504.1, -1e9, f32::NEG_INFINITY].map(half_bits), [0xfbff; 3]);
+        assert_eq!([f32::from_bits(1), 1e-12, 0.0, f32::NAN].map(half_bits), [1, 1, 0, 0]);
+    }
+
+    #[test]
+    fn planes_hold_what_pixels_held() {
+        let pixels: Vec<[f32; 3]> =
+            (0..2500).map(|i| [i as f32 * 0.37 - 99.0, 65000.0 + i as f32, 1e-7 * i as f32]).collect();
+        let size = pixels.len();
+        let mut planes = vec![0; 3 * size];
+        let beyond = planes_of_halves(&pixels, &mut planes);
+        assert_eq!(beyond, 2500 - 505, "65504 is held, as is what is below");
+        let mut floats = vec![0; 6 * size];
+        planes_of_floats(&pixels, &mut floats);
+        for (i, p) in pixels.iter().enumerate() {
+            for c in 0..3 {
+                let plane = 2 - c;
+                assert_eq!(planes[plane * size + i], half_bits(p[c]));
+                let word = |n: usize| u32::from(floats[(2 * plane + n) * size + i]);
+                assert_eq!(word(1) << 16 | word(0), p[c].to_bits());
+            }
+        }
+        let not_numbers = [[f32::NAN, f32::INFINITY, -65505.0]];
+        assert_eq!(planes_of_halves(&not_numbers, &mut [0; 3]), 3);
+    }
+}

@@ -1,0 +1,278 @@
+//! TIFF files: what the `tiff` crate leaves to be done before and while it decodes, for photographs and radiance maps alike.
+//!
+//! In: a file. Out: which of its pictures is meant, bytes that the crate reads rightly, and the samples of the picture, interleaved. Cost: a
+//! look at each directory; one copy of the samples. Source: TIFF 6.0 (sections 2, 8 and 15); libtiff, `tif_read.c`, for what
+//! FillOrder turns round; TIFF/EP and DNG for the tags that tell a camera raw file.
+
+mod samples;
+
+pub(crate) use samples::samples;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+
+/// Why a file was refused.
+type Reason = String;
+
+/// Tags that are looked at, by their numbers.
+const SUBFILE: u16 = 254;
+const COMPRESSION: u16 = 259;
+const PHOTOMETRIC: u16 = 262;
+const FILL_ORDER: u16 = 266;
+const STRIPS: (u16, u16) = (273, 279);
+const TILES: (u16, u16) = (324, 325);
+const SUB_DIRECTORIES: u16 = 330;
+const EXIF_DIRECTORY: u16 = 34665;
+const DNG_VERSION: u16 = 50706;
+
+/// The photometric interpretation of grey (TIFF 6.0, section 8).
+const BLACK_IS_ZERO: u8 = 1;
+
+/// JPEG in a TIFF, whose bits are never turned round (libtiff's TIFF_NOBITREV).
+const JPEGS: [u64; 2] = [6, 7];
+
+/// Most directories that are looked at: pictures of one file, of which one is wanted.
+const MOST_DIRECTORIES: usize = 64;
+
+/// From this length on the crate refuses a text, and prints a line of its own about it.
+const LONGEST_TEXT: u64 = 256 << 20;
+
+/// An entry of a directory.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    tag: u16,
+    kind: u16,
+    count: u64,
+    /// Where its value is, in the file.
+    value: u64,
+}
+
+/// A directory: its offset and its entries.
+#[derive(Debug)]
+struct Directory {
+    at: u64,
+    entries: Vec<Entry>,
+    next: u64,
+}
+
+impl Directory {
+    fn entry(&self, tag: u16) -> Option<Entry> {
+        self.entries.iter().copied().find(|entry| entry.tag == tag)
+    }
+}
+
+/// The directories of a file, by seeking.
+struct Directories<R> {
+    reader: R,
+    length: u64,
+    is_little: bool,
+    is_big: bool,
+}
+
+impl<R: Read + Seek> Directories<R> {
+    fn of(mut reader: R) -> Option<Self> {
+        let length = reader.seek(SeekFrom::End(0)).ok()?;
+        let mut found = Directories { reader, length, is_little: true, is_big: false };
+        found.is_little = found.bytes(0, 2)? == b"II";
+        found.is_big = found.number(2, 2)? == 43;
+        Some(found)
+    }
+
+    fn bytes(&mut self, at: u64, count: usize) -> Option<Vec<u8>> {
+        at.checked_add(count as u64).filter(|&end| end <= self.length)?;
+        let mut bytes = vec![0; count];
+        self.reader.seek(SeekFrom::Start(at)).ok()?;
+        self.reader.read_exact(&mut bytes).ok()?;
+        Some(bytes)
+    }
+
+    fn number(&mut self, at: u64, length: usize) -> Option<u64> {
+        let bytes = self.bytes(at, length)?;
+        Some(number(&bytes, self.is_little))
+    }
+
+    /// Where the offset of the first directory is, and how long an offset is.
+    fn offset(&self) -> (u64, usize) {
+        if self.is_big { (8, 8) } else { (4, 4) }
+    }
+
+    fn directory(&mut self, at: u64) -> Option<Directory> {
+        let (_, word) = self.offset();
+        let (count_length, entry_length) = if self.is_big { (8, 20) } else { (2, 12) };
+        let count = usize::try_from(self.number(at, count_length)?).ok().filter(|&count| count <= 1 << 16)?;
+        let start = at + count_length as u64;
+        let all = self.bytes(start, count * entry_length + word)?;
+        let (entries, next) = all.split_at(count * entry_length);
+        let entries = entries.chunks_exact(entry_length).enumerate().map(|(i, entry)| {
+            let (kind, count) = (number(&entry[2..4], self.is_little) as u16, &entry[4..entry_length - word]);
+            let count = number(count, self.is_little);
+            let held = &entry[entry_length - word..];
+            let is_inside = count.saturating_mul(size_of_kind(kind)) <= word as u64;
+            let place = start + ((i + 1) * entry_length - word) as u64;
+            let value = if is_inside { place } else { number(held, self.is_little) };
+            Entry { tag: number(&entry[..2], self.is_little) as u16, kind, count, value }
+        });
+        Some(Directory { at, entries: entries.collect(), next: number(next, self.is_little) })
+    }
+
+    /// The directories of the file's pictures, in their order; up to the first that is not sound.
+    fn pictures(&mut self) -> Vec<Directory> {
+        let (at, word) = self.offset();
+        let mut found: Vec<Directory> = Vec::new();
+        let mut next = self.number(at, word).unwrap_or(0);
+        while next != 0 && found.len() < MOST_DIRECTORIES && found.iter().all(|seen| seen.at != next) {
+            let Some(directory) = self.directory(next) else { break };
+            next = directory.next;
+            found.push(directory);
+        }
+        found
+    }
+
+    /// The whole numbers of the entry `tag`, if it has any.
+    fn numbers(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u64>> {
+        let entry = directory.entry(tag)?;
+        let size = match entry.kind {
+            1 | 3 | 4 | 13 | 16 | 18 => size_of_kind(entry.kind),
+            _ => return None,
+        };
+        let length = usize::try_from(entry.count.checked_mul(size)?).ok()?;
+        let bytes = self.bytes(entry.value, length)?;
+        Some(bytes.chunks_exact(size as usize).map(|bytes| number(bytes, self.is_little)).collect())
+    }
+
+    fn first_number(&mut self, directory: &Directory, tag: u16) -> Option<u64> {
+        self.numbers(directory, tag)?.first().copied()
+    }
+
+    fn is_thumbnail(&mut self, directory: &Directory) -> bool {
+        self.first_number(directory, SUBFILE).is_some_and(|kind| kind & 1 != 0)
+    }
+
+    /// Whether it holds a sensor's mosaic, or the linear pixels that were made of one.
+    fn is_mosaic(&mut self, directory: &Directory) -> bool {
+        matches!(self.first_number(directory, PHOTOMETRIC), Some(32803 | 34892))
+    }
+}
+
+fn number(bytes: &[u8], is_little: bool) -> u64 {
+    let add = |sum: u64, b: &u8| sum << 8 | u64::from(*b);
+    if is_little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
+}
+
+/// Bytes of a value of a type (TIFF 6.0, section 2; BigTIFF); of an unknown type, as of the longest.
+fn size_of_kind(kind: u16) -> u64 {
+    match kind {
+        1 | 2 | 6 | 7 => 1,
+        3 | 8 => 2,
+        4 | 9 | 11 | 13 => 4,
+        _ => 8,
+    }
+}
+
+/// Which picture of a file is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Picture {
+    /// Its place among the file's pictures.
+    pub index: usize,
+    /// How many pictures the file has, as far as they are sound.
+    pub count: usize,
+    /// Where its directory is, in the file.
+    at: u64,
+    /// Whether the file looks like a camera raw: a mosaic, or thumbnails without a picture.
+    pub is_raw: bool,
+}
+
+/// The first picture of the file that is no thumbnail of another.
+///
+/// # Errors
+/// The reason, where a directory is not sound.
+pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
+    let damaged = || Reason::from("it has no sound directory; copy the file again");
+    let mut file = Directories::of(reader).ok_or_else(damaged)?;
+    let pictures = file.pictures();
+    let first = pictures.first().ok_or_else(damaged)?;
+    let mut below = Vec::new();
+    for directory in &pictures {
+        let exif = file.numbers(directory, EXIF_DIRECTORY).into_iter().flatten().take(1);
+        let others = file.numbers(directory, SUB_DIRECTORIES).into_iter().flatten().take(MOST_DIRECTORIES);
+        below.extend(exif.chain(others).filter_map(|at| file.directory(at)));
+    }
+    let all = || pictures.iter().chain(&below);
+    if all().flat_map(|p| &p.entries).any(|entry| entry.kind == 2 && entry.count > LONGEST_TEXT) {
+        return Err("one of its texts says to be longer than any file has; copy the file again".into());
+    }
+    let is_mosaic = all().any(|directory| file.is_mosaic(directory));
+    let full = pictures.iter().position(|directory| !file.is_thumbnail(directory));
+    let is_raw = is_mosaic || full.is_none() || first.entry(DNG_VERSION).is_some();
+    let index = full.unwrap_or(0);
+    Ok(Picture { index, count: pictures.len(), at: pictures[index].at, is_raw })
+}
+
+/// Makes `picture` the first of the file `bytes`.
+pub(crate) fn put_first(bytes: &mut [u8], picture: Picture) {
+    let Some((at, word, is_little)) = Directories::of(Cursor::new(&*bytes)).map(|file| {
+        let (at, word) = file.offset();
+        (at as usize, word, file.is_little)
+    }) else {
+        return;
+    };
+    let offset = if is_little { picture.at.to_le_bytes() } else { picture.at.to_be_bytes() };
+    bytes[at..at + word].copy_from_slice(if is_little { &offset[..word] } else { &offset[8 - word..] });
+}
+
+/// Turns round the bits of each byte of the first picture's data where its FillOrder says that the lowest comes first. The crate does not
+/// know the tag. Where the directory is damaged nothing is done, and the crate reports it.
+pub(crate) fn order_bits(bytes: &mut [u8]) {
+    let ranges = || {
+        let mut file = Directories::of(Cursor::new(&*bytes))?;
+        let (at, word) = file.offset();
+        let at = file.number(at, word)?;
+        let first = file.directory(at)?;
+        let compression = file.first_number(&first, COMPRESSION).unwrap_or(1);
+        if file.first_number(&first, FILL_ORDER) != Some(2) || JPEGS.contains(&compression) {
+            return None;
+        }
+        let (offsets, counts) = if first.entry(TILES.0).is_some() { TILES } else { STRIPS };
+        let offsets = file.numbers(&first, offsets)?.into_iter();
+        let mut ranges: Vec<_> = offsets.zip(file.numbers(&first, counts)?).collect();
+        ranges.sort_unstable();
+        Some(ranges)
+    };
+    // Strips may share bytes: each is turned once.
+    let mut done = 0;
+    for (offset, count) in ranges().unwrap_or_default() {
+        let end = usize::try_from(offset.saturating_add(count)).map_or(bytes.len(), |end| end.min(bytes.len()));
+        let start = usize::try_from(offset).map_or(end, |start| start.max(done).min(end));
+        bytes[start..end].iter_mut().for_each(|byte| *byte = byte.reverse_bits());
+        done = done.max(end);
+    }
+}
+
+/// Gives the first picture the photometric interpretation of grey, and returns its own: by it the crate unpacks all samples as they are stored,
+/// of whatever meaning and number, and adds up the differences of a predictor between those that belong together. Otherwise it reads no
+/// palette and no LogLuv, no grey with alpha, and extra samples wrongly. Where the directory is not sound nothing is done, and the crate will
+/// say so.
+pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
+    let mut file = Directories::of(Cursor::new(&*bytes))?;
+    let (at, word) = file.offset();
+    let at = file.number(at, word)?;
+    let first = file.directory(at)?;
+    let photometric = file.first_number(&first, PHOTOMETRIC)?;
+    let (entry, is_little) = (first.entry(PHOTOMETRIC)?, file.is_little);
+    let value = &mut bytes[entry.value as usize..][..size_of_kind(entry.kind) as usize];
+    value.fill(0);
+    let lowest = if is_little { 0 } else { value.len() - 1 };
+    value[lowest] = BLACK_IS_ZERO;
+    u16::try_from(photometric).ok()
+}
+
+/// Why the crate refuses a file, and what to do about it.
+pub(crate) fn refusal(e: tiff::TiffError) -> Reason {
+    match e {
+        tiff::TiffError::UnsupportedError(what) => {
+            format!("{what}; save it as grey or RGB, by ZIP (deflate) or uncompressed")
+        }
+        other => format!("{other}; copy the file again, or save it as grey or RGB"),
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,101 @@
+//! Half or float: the sample type of an OpenEXR file, and how well half floats hold the radiance.
+//!
+//! In: linear RGB by rows. Out: a [`Sample`]. Cost: one pass over the values.
+
+use crate::pixel::half::HALF_MAX;
+use crate::simd::{Loops, vectorised};
+
+/// Sample type of an OpenEXR file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
+pub enum Sample {
+    /// Half floats, or floats where halves are too small or too coarse for the radiance.
+    #[default]
+    Auto,
+    /// 16 bits: steps of 1/2048 or finer, up to 65504.
+    Half,
+    /// 32 bits: exactly as merged.
+    Float,
+}
+
+/// Below this the steps of a half, 2^-24, are over a hundredth of the value.
+const HALF_FINE: f32 = 6e-6;
+
+impl Sample {
+    /// The sample type for a picture that half floats fit as `fit` counts: for [`Auto`](Self::Auto) floats where a value is above 65504, or where more
+    /// than one in a thousand is below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
+    pub fn settled(self, fit: Fit) -> Sample {
+        match self {
+            Sample::Auto if fit.over > 0 || fit.fine > fit.values / 1000 => Sample::Float,
+            Sample::Auto => Sample::Half,
+            given => given,
+        }
+    }
+}
+
+/// How halves fit a picture: what [`Sample::Auto`] asks, counted by rows as they come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Fit {
+    /// Values above the largest half, 65504.
+    pub over: u64,
+    /// Values below 6e-6, for which the steps of a half are coarse.
+    pub fine: u64,
+    /// All values.
+    pub values: u64,
+}
+
+impl Fit {
+    /// That of some rows.
+    pub fn of(rows: &[[f32; 3]]) -> Fit {
+        vectorised(Count(rows.as_flattened()))
+    }
+
+    /// That of these rows and others.
+    pub fn and(self, other: Fit) -> Fit {
+        Fit { over: self.over + other.over, fine: self.fine + other.fine, values: self.values + other.values }
+    }
+}
+
+struct Count<'a>(&'a [f32]);
+
+impl Loops for Count<'_> {
+    type Output = Fit;
+
+    #[inline(always)]
+    fn run(self) -> Fit {
+        let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
+        // Counters as wide as the values fill whole vectors; for so few values they do not overflow.
+        for part in self.0.chunks(1 << 20) {
+            let (mut over, mut fine) = (0u32, 0u32);
+            for &v in part {
+                over += u32::from(v > HALF_MAX);
+                fine += u32::from(v < HALF_FINE);
+            }
+            fit.over += u64::from(over);
+            fit.fine += u64::from(fine);
+        }
+        fit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plane::Plane;
+
+    #[test]
+    fn halves_are_taken_where_they_do() {
+        let fit = |picture: &Plane<[f32; 3]>| picture.as_slice().chunks(7).map(Fit::of).fold(Fit::default(), Fit::and);
+        let settled = |picture: Plane<[f32; 3]>| Sample::Auto.settled(fit(&picture));
+        assert_eq!(settled(Plane::filled(30, 70, [65504.0, 1.0, 1e-5])), Sample::Half);
+        assert_eq!(settled(Plane::filled(30, 70, [1.0, 1.0, 5e-6])), Sample::Float);
+        let mut sun = Plane::filled(30, 70, [1.0; 3]);
+        sun.row_mut(69)[29][1] = 65520.0;
+        assert_eq!(settled(sun.clone()), Sample::Float);
+        assert_eq!(Sample::Half.settled(fit(&sun)), Sample::Half);
+        // Few dark ones do not matter.
+        sun.row_mut(69)[29] = [1e-9; 3];
+        assert_eq!(settled(sun), Sample::Half);
+    }
+}

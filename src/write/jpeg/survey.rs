@@ -1,0 +1,122 @@
+//! The survey of radiance and picture: the white and the range of gains that the gain map is made for.
+//!
+//! In: radiance by rows, and the codes of the picture for them. Out: a [`Rendition`]. Cost: that of about 200,000 pixels. Source: as for
+//! `gain_map`.
+
+use super::gain_map::{Base, GRAIN, MOST_FALL, MOST_STOPS, OFFSET, Rendition, ToBase, lit, shown};
+use crate::bracket::colour::Primaries;
+use crate::plane::Plane;
+use crate::tonemap::codes::Colours;
+use crate::tonemap::display::luminance;
+use rayon::prelude::*;
+
+/// Pixels that a survey looks at, about.
+const SEEN: usize = 200_000;
+
+/// A look at some pixels of the radiance beside the picture.
+#[derive(Debug, Clone)]
+pub struct Survey {
+    to_base: ToBase,
+    width: usize,
+    step: usize,
+    /// The radiance in the primaries of the picture, and the codes.
+    seen: Vec<([f32; 3], [u8; 3])>,
+}
+
+impl Survey {
+    /// Of a picture of `size` pixels of `colours`, the radiance of `primaries`.
+    pub fn new(size: (usize, usize), primaries: &Primaries, colours: Colours) -> Self {
+        let mut step = 1;
+        while (size.0 / step) * (size.1 / step) > SEEN {
+            step += 1;
+        }
+        Survey { to_base: ToBase::of(primaries, colours), width: size.0, step, seen: Vec::new() }
+    }
+
+    /// Sees the rows `pixels`, which begin with row `first`; `show` gives the codes of a row by its number.
+    pub fn see(
+        &mut self,
+        first: usize,
+        pixels: &Plane<[f32; 3]>,
+        show: impl Fn(usize, &[[f32; 3]], &mut [[u8; 3]]) + Sync,
+    ) {
+        let (step, to_base) = (self.step, self.to_base);
+        let rows: Vec<usize> = (0..pixels.height()).filter(|y| (first + y).is_multiple_of(step)).collect();
+        let seen = rows.par_iter().map_init(
+            || vec![[0; 3]; self.width],
+            |codes, &y| {
+                let row = pixels.row(y);
+                show(first + y, row, codes);
+                let pairs = row.iter().zip(codes.iter()).step_by(step);
+                pairs.map(|(&p, &code)| (to_base.apply(p).map(lit), code)).collect::<Vec<_>>()
+            },
+        );
+        let seen: Vec<_> = seen.collect();
+        self.seen.extend(seen.into_iter().flatten());
+    }
+
+    /// The rendition of what was seen. `white` is the radiance that is shown at the picture's white; none for that by which the two
+    /// agree in the mid-tones.
+    pub fn rendition(self, white: Option<f32>) -> Rendition {
+        let white = white.filter(|w| w.is_finite() && *w > 0.0).unwrap_or_else(|| self.white());
+        let base = Base::new();
+        let scale = 1.0 / white;
+        let (mut gains, mut peaks) = (Vec::new(), Vec::new());
+        for (light, codes) in &self.seen {
+            let light = light.map(|v| shown(v, scale));
+            peaks.push(light[0].max(light[1]).max(light[2]));
+            // Values next to black have no reliable gain.
+            let reliable = light.iter().zip(codes).filter(|(_, code)| **code >= LEAST_CODE);
+            gains.extend(reliable.map(|(&v, &code)| (libm::log2(f64::from(v) + OFFSET) - base.stops(code)) as f32));
+        }
+        gains.sort_unstable_by(f32::total_cmp);
+        peaks.sort_unstable_by(f32::total_cmp);
+        let at = |sorted: &[f32], share: f64| {
+            let place = (sorted.len().saturating_sub(1) as f64 * share) as usize;
+            sorted.get(place).copied().map_or(0.0, f64::from)
+        };
+        let least = (at(&gains, 0.001) * GRAIN).floor() / GRAIN;
+        // A few sparks must not coarsen all the others.
+        let most = (at(&gains, 0.9999) * GRAIN).ceil() / GRAIN;
+        // A map of no range cannot be divided by it.
+        let least = least.clamp(-MOST_FALL, 0.0) + 0.0;
+        let most = most.clamp(0.0, MOST_STOPS).max(least + 0.125);
+        let headroom = (libm::log2(at(&peaks, 0.998).max(1.0)) * GRAIN).round() / GRAIN;
+        Rendition {
+            white,
+            least_stops: least,
+            most_stops: most,
+            headroom_stops: headroom.clamp(LEAST_HEADROOM, MOST_STOPS),
+        }
+    }
+
+    /// The white by which radiance and picture agree in the median of the mid-tones, or of all where there are hardly any.
+    fn white(&self) -> f32 {
+        let of_code = Base::new().linear;
+        let mut all = Vec::new();
+        let mut middle = Vec::new();
+        for (light, codes) in &self.seen {
+            let (radiance, display) = (luminance(*light), luminance(codes.map(|code| of_code[usize::from(code)])));
+            if radiance > 0.0 && radiance.is_finite() && display > 0.0 {
+                let ratio = radiance / display;
+                all.push(ratio);
+                if MIDDLE.contains(&display) {
+                    middle.push(ratio);
+                }
+            }
+        }
+        let mut ratios = if middle.len() * 100 >= all.len() { middle } else { all };
+        ratios.sort_unstable_by(f32::total_cmp);
+        let median = ratios.get(ratios.len() / 2).copied();
+        median.filter(|w| w.is_normal()).unwrap_or(1.0)
+    }
+}
+
+/// The mid-tones: luminance of the picture, about codes 63 to 188.
+const MIDDLE: std::ops::RangeInclusive<f32> = 0.05..=0.5;
+
+/// The least code whose gain the range must reach.
+const LEAST_CODE: u8 = 8;
+
+/// Readers divide by the headroom.
+const LEAST_HEADROOM: f64 = 0.5;

@@ -1,0 +1,64 @@
+//! Anonymous files: files without a name, which the system removes when their process ends, however it ends.
+//!
+//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports them (`O_TMPFILE`) on most of its file
+//! systems. On other systems there are none, and temporary names are used.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+/// An anonymous file in `folder`, with the permissions that a new file has; none where the system or the file system has no such files.
+#[cfg(target_os = "linux")]
+pub(super) fn create(folder: &Path) -> Option<File> {
+    use rustix::fs::{Mode, OFlags, open};
+    // Asked for rw-rw-rw-, the system takes off the umask.
+    let mode = Mode::from_raw_mode(0o666);
+    open(folder, OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC, mode).ok().map(File::from)
+}
+
+/// Gives the anonymous `file` its name `path`, which must be new.
+///
+/// # Errors
+/// [`AlreadyExists`](io::ErrorKind::AlreadyExists), and other errors of the system.
+#[cfg(target_os = "linux")]
+pub(super) fn link(file: &File, path: &Path) -> io::Result<()> {
+    use rustix::fs::{AtFlags, CWD, linkat};
+    use rustix::io::Errno;
+    use std::os::fd::AsRawFd;
+    match linkat(file, "", CWD, path, AtFlags::EMPTY_PATH) {
+        // Before Linux 6.10 only a privileged process may do so; /proc is needed then.
+        Err(e) if e != Errno::EXIST => {
+            let entry = format!("/proc/self/fd/{}", file.as_raw_fd());
+            Ok(linkat(CWD, entry, CWD, path, AtFlags::SYMLINK_FOLLOW)?)
+        }
+        linked => Ok(linked?),
+    }
+}
+
+/// Maximum number of complete anonymous files that stay open: half of the files that the process may open.
+#[cfg(target_os = "linux")]
+pub(super) fn most() -> usize {
+    use rustix::process::{Resource, getrlimit};
+    getrlimit(Resource::Nofile).current.map_or(usize::MAX, |most| usize::try_from(most / 2).unwrap_or(usize::MAX))
+}
+
+/// None.
+#[cfg(not(target_os = "linux"))]
+pub(super) fn create(_: &Path) -> Option<File> {
+    None
+}
+
+/// Never.
+///
+/// # Errors
+/// Always.
+#[cfg(not(target_os = "linux"))]
+pub(super) fn link(_: &File, _: &Path) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
+}
+
+/// None.
+#[cfg(not(target_os = "linux"))]
+pub(super) fn most() -> usize {
+    0
+}

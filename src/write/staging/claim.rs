@@ -1,0 +1,209 @@
+//! Claims: temporary names in a folder, and the process that they belong to.
+//!
+//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them the file `.hdralign-ID.lock`, which contains [`SIGNATURE`] and is
+//! locked while the process runs. [`sweep`] removes the files of claims that no process has locked. A file without a claim belongs to the
+//! user, whatever its name. Cost: one open file for each folder; a lock is one system call, the signature one fsync.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+const PREFIX: &str = ".hdralign-";
+const PART: &str = ".part";
+const LOCK: &str = ".lock";
+
+/// Letters and digits of an ID: 62^12 of them.
+const ID_LENGTH: usize = 12;
+
+/// What a lock file holds.
+const SIGNATURE: &[u8] = b"hdralign: temporary files are written here; see docs/faults.md\n";
+
+/// How often another lock file is made in place of one that was swept before it was locked.
+const TRIES: usize = 16;
+
+/// Temporary names in a folder. Dropped, their files are removed.
+#[derive(Debug)]
+pub(super) struct Claim {
+    _lock: NamedTempFile,
+    folder: PathBuf,
+    id: String,
+    /// How many names were made.
+    made: u64,
+    paths: BTreeSet<PathBuf>,
+}
+
+impl Claim {
+    /// A claim on `folder`, without names.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn new(folder: &Path) -> io::Result<Claim> {
+        let mut lock = locked_in(folder)?;
+        lock.write_all(SIGNATURE)?;
+        // After a power cut the files are not known without it.
+        lock.as_file().sync_all()?;
+        let name = lock.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let id = id_of(&name).unwrap_or_default().to_owned();
+        Ok(Claim { _lock: lock, folder: folder.to_owned(), id, made: 0, paths: BTreeSet::new() })
+    }
+
+    /// A new name.
+    pub fn name(&mut self) -> PathBuf {
+        let path = self.folder.join(format!("{PREFIX}{}-{}{PART}", self.id, self.made));
+        self.made += 1;
+        self.paths.insert(path.clone());
+        path
+    }
+
+    /// Removes the file `path`, if it is there, and its name; whether that was the last one.
+    pub fn remove(&mut self, path: &Path) -> bool {
+        // Mostly it has its final name by now, and else there is nobody to tell.
+        let _ = fs::remove_file(path);
+        self.paths.remove(path);
+        self.paths.is_empty()
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        // The lock file goes after them.
+        for path in &self.paths {
+            let _ = fs::remove_file(path);
+        }
+    }
+}
+
+/// A lock file in `folder`, locked where there are locks.
+fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
+    let open = |path: &Path| OpenOptions::new().read(true).write(true).create_new(true).open(path);
+    for _ in 0..TRIES {
+        let lock = tempfile::Builder::new().prefix(PREFIX).suffix(LOCK).rand_bytes(ID_LENGTH).make_in(folder, open)?;
+        match lock.as_file().try_lock() {
+            Ok(()) if lock.path().exists() => return Ok(lock),
+            // A sweep saw it before it was locked, and removes it, or has done so.
+            Ok(()) | Err(TryLockError::WouldBlock) => {}
+            Err(TryLockError::Error(_)) => return Ok(lock),
+        }
+    }
+    Err(io::Error::other("temporary files disappear from the folder as soon as they are made"))
+}
+
+/// The ID in the name of a lock file.
+fn id_of(name: &str) -> Option<&str> {
+    name.strip_prefix(PREFIX)?.strip_suffix(LOCK).filter(|id| id.len() == ID_LENGTH)
+}
+
+/// Removes the temporary files that processes left in `folder` when they were killed, and gives their number. Those of a living process are
+/// claimed by a file that it has locked, and stay; where the file system knows no locks, all stay. Where locks do not reach other machines
+/// (Lustre's `localflock`), it must not run beside another machine that writes there: that one would fail to name its files.
+pub fn sweep(folder: &Path) -> usize {
+    names(folder).iter().filter_map(|name| id_of(name)).map(|id| sweep_one(folder, id)).sum()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.filter_map(|entry| entry.file_name().into_string().ok()).collect()
+}
+
+/// Removes the files of the claim `id`, if nobody has it locked, and gives their number.
+fn sweep_one(folder: &Path, id: &str) -> usize {
+    let lock = folder.join(format!("{PREFIX}{id}{LOCK}"));
+    let Some(abandoned) = Abandoned::at(&lock) else { return 0 };
+    let is_part = |name: &&String| {
+        let number =
+            name.strip_prefix(PREFIX).and_then(|rest| rest.strip_prefix(id)?.strip_prefix('-')?.strip_suffix(PART));
+        number.is_some_and(|n| !n.is_empty() && n.bytes().all(|digit| digit.is_ascii_digit()))
+    };
+    let names = if abandoned.is_signed { names(folder) } else { Vec::new() };
+    let parts = names.iter().filter(is_part).map(|name| folder.join(name));
+    parts.chain([lock]).filter(|path| fs::remove_file(path).is_ok()).count()
+}
+
+/// A lock file whose process is gone, locked by this one.
+struct Abandoned {
+    _locked: File,
+    /// Not where the process was killed before it had signed it, and so before it made names.
+    is_signed: bool,
+}
+
+impl Abandoned {
+    /// The lock file `path`, if it is one and nobody has it locked.
+    fn at(path: &Path) -> Option<Abandoned> {
+        // A link is none of ours. A lock on NFS needs a file that may be written.
+        fs::symlink_metadata(path).ok().filter(|there| there.is_file())?;
+        let file = OpenOptions::new().read(true).write(true).open(path).ok()?;
+        file.try_lock().ok()?;
+        let mut content = Vec::new();
+        (&file).take(SIGNATURE.len() as u64 + 1).read_to_end(&mut content).ok()?;
+        let is_ours = content.is_empty() || content == SIGNATURE;
+        is_ours.then_some(Abandoned { _locked: file, is_signed: !content.is_empty() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signature_is_that_of_the_tests_through_the_binary() {
+        assert_eq!(SIGNATURE, include_bytes!("../../../tests/support/claim.txt"));
+    }
+
+    #[test]
+    fn sweep_removes_what_no_living_process_claims_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let there = || {
+            let mut names = names(dir.path());
+            names.sort();
+            names
+        };
+        // The user's, by their names or by what they hold.
+        let users = [
+            ".hdralign-notes.part",
+            ".hdralign-aaaaaaaaaaaa-0.part",
+            ".hdralign-bbbbbbbbbbbb.lock",
+            ".hdralign-bbbbbbbbbbbb-0.part",
+            ".hdralign-cccccccccccc-x.part",
+            ".hdralign-cccccccccccc-.part",
+            ".hdralign-short.lock",
+        ];
+        users.iter().for_each(|name| fs::write(at(name), "mine").unwrap());
+        fs::write(at(".hdralign-cccccccccccc.lock"), SIGNATURE).unwrap();
+        fs::write(at(".hdralign-cccccccccccc-0.part"), "half").unwrap();
+        fs::write(at(".hdralign-cccccccccccc-17.part"), "").unwrap();
+        fs::write(at(".hdralign-dddddddddddd.lock"), "").unwrap();
+        fs::write(at(".hdralign-dddddddddddd-0.part"), "mine").unwrap();
+        let mut living = Claim::new(dir.path()).unwrap();
+        let path = living.name();
+        fs::write(&path, "half").unwrap();
+        assert_eq!(sweep(dir.path()), 4);
+        assert!(path.exists(), "it is being written");
+        drop(living);
+        let mut left: Vec<&str> = users.into_iter().chain([".hdralign-dddddddddddd-0.part"]).collect();
+        left.sort_unstable();
+        assert_eq!(there(), left);
+        assert_eq!((sweep(dir.path()), sweep(&at("nowhere"))), (0, 0));
+    }
+
+    /// Sweeps that run all the time take no file from those who make them.
+    #[test]
+    fn claims_made_during_a_sweep_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path();
+        std::thread::scope(|scope| {
+            let make = || (0..50).map(|_| Claim::new(folder)).collect::<io::Result<Vec<_>>>();
+            let making = [scope.spawn(make), scope.spawn(make)];
+            let mut swept = 0;
+            while !making.iter().all(|thread| thread.is_finished()) {
+                swept += sweep(folder);
+            }
+            let made: Vec<Claim> = making.into_iter().flat_map(|thread| thread.join().unwrap().unwrap()).collect();
+            assert!(made.iter().all(|claim| claim._lock.path().exists()), "{swept} swept");
+            assert_eq!((made.len(), names(folder).len(), sweep(folder)), (100, 100, 0));
+        });
+        assert!(names(folder).is_empty());
+    }
+}

@@ -1,0 +1,164 @@
+//! Renaming of complete files to their targets, with or without replacement.
+//!
+//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few system calls for each file.
+//! Bytes are copied only where a file system supports anonymous files but cannot link them.
+
+use super::anonymous;
+use super::temporary::{Registry, Staged, State, TemporaryName};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Seek};
+use std::path::{Path, PathBuf};
+use tempfile::TempPath;
+
+impl Staged {
+    pub fn registry(&self) -> &'static Registry {
+        match self {
+            Staged::Anonymous(held, _) => held.registry,
+            Staged::Named(name) => name.registry,
+        }
+    }
+
+    /// Opens the file at its first byte, for one reader at a time.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn open(&self) -> io::Result<File> {
+        match self {
+            Staged::Anonymous(held, _) => {
+                let mut file = held.file.try_clone()?;
+                file.rewind()?;
+                Ok(file)
+            }
+            Staged::Named(name) => File::open(&name.path),
+        }
+    }
+
+    /// Sets its permission bits to `mode` of those it has.
+    #[cfg(unix)]
+    fn set_mode(&self, mode: impl Fn(u32) -> u32) -> io::Result<()> {
+        use std::os::unix::fs::PermissionsExt;
+        let file = self.open()?;
+        let own = file.metadata()?.permissions().mode() & 0o777;
+        let wanted = mode(own);
+        // File systems without permissions refuse even to set those that are there.
+        if wanted == own { Ok(()) } else { file.set_permissions(fs::Permissions::from_mode(wanted)) }
+    }
+
+    /// Removes the permissions that `source` does not have, on systems with permission bits.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn restrict(&self, source: &Path) -> io::Result<()> {
+        #[cfg(unix)]
+        {
+            let there = fs::metadata(source)?;
+            self.set_mode(|own| own & std::os::unix::fs::MetadataExt::mode(&there))?;
+        }
+        #[cfg(not(unix))]
+        let _ = source;
+        Ok(())
+    }
+
+    /// Gives it a temporary name and the permissions of the file `target`: everything that may fail before [`rename_over`](Self::rename_over).
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn prepare(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
+        self.temporary(state)?;
+        #[cfg(unix)]
+        if let Some(there) = fs::symlink_metadata(target).ok().filter(|there| there.is_file()) {
+            self.set_mode(|_| std::os::unix::fs::MetadataExt::mode(&there) & 0o777)?;
+        }
+        #[cfg(not(unix))]
+        let _ = target;
+        Ok(())
+    }
+
+    /// Renames it to `target`, replacing the file there.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn rename_over(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
+        self.prepare(state, target)?;
+        fs::rename(self.temporary(state)?, target)
+    }
+
+    /// Renames it to `target`, which must not exist.
+    ///
+    /// # Errors
+    /// [`ErrorKind::AlreadyExists`], and other errors of the system.
+    pub fn rename_new(&mut self, state: &mut State, target: &Path) -> io::Result<()> {
+        if let Staged::Anonymous(held, None) = self {
+            match anonymous::link(&held.file, target) {
+                Err(error) if error.kind() != ErrorKind::AlreadyExists => {}
+                linked => return linked,
+            }
+        }
+        rename_new(self.temporary(state)?, target)
+    }
+
+    /// Its temporary name.
+    fn temporary(&mut self, state: &mut State) -> io::Result<&Path> {
+        match self {
+            Staged::Named(name) | Staged::Anonymous(_, Some(name)) => Ok(&name.path),
+            Staged::Anonymous(held, name) => {
+                let path = state.temporary_of(&held.folder, &held.file)?;
+                Ok(&name.insert(TemporaryName { registry: held.registry, path }).path)
+            }
+        }
+    }
+}
+
+/// Renames the file `from` to `to`, which must not exist.
+fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    let Err(failed) = TempPath::try_from_path(from)?.persist_noclobber(to) else { return Ok(()) };
+    // The owner of the temporary name removes it.
+    let _: Result<PathBuf, _> = failed.path.keep();
+    match failed.error.kind() {
+        ErrorKind::AlreadyExists => Err(failed.error),
+        _ => replace_reservation(from, to),
+    }
+}
+
+/// The same for file systems with neither rename-without-replacement nor hard links (some FUSE file systems): creates an empty file at `to` and
+/// replaces it, so that no other process can create `to` in between.
+fn replace_reservation(from: &Path, to: &Path) -> io::Result<()> {
+    OpenOptions::new().write(true).create_new(true).open(to)?;
+    fs::rename(from, to).inspect_err(|_| {
+        // The first failure is the one to report.
+        let _ = fs::remove_file(to);
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replace_reservation_target_exists_or_source_missing_changes_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("from"), "bytes").unwrap();
+        fs::write(at("taken"), "old").unwrap();
+        let error = replace_reservation(&at("from"), &at("taken")).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+        assert_eq!(replace_reservation(&at("gone"), &at("new")).unwrap_err().kind(), ErrorKind::NotFound);
+        assert!(!at("new").exists());
+        replace_reservation(&at("from"), &at("new")).unwrap();
+        let read = |name: &str| fs::read_to_string(at(name)).unwrap();
+        assert_eq!((read("new"), read("taken"), at("from").exists()), ("bytes".into(), "old".into(), false));
+    }
+
+    /// As from a folder that is gone.
+    #[test]
+    fn rename_new_failure_keeps_the_temporary_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("from"), "bytes").unwrap();
+        let kind = |to: &str| rename_new(&at("from"), &at(to)).unwrap_err().kind();
+        assert_eq!((kind("none/to"), kind("from")), (ErrorKind::NotFound, ErrorKind::AlreadyExists));
+        assert!(at("from").exists());
+        rename_new(&at("from"), &at("to")).unwrap();
+        assert!(at("to").exists() && !at("from").exists());
+    }
+}

@@ -1,0 +1,66 @@
+//! Samples of a TIFF, and the predictor that makes rows of them small.
+//!
+//! In: a row of pixels. Out: its bytes, as differences from the pixel on the left. Cost: see [`super`]. Source: TIFF 6.0, section 14; Adobe
+//! Photoshop TIFF Technical Note 3 (floating-point predictor).
+
+/// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
+pub trait Sample: Copy + Send + Sync + 'static {
+    /// Its size.
+    const BITS: u16;
+    /// The TIFF sample format: 1 for unsigned integers, 3 for floats.
+    const FORMAT: u16;
+    /// The TIFF predictor: 2 for differences, 3 for those of floats.
+    const PREDICTOR: u16;
+
+    /// Appends `row`, predicted from the pixel on the left: little-endian, or by bytes for floats.
+    fn put_predicted(row: &[[Self; 3]], out: &mut Vec<u8>);
+}
+
+impl Sample for u8 {
+    const BITS: u16 = 8;
+    const FORMAT: u16 = 1;
+    const PREDICTOR: u16 = 2;
+
+    fn put_predicted(row: &[[u8; 3]], out: &mut Vec<u8>) {
+        let mut left = [0u8; 3];
+        for p in row {
+            out.extend((0..3).map(|c| p[c].wrapping_sub(left[c])));
+            left = *p;
+        }
+    }
+}
+
+impl Sample for u16 {
+    const BITS: u16 = 16;
+    const FORMAT: u16 = 1;
+    const PREDICTOR: u16 = 2;
+
+    fn put_predicted(row: &[[u16; 3]], out: &mut Vec<u8>) {
+        let mut left = [0u16; 3];
+        for p in row {
+            for c in 0..3 {
+                out.extend_from_slice(&p[c].wrapping_sub(left[c]).to_le_bytes());
+            }
+            left = *p;
+        }
+    }
+}
+
+impl Sample for f32 {
+    const BITS: u16 = 32;
+    const FORMAT: u16 = 3;
+    const PREDICTOR: u16 = 3;
+
+    /// All first bytes of the row, then all second ones, from the sign down; of these the differences, three apart.
+    fn put_predicted(row: &[[f32; 3]], out: &mut Vec<u8>) {
+        let samples = row.as_flattened();
+        let start = out.len();
+        for byte in 0..4 {
+            out.extend(samples.iter().map(|v| v.to_be_bytes()[byte]));
+        }
+        let bytes = &mut out[start..];
+        for i in (3..bytes.len()).rev() {
+            bytes[i] = bytes[i].wrapping_sub(bytes[i - 3]);
+        }
+    }
+}

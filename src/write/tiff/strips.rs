@@ -1,0 +1,64 @@
+//! The structure of a TIFF: strips of 64 rows in order, and the directory behind them.
+//!
+//! In: packed strips. Out: a file. Cost: none beyond writing. Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
+
+use super::directory::{Directory, tag};
+use crate::error::Result;
+use crate::plane::BAND_ROWS;
+use crate::write::staging::Pending;
+use std::io::{self, Seek, SeekFrom, Write};
+
+/// A file whose strips come in order and whose directory comes last.
+#[derive(Debug)]
+pub(crate) struct Strips {
+    pub(crate) file: Pending,
+    pub(crate) directory: Directory,
+    pub(crate) at: u64,
+    strips: Vec<(u64, u64)>,
+}
+
+impl Strips {
+    /// Begins a picture of `size` pixels, `bits_per_pixel` each before they are packed, in strips of 64 rows.
+    pub(crate) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
+        let (width, height) = (size.0 as u64, size.1 as u64);
+        let raw = width * height * bits_per_pixel / 8;
+        // Noise can make packing grow by a little; the directory needs some room too.
+        let mut directory = Directory::new(raw + raw / 64 + (1 << 24) > u64::from(u32::MAX));
+        directory.long(tag::WIDTH, &[width]);
+        directory.long(tag::HEIGHT, &[height]);
+        directory.long(tag::ROWS_PER_STRIP, &[BAND_ROWS as u64]);
+        directory.short(tag::SAMPLES, &[3]);
+        directory.short(tag::PLANAR, &[1]);
+        let start = directory.file_header(0);
+        file.put(&start)?;
+        Ok(Strips { file, directory, at: start.len() as u64, strips: Vec::new() })
+    }
+
+    /// The next strip.
+    pub(crate) fn put(&mut self, strip: &[u8]) -> Result<()> {
+        self.file.put(strip)?;
+        self.strips.push((self.at, strip.len() as u64));
+        self.at += strip.len() as u64;
+        Ok(())
+    }
+
+    /// The directory, and the place of it.
+    pub(crate) fn end(mut self) -> Result<Pending> {
+        let (offsets, counts): (Vec<u64>, Vec<u64>) = self.strips.iter().copied().unzip();
+        self.directory.long(tag::STRIP_OFFSETS, &offsets);
+        self.directory.long(tag::STRIP_COUNTS, &counts);
+        // The directory begins at an even place.
+        let place = self.at.next_multiple_of(2);
+        let mut end = vec![0; (place - self.at) as usize];
+        end.extend(self.directory.bytes(place));
+        let start = self.directory.file_header(place);
+        let file = &mut self.file;
+        let mut put = || -> io::Result<()> {
+            file.write_all(&end)?;
+            file.seek(SeekFrom::Start(0))?;
+            file.write_all(&start)
+        };
+        put().map_err(|e| self.file.error(e))?;
+        Ok(self.file)
+    }
+}
