@@ -16,6 +16,7 @@ mod picture;
 mod referred;
 mod results;
 mod slabs;
+mod threads;
 mod tonemapping;
 
 use crate::align::transforms_file::SavedAlignment;
@@ -40,10 +41,12 @@ use fusion::Aligned;
 use line::{Line, Radiance};
 use slabs::Slabs;
 use std::path::{Path, PathBuf};
+use threads::in_pool;
 
 pub use crop::Crop;
 pub use memory::merge_bracket;
 pub use names::{default_folder, default_outputs, default_picture, natural};
+pub use threads::start_threads;
 pub use tonemapping::{TonemapOptions, tonemap_file};
 
 /// What is done to a bracket, and where the results go.
@@ -353,55 +356,6 @@ pub fn inspect(
     })
 }
 
-/// More threads than this only cost memory, on any machine.
-const MOST_THREADS: usize = 1024;
-
-/// Runs `work` on a pool of `threads` threads, or on the common one, which is started first.
-fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
-    if threads.is_none() {
-        start_threads()?;
-    }
-    in_own_pool(threads, work)
-}
-
-/// Runs `work` on a pool of `threads` threads, or on the pool of the caller.
-fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
-    let Some(threads) = threads else { return work() };
-    let refused = |reason: String| Error::Option { option: "--threads", reason };
-    if threads == 0 {
-        return Err(refused("0 threads cannot work; give 1 or more".into()));
-    }
-    if threads > MOST_THREADS {
-        return Err(refused(format!(
-            "{threads} threads are more than {MOST_THREADS}; give about as many as there are cores"
-        )));
-    }
-    if rayon::current_thread_index().is_some() && rayon::current_num_threads() == threads {
-        return work();
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map_err(|source| Error::Threads { threads, source })?.install(work)
-}
-
-/// Starts the threads that compute where nothing else is said, one for each core, unless they are there. Whatever computes without having done so
-/// panics where the system refuses them.
-///
-/// # Errors
-/// [`Error::Threads`].
-pub fn start_threads() -> Result<()> {
-    if rayon::current_thread_index().is_some() {
-        return Ok(());
-    }
-    match rayon::ThreadPoolBuilder::new().build_global() {
-        // It has no source where they were there already.
-        Err(source) if std::error::Error::source(&source).is_some() => {
-            let threads = std::thread::available_parallelism().map_or(1, usize::from);
-            Err(Error::Threads { threads, source })
-        }
-        _ => Ok(()),
-    }
-}
-
 /// Every file that a run on `images` writes.
 ///
 /// # Errors
@@ -486,15 +440,4 @@ fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
     }
     let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();
     Err(Error::NothingAligned { reference: bracket.reference().path().to_owned(), reason })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_threads_are_refused() {
-        let error = in_pool(Some(0), || Ok(())).unwrap_err();
-        assert!(error.is_usage());
-    }
 }

@@ -10,7 +10,8 @@ mod seen;
 
 use super::curves;
 use super::line::Line;
-use super::{Prepared, Progress, in_pool};
+use super::threads::in_pool;
+use super::{Prepared, Progress};
 use crate::bracket::ReferenceChoice;
 use crate::error::{Error, Result};
 use crate::inspect::response_plot;

@@ -4,7 +4,8 @@
 //! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and writing.
 
 use super::line::Line;
-use super::{Options, Outcome, Progress, developed, in_own_pool, validate};
+use super::threads::in_own_pool;
+use super::{Options, Outcome, Progress, developed, validate};
 use crate::bracket::{Bracket, LoadOptions};
 use crate::error::{Error, Result};
 use crate::tonemap::DisplayImage;

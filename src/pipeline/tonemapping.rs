@@ -5,7 +5,8 @@
 
 use super::picture::{Each, Picture};
 use super::results::Results;
-use super::{Progress, Stage, in_pool};
+use super::threads::in_pool;
+use super::{Progress, Stage};
 use crate::bracket::colour::Space;
 use crate::budget;
 use crate::error::{Error, Result};

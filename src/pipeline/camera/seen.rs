@@ -5,7 +5,8 @@
 
 use super::super::doubts::processing;
 use super::super::line::Line;
-use super::super::{check_placed, curves, in_pool};
+use super::super::threads::in_pool;
+use super::super::{check_placed, curves};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::preset::Preset;
 use crate::bracket::Capture;

@@ -1,0 +1,65 @@
+//! The threads that a run computes on.
+//!
+//! In: the number asked for. Out: the work's result, from a pool of that many threads. Cost: that of starting the pool.
+
+use crate::error::{Error, Result};
+
+/// More threads than this only cost memory, on any machine.
+const MOST_THREADS: usize = 1024;
+
+/// Runs `work` on a pool of `threads` threads, or on the common one, which is started first.
+pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+    if threads.is_none() {
+        start_threads()?;
+    }
+    in_own_pool(threads, work)
+}
+
+/// Runs `work` on a pool of `threads` threads, or on the pool of the caller.
+pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+    let Some(threads) = threads else { return work() };
+    let refused = |reason: String| Error::Option { option: "--threads", reason };
+    if threads == 0 {
+        return Err(refused("0 threads cannot work; give 1 or more".into()));
+    }
+    if threads > MOST_THREADS {
+        return Err(refused(format!(
+            "{threads} threads are more than {MOST_THREADS}; give about as many as there are cores"
+        )));
+    }
+    if rayon::current_thread_index().is_some() && rayon::current_num_threads() == threads {
+        return work();
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|source| Error::Threads { threads, source })?.install(work)
+}
+
+/// Starts the threads that compute where nothing else is said, one for each core, unless they are there. Whatever computes without having done so
+/// panics where the system refuses them.
+///
+/// # Errors
+/// [`Error::Threads`].
+pub fn start_threads() -> Result<()> {
+    if rayon::current_thread_index().is_some() {
+        return Ok(());
+    }
+    match rayon::ThreadPoolBuilder::new().build_global() {
+        // It has no source where they were there already.
+        Err(source) if std::error::Error::source(&source).is_some() => {
+            let threads = std::thread::available_parallelism().map_or(1, usize::from);
+            Err(Error::Threads { threads, source })
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_threads_are_refused() {
+        let error = in_pool(Some(0), || Ok(())).unwrap_err();
+        assert!(error.is_usage());
+    }
+}
