@@ -11,6 +11,7 @@ pub mod colour;
 mod copies;
 mod decode;
 pub mod exposure;
+mod from_image;
 mod grey;
 pub mod header;
 mod load;
@@ -33,7 +34,6 @@ use crate::plane::{BAND_ROWS, Plane, map_at_once};
 use crate::scratch::Scratch;
 use colour::{Primaries, Profile};
 use exposure::Exposure;
-use image::{ColorType, DynamicImage};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -132,31 +132,6 @@ impl Frame {
     pub fn new(path: PathBuf, width: usize, height: usize, samples: Samples, exposure: Exposure) -> Self {
         let well_exposed = reference::well_exposed(&samples, width);
         Frame::stored(path, (width, height), Store::Held(samples), well_exposed, exposure)
-    }
-
-    /// A frame from an image in memory: 16-bit images keep their 16 bits, all others become 8-bit. Alpha is dropped, grey becomes three equal channels; the
-    /// pixel values are camera-encoded, as a decoder of JPEG, PNG or TIFF gives them. `name` identifies the frame in results and errors; no such file is needed.
-    ///
-    /// # Errors
-    /// [`Error::Decode`] where the image has no pixels, or holds floats: those are no pixel values of a camera.
-    pub fn from_image(name: impl Into<PathBuf>, image: DynamicImage, exposure: Exposure) -> Result<Self> {
-        let name = name.into();
-        let (width, height) = (image.width() as usize, image.height() as usize);
-        let refused =
-            |reason: &str| Err(Error::Decode { path: name.clone(), format: "image", reason: reason.to_owned() });
-        if width == 0 || height == 0 {
-            return refused("the image has no pixels");
-        }
-        let samples = match image.color() {
-            ColorType::Rgb32F | ColorType::Rgba32F => {
-                return refused("the image holds floats; give the 8- or 16-bit values of the camera");
-            }
-            ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
-                Samples::Sixteen(image.into_rgb16().into_raw())
-            }
-            _ => Samples::Eight(image.into_rgb8().into_raw()),
-        };
-        Ok(Frame::new(name, width, height, samples, exposure))
     }
 
     /// As [`new`](Self::new), of codes that are anywhere and were looked at before.

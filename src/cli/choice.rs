@@ -5,33 +5,32 @@ use clap::{Arg, Command};
 use std::ffi::OsStr;
 use strum::{EnumMessage, IntoEnumIterator};
 
+/// A value, its name, and a sentence that describes it.
+pub type Named<T> = (T, &'static str, &'static str);
+
 /// Accepts one of several named values.
 #[derive(Clone)]
 pub struct Choice<T>(Vec<Named<T>>);
 
-/// A value, its name and a phrase on it.
-#[derive(Clone)]
-struct Named<T> {
-    value: T,
-    name: &'static str,
-    about: &'static str,
+impl<T> FromIterator<Named<T>> for Choice<T> {
+    fn from_iter<I: IntoIterator<Item = Named<T>>>(values: I) -> Self {
+        Choice(values.into_iter().collect())
+    }
 }
 
 impl<T> Choice<T> {
-    /// No value yet.
-    pub fn new() -> Self {
-        Choice(Vec::new())
-    }
-
-    /// With another value; `about` is the first sentence of its documentation.
-    pub fn or(mut self, value: T, name: &'static str, about: &'static str) -> Self {
-        self.0.push(Named { value, name, about: about.trim_end_matches('.') });
-        self
-    }
-
     fn possible(&self) -> impl Iterator<Item = PossibleValue> {
-        self.0.iter().map(|named| PossibleValue::new(named.name).help(named.about))
+        self.0.iter().map(|(_, name, about)| PossibleValue::new(*name).help(about.trim_end_matches('.')))
     }
+}
+
+/// `value` with its name and its documentation.
+pub fn named<T: EnumMessage>(value: T) -> Named<T>
+where
+    for<'a> &'static str: From<&'a T>,
+{
+    let (name, about) = ((&value).into(), value.get_documentation().unwrap_or_default());
+    (value, name, about)
 }
 
 /// Accepts every value of `T`.
@@ -40,10 +39,7 @@ where
     T: IntoEnumIterator + EnumMessage,
     for<'a> &'static str: From<&'a T>,
 {
-    T::iter().fold(Choice::new(), |choice, value| {
-        let (name, about) = ((&value).into(), value.get_documentation().unwrap_or_default());
-        choice.or(value, name, about)
-    })
+    T::iter().map(named).collect()
 }
 
 impl<T: Clone + Send + Sync + 'static> TypedValueParser for Choice<T> {
@@ -51,8 +47,8 @@ impl<T: Clone + Send + Sync + 'static> TypedValueParser for Choice<T> {
 
     fn parse_ref(&self, command: &Command, arg: Option<&Arg>, text: &OsStr) -> Result<T, clap::Error> {
         let name = PossibleValuesParser::new(self.possible()).parse_ref(command, arg, text)?;
-        let named = self.0.iter().find(|named| named.name == name);
-        named.map(|named| named.value.clone()).ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue))
+        let found = self.0.iter().find(|named| named.1 == name);
+        found.map(|named| named.0.clone()).ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue))
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {

@@ -1,12 +1,12 @@
 //! Arguments on the radiance that is written: colour space and encodings.
 
-use super::choice::{Choice, choice};
+use super::choice::{Choice, choice, named};
 use super::heading::OUTPUT;
 use clap::Args;
 use hdralign::bracket::colour::Space;
 use hdralign::write::jpeg::{self, Resolution};
 use hdralign::write::{self, exr, hdr, tiff};
-use strum::{EnumMessage, IntoEnumIterator};
+use strum::IntoEnumIterator;
 
 /// How radiance is written.
 #[derive(Debug, Args)]
@@ -43,7 +43,7 @@ pub struct Radiance {
     gain_map: Resolution,
 }
 
-/// A colour space that radiance is converted to, if any. A type of its own, for clap takes an `Option` for an argument that may be missing.
+/// A colour space that radiance is converted to, if any. clap would take a bare `Option` for an argument that may be missing.
 #[derive(Debug, Clone)]
 struct Target(Option<Space>);
 
@@ -51,10 +51,9 @@ struct Target(Option<Space>);
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
-    let keep = Choice::new().or(Target(None), KEEP, "The space of the photographs' profile, or of the radiance map");
-    Space::iter().fold(keep, |choice, space| {
-        choice.or(Target(Some(space)), space.into(), space.get_documentation().unwrap_or_default())
-    })
+    let keep = (Target(None), KEEP, "The space of the photographs' profile, or of the radiance map");
+    let spaces = Space::iter().map(named).map(|(space, name, about)| (Target(Some(space)), name, about));
+    [keep].into_iter().chain(spaces).collect()
 }
 
 impl Radiance {

@@ -20,10 +20,11 @@ pub struct Tone {
 }
 
 fn renderings() -> Choice<Rendering> {
-    Rendering::every().into_iter().fold(Choice::new(), |choice, (rendering, about)| {
+    let named = |(rendering, about): (Rendering, _)| {
         let name = rendering.name();
-        choice.or(rendering, name, about)
-    })
+        (rendering, name, about)
+    };
+    Rendering::every().into_iter().map(named).collect()
 }
 
 impl Tone {

@@ -175,7 +175,7 @@ impl<'a> Line<'a> {
     /// The bracket, to which `stages` are done.
     pub fn load(&mut self, images: &[PathBuf], stages: &Stages, options: &Options) -> Result<Bracket> {
         let watch = self.watch;
-        // Frames that are being decoded are decoded to the end; the next stage is not begun.
+        // Runs are cancelled between stages only.
         let decoded = |done| {
             let _ = watch.report(Progress::Decoded(done));
         };
@@ -209,7 +209,7 @@ impl<'a> Line<'a> {
         saved: Option<SavedResponse>,
         options: &Options,
     ) -> Result<(Bracket, Camera)> {
-        let (done, time_s) = self.timed(Stage::Response, || -> Result<_> {
+        let ((bracket, camera, warnings), time_s) = self.timed(Stage::Response, || -> Result<_> {
             let is_tuned = options.exposures == Exposures::FineTuned;
             let is_sought = saved.is_none() && options.response.is_sought();
             let is_needed = is_tuned || is_sought || saved.is_some() || options.save_response.is_some();
@@ -245,7 +245,6 @@ impl<'a> Line<'a> {
             let evidence = evidence.filter(|_| report.model != "file");
             Ok((bracket, Camera { curve, report, evidence }, warnings))
         })?;
-        let (bracket, camera, warnings) = done;
         self.times.response = Some(time_s);
         self.warnings.extend(warnings);
         Ok((bracket, camera))

@@ -61,7 +61,7 @@ fn night_stays_night() {
     assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
 }
 
-/// What is fused of photographs is not brought to a mean: nothing is made brighter, and it is what was asked for where something was.
+/// The mean code is that of the fused photographs, and not [`BRIGHTNESS`]; where one is set, it is reached.
 #[test]
 fn brightness_is_that_of_the_fused_photographs_unless_it_is_set() {
     let map = room(1.0);
