@@ -53,10 +53,10 @@
 //! # let images: Vec<PathBuf> = (1..=5).map(|i| PathBuf::from(format!("{folder}/window_{i}.jpg"))).collect();
 //! let (bracket, _warnings) = load(&images, &LoadOptions::default())?;
 //! let (alignment, _warnings) = align(&bracket, &AlignOptions::default())?;
-//! for (frame, verdict) in bracket.frames().iter().zip(&alignment.verdicts) {
-//!     println!("{}: {:?}, confidence {:.2}", frame.path().display(), verdict.model, verdict.confidence);
+//! for (frame, placement) in bracket.frames().iter().zip(&alignment.placements) {
+//!     println!("{}: {:?}, confidence {:.2}", frame.path().display(), placement.model(), placement.confidence());
 //! }
-//! # assert!(alignment.verdicts.iter().all(|verdict| verdict.confidence > 0.5));
+//! # assert!(alignment.placements.iter().all(|placement| placement.confidence() > 0.5));
 //! # Ok(())
 //! # }
 //! ```

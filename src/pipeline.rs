@@ -20,7 +20,7 @@ mod threads;
 mod tonemapping;
 
 use crate::align::transforms_file::SavedAlignment;
-use crate::align::{AlignMode, AlignOptions, Alignment};
+use crate::align::{AlignMode, AlignOptions, Alignment, Placement};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
 use crate::budget::Stages;
@@ -435,9 +435,9 @@ fn check_taken(taken: &Taken, bracket: &Bracket) -> Result<()> {
 
 /// Whether there is more to merge than the reference.
 fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
-    if alignment.verdicts.iter().filter(|v| v.transform.is_some()).count() > 1 {
+    if alignment.placed(bracket).count() > 1 {
         return Ok(());
     }
-    let reason = alignment.verdicts.iter().find_map(|v| v.reason.clone()).unwrap_or_default();
+    let reason = alignment.placements.iter().find_map(Placement::reason).unwrap_or_default().to_owned();
     Err(Error::NothingAligned { reference: bracket.reference().path().to_owned(), reason })
 }

@@ -107,13 +107,13 @@ const SHIFT_REACH: i64 = 40;
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
-    transform: Option<&Transform>,
+    transform: Option<Transform>,
     options: &AlignOptions,
 ) -> XorCurves {
     let level = measured_level(reference);
     let (width, height) = reference.size(0);
     let own = || bitmaps::search(reference, frame, level, &options.mtb).transform();
-    let transform = transform.copied().unwrap_or_else(own);
+    let transform = transform.unwrap_or_else(own);
     let [against, bitmaps] = FrameBitmaps::pair(reference, frame, options);
     let scale = bitmaps.scale;
     let (dx, dy) = transform.shift_px(width, height);
@@ -285,7 +285,7 @@ mod tests {
     fn curves_are_lowest_at_the_true_motion() {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
-        let curves = xor_curves(&reference, &frame, Some(&truth), &AlignOptions::default());
+        let curves = xor_curves(&reference, &frame, Some(truth), &AlignOptions::default());
         // The radius is 150 px: bitmaps compared to the nearest pixel tell angles that move the rim by half a pixel or
         // more, 0.2 deg.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());

@@ -1,6 +1,6 @@
 //! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Verdict`] with the transform of the smallest sufficient
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest sufficient
 //! [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first
 //! method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
 //!
@@ -41,7 +41,7 @@ use features::{RansacOptions, SiftOptions};
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
 use preset::Preset;
-pub use result::{Alignment, KeypointCounts, Rect, RejectedBy, Status, Verdict};
+pub use result::{Alignment, Estimate, FeatureCounts, KeypointCounts, Placement, Rect, RejectedBy, Status};
 use result::{unmoved_but, warnings};
 pub use transform::{Model, Transform};
 
@@ -133,20 +133,20 @@ impl AlignOptions {
 ///
 /// # Errors
 /// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
-/// common; [`Error::Scratch`]. That a frame cannot be placed is no error, but a verdict and a warning.
+/// common; [`Error::Scratch`]. A frame that cannot be placed is no error: it is [rejected](Placement::Rejected) with a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
-    let given = preset::verdicts(bracket, &options.given)?;
-    let verdicts = match options.mode {
+    let given = preset::given(bracket, &options.given)?;
+    let (placements, features) = match options.mode {
         AlignMode::None => unmoved_but(bracket, &given),
         AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,
         AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
         AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
-    let mut warnings = warnings::of_frames(bracket, &verdicts);
-    let (overlap, small) = warnings::common_overlap(bracket, &verdicts)?;
+    let mut warnings = warnings::of_frames(bracket, &placements);
+    let (overlap, small) = warnings::common_overlap(bracket, &placements)?;
     warnings.extend(small);
-    Ok((Alignment { verdicts, overlap }, warnings))
+    Ok((Alignment { placements, features, overlap }, warnings))
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! Preset transforms: given by the user for single frames, or by a file of transforms, instead of estimated.
 //!
-//! In: [`Preset`]s. Out: the verdicts on the frames of a bracket that they name. Cost: negligible.
+//! In: [`Preset`]s. Out: the placements of the frames of a bracket that they name. Cost: negligible.
 
-use crate::align::result::{Status, Verdict};
-use crate::align::transform::{corners, map};
+use crate::align::result::{FeatureCounts, Found, Placement, RejectedBy};
+use crate::align::transform::{Transform, corners, map};
 use crate::bracket::Bracket;
 use crate::error::{Error, Result};
 use std::path::PathBuf;
@@ -25,49 +25,45 @@ pub enum PresetTransform {
     /// That of the reference: the user states that it did not move.
     Unmoved,
     /// As it was found before.
-    Known(Verdict),
+    Known(Placement, FeatureCounts),
 }
 
 impl PresetTransform {
-    /// The verdict that this place is.
-    pub(crate) fn verdict(&self) -> Verdict {
-        match self {
-            PresetTransform::Unmoved => Verdict::with_identity(Status::Unmoved),
-            PresetTransform::Known(verdict) => verdict.clone(),
-            PresetTransform::Excluded => Verdict {
-                model: None,
-                transform: None,
-                reason: Some("left out, as was asked".into()),
-                ..Verdict::with_identity(Status::Excluded)
-            },
-        }
+    /// As a placement.
+    pub(crate) fn found(&self) -> Found {
+        let placement = match self {
+            PresetTransform::Known(placement, features) => return (placement.clone(), *features),
+            PresetTransform::Unmoved => Placement::by_user(Transform::Identity),
+            PresetTransform::Excluded => Placement::excluded(RejectedBy::User, "left out, as was asked".into()),
+        };
+        (placement, FeatureCounts::default())
     }
 }
 
-/// For every frame of `bracket` the verdict that is given, if one is; the first of several counts, and any before that
-/// of a frame that is excluded by itself.
+/// For every frame of `bracket` the placement that is `given`, if one is; the first of several counts, and any before
+/// that of a frame that is excluded by itself.
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid
 /// transform.
-pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Verdict>>> {
-    let mut verdicts = vec![None; bracket.frames().len()];
+pub(crate) fn given(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Found>>> {
+    let mut found = vec![None; bracket.frames().len()];
     for Preset { path, place } in given {
         let option = match place {
             PresetTransform::Excluded => "--leave-out",
             PresetTransform::Unmoved => "--unmoved",
-            PresetTransform::Known(_) => "--transforms",
+            PresetTransform::Known(..) => "--transforms",
         };
         let wrong = |reason: String| Error::Option { option, reason };
         let Some(i) = bracket.named(path) else {
             // A file of transforms may hold more frames than are merged now.
-            if matches!(place, PresetTransform::Known(_)) {
+            if matches!(place, PresetTransform::Known(..)) {
                 continue;
             }
             return Err(wrong(format!("{} is not among the photographs; name one of them", path.display())));
         };
-        if let PresetTransform::Known(verdict) = place {
-            check(verdict, (bracket.width(), bracket.height()))
+        if let PresetTransform::Known(placement, _) = place {
+            check(placement, (bracket.width(), bracket.height()))
                 .map_err(|reason| wrong(format!("{}: {reason}", path.display())))?;
         }
         if i == bracket.reference_index() {
@@ -77,27 +73,24 @@ pub(crate) fn verdicts(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option
             }
             continue;
         }
-        verdicts[i].get_or_insert_with(|| place.verdict());
+        found[i].get_or_insert_with(|| place.found());
     }
     for (i, frame) in bracket.frames().iter().enumerate().filter(|(i, _)| *i != bracket.reference_index()) {
-        if let (Some(reason), None) = (&frame.excluded, &verdicts[i]) {
-            let verdict = PresetTransform::Excluded.verdict();
-            verdicts[i] = Some(Verdict { status: Status::Flash, reason: Some(reason.clone()), ..verdict });
+        if let (Some(reason), None) = (&frame.excluded, &found[i]) {
+            found[i] = Some((Placement::excluded(RejectedBy::Flash, reason.clone()), FeatureCounts::default()));
         }
     }
-    Ok(verdicts)
+    Ok(found)
 }
 
-/// Whether `verdict` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing
+/// Whether `placement` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing
 /// mirrored.
-pub(crate) fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::result::Result<(), String> {
-    if !(0.0..=1.0).contains(&verdict.confidence) {
-        return Err(format!("its confidence is {}, and not within 0..1", verdict.confidence));
+pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> std::result::Result<(), String> {
+    let confidence = placement.confidence();
+    if !(0.0..=1.0).contains(&confidence) {
+        return Err(format!("its confidence is {confidence}, and not within 0..1"));
     }
-    let takes_part = verdict.status.rejected_by().is_none();
-    let Some(transform) = verdict.transform else {
-        return if takes_part { Err("it is to be merged, but has no homography".into()) } else { Ok(()) };
-    };
+    let Some(transform) = placement.transform() else { return Ok(()) };
     let h = transform.matrix(width, height);
     let is_seen = |&(x, y): &(f64, f64)| {
         let (u, v) = map(&h, x, y);
@@ -105,9 +98,9 @@ pub(crate) fn check(verdict: &Verdict, (width, height): (usize, usize)) -> std::
     };
     let is_sane =
         h.iter().all(|v| v.is_finite()) && h.determinant() > 0.0 && corners(width, height).iter().all(is_seen);
-    match (takes_part, is_sane) {
-        (true, true) => Ok(()),
-        (true, false) => Err("its homography is none: nine finite numbers that keep the picture in front of the camera and do not mirror it".into()),
-        (false, _) => Err("it is rejected, but has a place".into()),
+    if is_sane {
+        return Ok(());
     }
+    Err("its homography is none: nine finite numbers that keep the picture in front of the camera and do not mirror it"
+        .into())
 }

@@ -1,4 +1,4 @@
-//! Whole brackets: every frame's verdict.
+//! Whole brackets: every frame's placement.
 
 use super::*;
 use crate::align::scene::{Scene, Shot, rigid, shift};
@@ -28,7 +28,7 @@ fn bracket(shots: &[(Transform, f64)]) -> Bracket {
 }
 
 fn statuses(alignment: &Alignment) -> Vec<Status> {
-    alignment.verdicts.iter().map(|v| v.status).collect()
+    alignment.placements.iter().map(Placement::status).collect()
 }
 
 #[test]
@@ -44,14 +44,14 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
     assert!(warnings.is_empty(), "{warnings:?}");
     // By rising exposure, whatever the order given.
     assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Aligned]);
-    assert_eq!(alignment.verdicts[1].transform, Some(Transform::Identity));
-    assert_eq!(alignment.verdicts[1].error_px, Some(0.0));
+    assert_eq!(alignment.placements[1].transform(), Some(Transform::Identity));
+    assert_eq!(alignment.placements[1].error_px(), Some(0.0));
     for (i, truth, model) in [(0, dark, Model::Rigid), (2, bright, Model::Shift)] {
-        let verdict = &alignment.verdicts[i];
-        assert_eq!(verdict.model, Some(model));
+        let placement = &alignment.placements[i];
+        assert_eq!(placement.model(), Some(model));
         // As for `refine`'s own tests.
-        let error = verdict.transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
-        assert!(error < 0.1 && verdict.confidence > 0.8, "{error} {verdict:?}");
+        let error = placement.transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        assert!(error < 0.1 && placement.confidence() > 0.8, "{error} {placement:?}");
     }
     let overlap = alignment.overlap;
     assert!(overlap.x0 >= 8 && overlap.y1 <= 252 && overlap.width() > 350 && overlap.height() > 235, "{overlap:?}");
@@ -69,8 +69,11 @@ fn a_frame_of_another_scene_is_rejected_and_told() {
     let bracket = Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap();
     let (alignment, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
     assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Rejected]);
-    let verdict = &alignment.verdicts[2];
-    assert!(verdict.transform.is_none() && verdict.model.is_none() && verdict.reason.is_some(), "{verdict:?}");
+    let placement = &alignment.placements[2];
+    assert!(
+        placement.transform().is_none() && placement.model().is_none() && placement.reason().is_some(),
+        "{placement:?}"
+    );
     assert!(
         matches!(&warnings[..], [Warning::FrameRejected { path, reason }] if path.to_str() == Some("stranger") && !reason.is_empty()),
         "{warnings:?}"
@@ -89,10 +92,10 @@ const NEARLY_BLACK: f64 = -16.0;
 fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
     let still = [(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, NEARLY_BLACK)];
     let (alignment, warnings) = align(&bracket(&still), &AlignOptions::default()).unwrap();
-    let verdict = &alignment.verdicts[0];
-    assert_eq!(statuses(&alignment), [Status::Assumed, Status::Reference, Status::Unmoved], "{verdict:?}");
-    assert_eq!((verdict.transform, verdict.model), (Some(Transform::Identity), Some(Model::Unmoved)));
-    assert!(verdict.error_px.is_some_and(|error| error < 1.0) && verdict.confidence > 0.5, "{verdict:?}");
+    let placement = &alignment.placements[0];
+    assert_eq!(statuses(&alignment), [Status::Assumed, Status::Reference, Status::Unmoved], "{placement:?}");
+    assert_eq!((placement.transform(), placement.model()), (Some(Transform::Identity), Some(Model::Unmoved)));
+    assert!(placement.error_px().is_some_and(|error| error < 1.0) && placement.confidence() > 0.5, "{placement:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_dark: true, is_still: true, .. }]), "{warnings:?}");
     assert!(!warnings[0].degrades() && warnings[0].to_string().contains("stood still in the other 2 frames"));
 }
@@ -104,10 +107,10 @@ fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
     let shots =
         [(drift(0.0), 0.0), (drift(1.0), 1.0), (drift(2.0), 2.0), (drift(-1.0), -1.0), (drift(-2.0), NEARLY_BLACK)];
     let (alignment, warnings) = align(&bracket(&shots), &AlignOptions::default()).unwrap();
-    let verdict = &alignment.verdicts[0];
-    assert_eq!(verdict.status, Status::Assumed, "{verdict:?}");
-    let error = distance(&verdict.transform.unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
-    assert!(error <= verdict.error_px.unwrap() && verdict.error_px.unwrap() < 3.0, "{error} {verdict:?}");
+    let placement = &alignment.placements[0];
+    assert_eq!(placement.status(), Status::Assumed, "{placement:?}");
+    let error = distance(&placement.transform().unwrap(), &drift(-2.0), SIZE.0, SIZE.1);
+    assert!(error <= placement.error_px().unwrap() && placement.error_px().unwrap() < 3.0, "{error} {placement:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_still: false, .. }]), "{warnings:?}");
     assert!(warnings[0].degrades());
 }
@@ -121,12 +124,12 @@ fn a_black_frame_among_others_that_moved_is_rejected() {
         statuses(&alignment),
         [Status::Rejected, Status::Reference, Status::Aligned],
         "{:?}",
-        alignment.verdicts[0]
+        alignment.placements[0]
     );
     // It takes no part in what follows.
     let placed: Vec<_> =
         alignment.placed(&bracket).map(|(i, frame, transform)| (i, frame.path(), Some(transform))).collect();
-    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.verdicts[i].transform));
+    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.placements[i].transform()));
     assert_eq!(placed, expected);
     assert!(warnings.iter().any(|w| matches!(w, Warning::FrameRejected { .. })));
 }
@@ -137,7 +140,7 @@ fn without_alignment_frames_lie_as_they_are() {
     let options = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
     let (alignment, warnings) = align(&bracket, &options).unwrap();
     assert_eq!(statuses(&alignment), [Status::Reference, Status::Unmoved]);
-    assert!(warnings.is_empty() && alignment.verdicts.iter().all(|v| v.transform == Some(Transform::Identity)));
+    assert!(warnings.is_empty() && alignment.placements.iter().all(|p| p.transform() == Some(Transform::Identity)));
     assert_eq!(alignment.overlap, Rect { x0: 0, y0: 0, x1: SIZE.0, y1: SIZE.1 });
 }
 
@@ -149,7 +152,7 @@ fn each_method_by_itself_finds_the_motion() {
     // each.
     for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
-        let error = alignment.verdicts[1].transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+        let error = alignment.placements[1].transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < tolerance, "{mode:?}: {error} px");
     }
 }
@@ -184,15 +187,12 @@ fn option_out_of_range_is_an_error_that_names_it() {
 #[test]
 fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0)]);
-    let by_user = Verdict::with_identity(Status::Aligned);
-    let with = |dx| Verdict { transform: Some(shift(dx, 0.0)), ..by_user.clone() };
-    for (verdict, says) in [
-        (with(f64::NAN), "homography"),
-        (Verdict { transform: None, ..by_user.clone() }, "no homography"),
-        (Verdict { status: Status::Rejected, ..by_user.clone() }, "has a place"),
-        (Verdict { confidence: f64::NAN, ..by_user.clone() }, "confidence"),
-    ] {
-        let given = vec![Preset { path: "1".into(), place: preset::PresetTransform::Known(verdict) }];
+    let no_number = Placement::by_user(shift(f64::NAN, 0.0));
+    let by = RejectedBy::Alignment;
+    let not_known = Placement::Rejected { by, confidence: f64::NAN, reason: None };
+    for (placement, says) in [(no_number, "homography"), (not_known, "confidence")] {
+        let place = preset::PresetTransform::Known(placement, FeatureCounts::default());
+        let given = vec![Preset { path: "1".into(), place }];
         let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
         assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
         assert!(error.to_string().contains(says), "{error}");
@@ -203,12 +203,8 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
 fn small_overlap_is_warned_of_and_none_is_an_error() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, 2.0)]);
     let align = |shifts: [f64; 2]| {
-        let place = |dx| {
-            preset::PresetTransform::Known(Verdict {
-                transform: Some(shift(dx, 0.0)),
-                ..Verdict::with_identity(Status::Aligned)
-            })
-        };
+        let known = |dx| Placement::by_user(shift(dx, 0.0));
+        let place = |dx| preset::PresetTransform::Known(known(dx), FeatureCounts::default());
         let given = [1, 2].map(|i| Preset { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };
@@ -250,8 +246,8 @@ fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
         statuses(&alignment),
         [Status::Reference, Status::Aligned, Status::Rejected, Status::Aligned],
         "{:?}",
-        alignment.verdicts
+        alignment.placements
     );
-    let error = alignment.verdicts[3].transform.unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
+    let error = alignment.placements[3].transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
     assert!(error < 2.0, "{error} px");
 }

@@ -1,6 +1,6 @@
 //! The file of transforms: an alignment that is saved and used again.
 //!
-//! In and out: [`SavedAlignment`], the verdicts of a bracket, and JSON of the schema `hdralign-transforms/1`; every
+//! In and out: [`SavedAlignment`], the placements of a bracket, and JSON of the schema `hdralign-transforms/1`; every
 //! number comes back as it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
 //!
 //! ```json
@@ -15,7 +15,7 @@
 //! as one. A transform without `confidence` was set by the user, and has confidence 1.
 
 use crate::align::preset::{Preset, PresetTransform, check};
-use crate::align::result::{Alignment, KeypointCounts, RejectedBy, Status, Verdict};
+use crate::align::result::{Alignment, Estimate, FeatureCounts, Found, KeypointCounts, Placement, RejectedBy, Status};
 use crate::align::transform::{Model, Transform};
 use crate::bracket::{self, Bracket};
 use crate::error::{Error, Result};
@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 /// The version of the format; a reader refuses any other.
 pub const SCHEMA: &str = "hdralign-transforms/1";
 
-/// The verdicts of a bracket, to be saved and used again.
+/// The placements of a bracket, to be saved and used again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SavedAlignment {
     /// Width and height of every frame, in pixels.
@@ -79,13 +79,12 @@ impl SavedAlignment {
     /// The places of all frames of `bracket` by `alignment`.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
         let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
+        let known = |i: usize| PresetTransform::Known(alignment.placements[i].clone(), alignment.features[i]);
         let others = (0..bracket.frames().len()).filter(|&i| i != bracket.reference_index());
         SavedAlignment {
             size: (bracket.width(), bracket.height()),
             reference: name(bracket.reference_index()),
-            frames: others
-                .map(|i| Preset { path: name(i), place: PresetTransform::Known(alignment.verdicts[i].clone()) })
-                .collect(),
+            frames: others.map(|i| Preset { path: name(i), place: known(i) }).collect(),
         }
     }
 
@@ -93,19 +92,19 @@ impl SavedAlignment {
     pub fn to_json(&self) -> String {
         let text = |path: &Path| path.to_string_lossy().into_owned();
         let frame = |given: &Preset| {
-            let verdict = given.place.verdict();
-            let matrix = verdict.transform.map(|w| w.matrix(self.size.0, self.size.1));
+            let (placement, features) = given.place.found();
+            let matrix = placement.transform().map(|transform| transform.matrix(self.size.0, self.size.1));
             FrameDocument {
                 file: text(&given.path),
-                status: verdict.status,
-                rejected_by: verdict.status.rejected_by(),
-                model: verdict.model,
+                status: placement.status(),
+                rejected_by: placement.status().rejected_by(),
+                model: placement.model(),
                 homography: matrix.map(|h| std::array::from_fn(|i| h[(i / 3, i % 3)])),
-                error_px: verdict.error_px,
-                confidence: Some(verdict.confidence),
-                inliers: verdict.inliers,
-                keypoints: verdict.keypoints,
-                reason: verdict.reason,
+                error_px: placement.error_px(),
+                confidence: Some(placement.confidence()),
+                inliers: features.inliers,
+                keypoints: features.keypoints,
+                reason: placement.reason().map(str::to_owned),
             }
         };
         let document = Document {
@@ -144,8 +143,8 @@ impl SavedAlignment {
         let size = (document.width_px, document.height_px);
         let frames = document.frames.into_iter().map(|frame| {
             let file = frame.file.clone();
-            let verdict = verdict(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
-            Ok(Preset { path: file.into(), place: PresetTransform::Known(verdict) })
+            let (placement, features) = found(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
+            Ok(Preset { path: file.into(), place: PresetTransform::Known(placement, features) })
         });
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
     }
@@ -193,46 +192,42 @@ impl SavedAlignment {
     }
 }
 
-/// The verdict that `frame` stands for, or what is wrong with it.
-fn verdict(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Verdict, String> {
-    let (status, transform) = match (frame.status, frame.homography) {
-        (Status::Rejected | Status::Excluded | Status::Flash, _) => {
-            let by = match frame.rejected_by {
-                None if frame.confidence == Some(1.0) => RejectedBy::User,
-                None => RejectedBy::Alignment,
-                Some(by) => by,
-            };
-            let status = match by {
-                RejectedBy::Alignment => Status::Rejected,
-                RejectedBy::User => Status::Excluded,
-                RejectedBy::Flash => Status::Flash,
-            };
-            (status, None)
+/// The placement that `frame` stands for, or what is wrong with it.
+fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Found, String> {
+    let features = FeatureCounts { inliers: frame.inliers, keypoints: frame.keypoints };
+    let placement = if frame.status.rejected_by().is_some() {
+        let by = match frame.rejected_by {
+            None if frame.confidence == Some(1.0) => RejectedBy::User,
+            None => RejectedBy::Alignment,
+            Some(by) => by,
+        };
+        let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
+        Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
+    } else {
+        let homography = frame.homography.ok_or("it is to be merged, but has no homography")?;
+        let transform = match frame.status {
+            Status::Assumed if frame.model == Some(Model::Unmoved) => Transform::Identity,
+            Status::Aligned | Status::Assumed => {
+                let h = Matrix3::from_row_slice(&homography);
+                let last = h[(2, 2)];
+                Transform::Homography(if last == 1.0 { h } else { h / last })
+            }
+            _ => Transform::Identity,
+        };
+        let estimate = Estimate {
+            transform,
+            model: frame.model.unwrap_or(Model::of(&transform)),
+            error_px: frame.error_px,
+            confidence: frame.confidence.unwrap_or(1.0),
+            reason: frame.reason,
+        };
+        match frame.status {
+            Status::Assumed => Placement::Assumed(estimate),
+            _ => Placement::Placed(estimate),
         }
-        (Status::Unmoved | Status::Reference, Some(_)) => (Status::Unmoved, Some(Transform::Identity)),
-        (Status::Assumed, Some(_)) if frame.model == Some(Model::Unmoved) => {
-            (Status::Assumed, Some(Transform::Identity))
-        }
-        (status @ (Status::Aligned | Status::Assumed), Some(h)) => {
-            let h = Matrix3::from_row_slice(&h);
-            let last = h[(2, 2)];
-            (status, Some(Transform::Homography(if last == 1.0 { h } else { h / last })))
-        }
-        (Status::Unmoved | Status::Reference | Status::Aligned | Status::Assumed, None) => (frame.status, None),
     };
-    let by_default = if status == Status::Rejected { 0.0 } else { 1.0 };
-    let verdict = Verdict {
-        status,
-        model: transform.map(|w| frame.model.unwrap_or(Model::of(&w))),
-        transform,
-        inliers: frame.inliers,
-        keypoints: frame.keypoints,
-        error_px: frame.error_px,
-        confidence: frame.confidence.unwrap_or(by_default),
-        reason: frame.reason,
-    };
-    check(&verdict, size)?;
-    Ok(verdict)
+    check(&placement, size)?;
+    Ok((placement, features))
 }
 
 #[cfg(test)]
@@ -240,28 +235,26 @@ mod tests {
     use super::*;
 
     fn saved() -> SavedAlignment {
-        let found = |status, transform: Option<Transform>| {
-            let model = transform.as_ref().map(Model::of);
-            PresetTransform::Known(Verdict {
-                status,
-                model,
-                transform,
-                confidence: 0.75,
-                ..Verdict::with_identity(status)
-            })
+        let estimate = |transform: Transform| {
+            let model = Model::of(&transform);
+            Estimate { transform, model, error_px: None, confidence: 0.75, reason: None }
         };
+        let rejected = |by| Placement::Rejected { by, confidence: 0.75, reason: None };
         let h = Matrix3::new(1.0 + 1e-9, 0.1 / 3.0, -7.25, -0.03, 0.999, 1.0 / 7.0, 1e-7, -2e-8, 1.0);
-        let given = |name: &str, place| Preset { path: name.into(), place };
+        let keypoints = Some(KeypointCounts { plain: 3, mtb: 2, merged: 4 });
+        let features = FeatureCounts { inliers: Some(1), keypoints };
+        let given =
+            |name: &str, placement| Preset { path: name.into(), place: PresetTransform::Known(placement, features) };
         SavedAlignment {
             size: (400, 300),
             reference: "b.jpg".into(),
             frames: vec![
-                given("a.jpg", found(Status::Aligned, Some(Transform::Homography(h)))),
-                given("c.jpg", found(Status::Unmoved, Some(Transform::Identity))),
-                given("d.jpg", found(Status::Rejected, None)),
-                given("e.jpg", found(Status::Excluded, None)),
-                given("f.jpg", found(Status::Assumed, Some(Transform::Identity))),
-                given("g.jpg", found(Status::Assumed, Some(Transform::Homography(h)))),
+                given("a.jpg", Placement::Placed(estimate(Transform::Homography(h)))),
+                given("c.jpg", Placement::Placed(estimate(Transform::Identity))),
+                given("d.jpg", rejected(RejectedBy::Alignment)),
+                given("e.jpg", rejected(RejectedBy::User)),
+                given("f.jpg", Placement::Assumed(estimate(Transform::Identity))),
+                given("g.jpg", Placement::Assumed(estimate(Transform::Homography(h)))),
             ],
         }
     }
@@ -284,6 +277,10 @@ mod tests {
             // The horizon crosses the picture, 100 pixels from the left.
             (json.replace("1e-7", "-0.01"), "a.jpg: its homography"),
             (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
+            (
+                json.replace("\"status\": \"rejected\"", "\"status\": \"unmoved\""),
+                "d.jpg: it is to be merged, but has no",
+            ),
             (json.replace("\"width_px\": 400,", ""), "width_px"),
         ] {
             let message = refused(&text);
@@ -298,7 +295,7 @@ mod tests {
                 "schema": SCHEMA, "width_px": 4, "height_px": 3, "reference": "b.jpg", "frames": [frame],
             });
             let saved = SavedAlignment::from_json(&text.to_string(), Path::new("t.json")).unwrap();
-            saved.frames[0].place.verdict().status
+            saved.frames[0].place.found().0.status()
         };
         let base = serde_json::json!({ "file": "a.jpg", "status": "rejected", "homography": null });
         let with = |key: &str, value: serde_json::Value| {

@@ -165,7 +165,7 @@ fn gathered<'a>(
     });
     let against = map_at_once(pyramids.len(), bracket.at_once(), |i| {
         (i != base).then(|| Against {
-            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.verdicts[i].transform.as_ref(), options),
+            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.placements[i].transform(), options),
             matchings: matchings(&features[base], &features[i], options),
         })
     });
@@ -181,13 +181,13 @@ fn gathered<'a>(
         .collect();
     let found: Vec<Found> = evidence
         .iter()
-        .zip(&alignment.verdicts)
-        .map(|(evidence, verdict)| Found {
+        .zip(&alignment.placements)
+        .map(|(evidence, placement)| Found {
             bitmaps: &evidence.bitmaps,
             features: &evidence.features,
             xor: evidence.against.as_ref().map(|a| &a.xor),
             matchings: evidence.against.as_ref().map(|a| &a.matchings),
-            warp: verdict.transform.as_ref(),
+            warp: placement.transform(),
         })
         .collect();
     let mut report = Report::new(bracket, alignment, alignment.overlap);
@@ -233,7 +233,7 @@ impl Inspection<'_> {
                 drawn(matches::draw(&title, both, &against.matchings[FeatureKind::Merged as usize])?)
             }
             (SheetKind::Xor, Some(against)) => {
-                let placed = self.alignment.verdicts[i].transform.is_some();
+                let placed = self.alignment.placements[i].transform().is_some();
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
             (SheetKind::Edges, Some(_)) => drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?),
@@ -285,7 +285,7 @@ impl Inspection<'_> {
             frame: self.frame(i),
             reference_grey: self.pyramids[self.bracket.reference_index()].largest(),
             frame_grey: self.pyramids[i].largest(),
-            warp: self.alignment.verdicts[i].transform,
+            warp: self.alignment.placements[i].transform(),
         }
     }
 

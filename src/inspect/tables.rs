@@ -153,7 +153,7 @@ pub(super) struct Found<'a> {
     pub(super) features: &'a FrameFeatures,
     pub(super) xor: Option<&'a XorCurves>,
     pub(super) matchings: Option<&'a [Matching; 3]>,
-    pub(super) warp: Option<&'a Transform>,
+    pub(super) warp: Option<Transform>,
 }
 
 impl Tables {
@@ -223,7 +223,7 @@ fn feature_table(found: &Found, size: (usize, usize)) -> FeatureTable {
         let matching = &matchings[kind as usize];
         let inliers = matching.inliers();
         let motion = matching.transform.filter(|_| inliers >= LEAST_INLIERS);
-        let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, place, size));
+        let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, &place, size));
         let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
         let verdict = match (motion, off_px) {
             (None, _) => KindVerdict::NoMotion,

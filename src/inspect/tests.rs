@@ -3,7 +3,7 @@
 use super::*;
 use crate::align;
 use crate::align::scene::{Scene, Shot, rigid};
-use crate::align::{Status, Transform};
+use crate::align::{Placement, RejectedBy, Transform};
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{ReferenceChoice, Samples};
 use crate::plane::Plane;
@@ -121,9 +121,8 @@ fn every_sheet_is_well_formed_and_as_large_as_it_says() {
 fn a_rejected_frame_is_drawn_without_an_after() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let mut alignment = Alignment::unmoved(&bracket);
-    alignment.verdicts[0].status = Status::Rejected;
-    alignment.verdicts[0].transform = None;
-    alignment.verdicts[0].reason = Some("a reason".into());
+    let (by, reason) = (RejectedBy::Alignment, Some("a reason".into()));
+    alignment.placements[0] = Placement::Rejected { by, confidence: 0.0, reason };
     let inspection = inspect(&bracket, &alignment, &options, &[]).unwrap();
     assert!(inspection.tables().to_text().contains("dark <1>.png: left out: a reason"));
     let merged = inspection.tables().frames[0].features.merged;
@@ -140,7 +139,7 @@ fn bitmaps_that_speak_against_a_place_are_told() {
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
     let told = "its bitmap differs more as aligned than unmoved";
     assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(told));
-    alignment.verdicts[0].transform = Some(rigid(-40.0, 30.0, -3.0));
+    alignment.placements[0] = Placement::by_user(rigid(-40.0, 30.0, -3.0));
     let text = inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text();
     assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
 }

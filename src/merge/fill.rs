@@ -122,7 +122,7 @@ impl Loops for FilledRow<'_, '_> {
 mod tests {
     use super::super::weight::Weight;
     use super::super::{MergeOptions, Merged, Merging, merge};
-    use crate::align::{Alignment, Status};
+    use crate::align::{Alignment, Placement, RejectedBy, Status, Transform};
     use crate::bracket::Bracket;
     use crate::response::ResponseCurve;
     use crate::response::tests::still;
@@ -149,10 +149,11 @@ mod tests {
     fn with(alignment: &Alignment, status: Status) -> Alignment {
         let mut alignment = alignment.clone();
         for i in [0, 4] {
-            alignment.verdicts[i].status = status;
-            if status == Status::Rejected {
-                alignment.verdicts[i].transform = None;
-            }
+            let placement = &mut alignment.placements[i];
+            *placement = match (placement.clone(), status) {
+                (Placement::Placed(estimate), Status::Assumed) => Placement::Assumed(estimate),
+                _ => Placement::excluded(RejectedBy::User, "a reason".into()),
+            };
         }
         alignment
     }
@@ -189,7 +190,7 @@ mod tests {
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
         let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
-        alignment.verdicts[0].transform = Some(crate::align::Transform::Rigid { dx: -10.0, dy: 0.0, angle: 0.0 });
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: -10.0, dy: 0.0, angle: 0.0 });
         let (filled, _) = merged(&bracket, &with(&alignment, Status::Assumed));
         for x in 10..SIZE.0 - 10 {
             let (old, new) = (without[x][1], filled[x][1]);

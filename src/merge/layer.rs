@@ -6,7 +6,7 @@
 use super::noise::Noise;
 use super::weight::Weight;
 use crate::align::resampling::{resample_rows, rows_under};
-use crate::align::{Alignment, Status, Transform};
+use crate::align::{Alignment, Placement, Transform};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
@@ -194,7 +194,7 @@ impl Loops for Beside<'_> {
     }
 }
 
-/// What a frame of which the place is only [assumed](Status::Assumed) takes part in.
+/// What a frame of which the place is only [assumed](Placement::Assumed) takes part in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fill {
     /// In what the other frames clip.
@@ -292,7 +292,7 @@ pub(super) fn layers<'a>(
     let reference = bracket.reference().exposure.relative();
     let fill = |i: usize| {
         let fill = if i < bracket.reference_index() { Fill::Clipped } else { Fill::Black };
-        (alignment.verdicts[i].status == Status::Assumed).then_some(fill)
+        matches!(alignment.placements[i], Placement::Assumed(_)).then_some(fill)
     };
     let seen = |(i, frame, warp): (usize, &'a Frame, Transform)| {
         let noise = match weight {

@@ -103,13 +103,14 @@ pub fn loss(miniatures: &[&Miniature], curve: &ResponseCurve, read: &ResponseCur
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::{Placement, Transform};
     use crate::response::tests::still;
 
     #[test]
     fn a_curve_of_twice_the_exposure_is_off_by_a_stop_in_every_pixel() {
         let (bracket, mut alignment) =
             still((300, 200), &[0.25, 1.0, 4.0], |x, y| [0.01 * x as f64, 0.02 * y as f64, 0.3]);
-        alignment.verdicts[0].transform = Some(crate::align::Transform::Rigid { dx: 3.4, dy: -2.0, angle: 0.0 });
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 3.4, dy: -2.0, angle: 0.0 });
         alignment.overlap = Rect { x0: 4, y0: 2, x1: 290, y1: 190 };
         let miniature = Miniature::of(&bracket, &alignment, 2000).unwrap().unwrap();
         let pixels = miniature.bracket.width();

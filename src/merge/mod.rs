@@ -20,7 +20,7 @@
 //! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
 //!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
 //! - A frame is not among the j where it is painted, in and beside pixels with channels at both ends of the codes, unless it is the reference.
-//! - A frame of which the place is only [assumed](crate::align::Status::Assumed) is not among the j: it fills what they clip, or what is black in all of
+//! - A frame of which the place is only [assumed](crate::align::Placement::Assumed) is not among the j: it fills what they clip, or what is black in all of
 //!   them (`fill`).
 //! - Of frames that are locally processed, X_j / dt_j is multiplied by the frame's [gain](local) there, and so is what it vouches for and clips at.
 //!
@@ -147,7 +147,7 @@ pub struct MergeReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::{Alignment, Status, Transform};
+    use crate::align::{Alignment, Placement, RejectedBy, Transform};
     use crate::bracket::Bracket;
     use crate::response::ResponseCurve;
     use crate::response::tests::still;
@@ -208,8 +208,7 @@ mod tests {
         let refused = merged(&alignment, moved).unwrap_err().to_string();
         assert!(refused.contains("--deghost") && refused.contains("columns 8..40"), "{refused}");
         let mut fewer = alignment.clone();
-        fewer.verdicts[0].status = Status::Rejected;
-        fewer.verdicts[0].transform = None;
+        fewer.placements[0] = Placement::excluded(RejectedBy::User, "a reason".into());
         assert!(merged(&fewer, region).is_err_and(|e| e.to_string().contains("other frames")));
     }
 
@@ -218,15 +217,15 @@ mod tests {
         let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let (exact, _) = run(&bracket, &alignment, Weight::Hat);
         // Moved by nothing: the interpolated tables must give what the exact ones do.
-        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let (moved, _) = run(&bracket, &alignment, Weight::Hat);
         for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
             assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
         }
         // Moved out of the picture, it is as if it were rejected.
-        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
-        alignment.verdicts[0].transform = None;
+        alignment.placements[0] = Placement::excluded(RejectedBy::User, "a reason".into());
         let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((outside.pixels, report.frames), (rejected.pixels, 2));
     }

@@ -10,7 +10,7 @@ use super::markup::escape;
 use super::plot::{Axis, Plot};
 use super::{COARSE, DRAWING};
 use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
-use crate::align::{Alignment, Status};
+use crate::align::{Alignment, Placement};
 use crate::bracket::Bracket;
 use crate::inspect::Inspection;
 use crate::plane::Plane;
@@ -64,10 +64,9 @@ pub(super) struct Overlay {
 
 /// Whether features were needed to place frame `i`, or another on it.
 pub(super) fn needs_features(alignment: &Alignment, i: usize) -> bool {
-    let verdicts = &alignment.verdicts;
-    match verdicts[i].status {
-        Status::Reference => verdicts.iter().any(|v| v.keypoints.is_some()),
-        _ => verdicts[i].keypoints.is_some(),
+    match alignment.placements[i] {
+        Placement::Reference => alignment.features.iter().any(|found| found.keypoints.is_some()),
+        _ => alignment.features[i].keypoints.is_some(),
     }
 }
 
@@ -77,15 +76,15 @@ pub(super) fn gather(
     alignment: &Alignment,
     bracket: &Bracket,
 ) -> Result<Vec<Evidence>, String> {
-    let verdicts = &alignment.verdicts;
+    let placements = &alignment.placements;
     let base = bracket.reference_index();
-    let overlaid = verdicts.iter().filter(|v| is_sought(v.status)).count().max(1);
+    let overlaid = placements.iter().filter(|placement| is_sought(placement.status())).count().max(1);
     let share = (OVERLAY.1 as f64 / overlaid as f64).min(1.0).sqrt();
     let across = ((OVERLAY.0 as f64 * share) as usize).max(LEAST_OVERLAY);
     let needed = |i: usize| needs_features(alignment, i);
     let of = |i: usize| -> Result<Evidence, String> {
         let bitmaps = inspection.bitmaps(i);
-        let is_placed = verdicts[i].transform.is_some();
+        let is_placed = placements[i].transform().is_some();
         let (grey, brightened) = inspection.photograph(i, (DRAWING, DRAWING));
         let scale = grey.width() as f64 / bracket.width() as f64;
         let photograph = || grey_jpeg(&grey, COARSE);
@@ -98,7 +97,7 @@ pub(super) fn gather(
                 Some((matched(matching, &both, scale), matching.pairs.len(), matching.inliers()))
             }
         };
-        let overlay = match is_sought(verdicts[i].status) {
+        let overlay = match is_sought(placements[i].status()) {
             true => inspection.overlay(i, across)?,
             false => None,
         };
@@ -121,7 +120,7 @@ pub(super) fn gather(
             brightened,
         })
     };
-    (0..verdicts.len()).map(of).collect()
+    (0..placements.len()).map(of).collect()
 }
 
 /// Dark, bright or not counting, by the pixel in the middle of each cell.

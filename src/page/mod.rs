@@ -23,7 +23,7 @@ mod summary;
 mod viewer;
 mod words;
 
-use crate::align::{AlignOptions, Alignment, Rect, Status, Transform};
+use crate::align::{AlignOptions, Alignment, Placement, Rect, Status, Transform};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::error::{Error, Result, Warning};
@@ -223,7 +223,7 @@ fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result
         let pixels = reduced::frame(frame, &warp.unwrap_or(Transform::Identity), region, size)?;
         Ok(Photograph { pixels, icc: icc(frame) })
     };
-    bracket.frames().iter().zip(alignment.verdicts.iter().map(|verdict| verdict.transform)).map(of).collect()
+    bracket.frames().iter().zip(alignment.placements.iter().map(Placement::transform)).map(of).collect()
 }
 
 /// The bytes of the frame's profile.

@@ -10,7 +10,7 @@
 use super::Options;
 use crate::align;
 use crate::align::preset::PresetTransform;
-use crate::align::{AlignMode, Alignment};
+use crate::align::{AlignMode, Alignment, Placement};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
 
@@ -40,7 +40,7 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
         if among < 3 || 2 * placed > among {
             break;
         }
-        mark(&alignment, &mut done);
+        mark(&bracket, &alignment, &mut done);
         let Some(other) = bracket.best_of(|i| !done[i]) else { break };
         let first = bracket.reference_index();
         bracket = bracket.with_reference(other);
@@ -49,7 +49,7 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
         if count(&found, least) > placed {
             (alignment, warnings) = (found, said);
         } else {
-            mark(&found, &mut done);
+            mark(&bracket, &found, &mut done);
             bracket = bracket.with_reference(first);
         }
     }
@@ -73,14 +73,10 @@ fn left_out(bracket: &Bracket, options: &Options) -> Vec<bool> {
 
 /// How many frames take part, with the reference, of which the place is known with `least` confidence.
 fn count(alignment: &Alignment, least: f64) -> usize {
-    alignment.verdicts.iter().filter(|verdict| verdict.transform.is_some() && verdict.confidence >= least).count()
+    let is_sure = |placement: &&Placement| placement.transform().is_some() && placement.confidence() >= least;
+    alignment.placements.iter().filter(is_sure).count()
 }
 
-fn mark(alignment: &Alignment, done: &mut [bool]) {
-    alignment
-        .verdicts
-        .iter()
-        .zip(done)
-        .filter(|(verdict, _)| verdict.transform.is_some())
-        .for_each(|(_, done)| *done = true);
+fn mark(bracket: &Bracket, alignment: &Alignment, done: &mut [bool]) {
+    alignment.placed(bracket).for_each(|(i, ..)| done[i] = true);
 }

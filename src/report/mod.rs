@@ -5,7 +5,7 @@
 pub mod options;
 pub mod tonemapped;
 
-use crate::align::{Alignment, KeypointCounts, Model, Rect, RejectedBy, Status, Verdict};
+use crate::align::{Alignment, FeatureCounts, KeypointCounts, Model, Placement, Rect, RejectedBy, Status};
 use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
@@ -218,7 +218,8 @@ impl Report {
     /// The report of a bracket and its alignment; the rest is for the caller to add.
     pub fn new(bracket: &Bracket, alignment: &Alignment, crop: Rect) -> Self {
         let size = (bracket.width(), bracket.height());
-        let frames = bracket.frames().iter().zip(&alignment.verdicts).map(|(f, v)| frame_report(f, v, size)).collect();
+        let found = alignment.placements.iter().zip(&alignment.features);
+        let frames = bracket.frames().iter().zip(found).map(|(frame, found)| frame_report(frame, found, size));
         Report {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
@@ -226,7 +227,7 @@ impl Report {
             height_px: size.1,
             options: None,
             reference: text(bracket.reference().path()),
-            frames,
+            frames: frames.collect(),
             transforms_from: None,
             crop: crop.into(),
             response: None,
@@ -265,8 +266,12 @@ impl Report {
     }
 }
 
-fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize)) -> FrameReport {
-    let exposure = &frame.exposure;
+fn frame_report(
+    frame: &Frame,
+    (placement, features): (&Placement, &FeatureCounts),
+    (width, height): (usize, usize),
+) -> FrameReport {
+    let (exposure, transform) = (&frame.exposure, placement.transform());
     FrameReport {
         path: text(frame.path()),
         time_s: exposure.time_s,
@@ -279,20 +284,20 @@ fn frame_report(frame: &Frame, verdict: &Verdict, (width, height): (usize, usize
         exposure_source: exposure.source,
         exposure_tags: exposure.tags.clone(),
         alignment: AlignmentReport {
-            status: verdict.status,
-            rejected_by: verdict.status.rejected_by(),
-            model: verdict.model,
-            homography: verdict.transform.map(|w| {
+            status: placement.status(),
+            rejected_by: placement.status().rejected_by(),
+            model: placement.model(),
+            homography: transform.map(|w| {
                 let h = w.matrix(width, height);
                 std::array::from_fn(|i| h[(i / 3, i % 3)])
             }),
-            shift_px: verdict.transform.map(|w| w.shift_px(width, height).into()),
-            rotation_deg: verdict.transform.map(|w| w.rotation_deg(width, height)),
-            inliers: verdict.inliers,
-            keypoints: verdict.keypoints,
-            error_px: verdict.error_px,
-            confidence: verdict.confidence,
-            reason: verdict.reason.clone(),
+            shift_px: transform.map(|w| w.shift_px(width, height).into()),
+            rotation_deg: transform.map(|w| w.rotation_deg(width, height)),
+            inliers: features.inliers,
+            keypoints: features.keypoints,
+            error_px: placement.error_px(),
+            confidence: placement.confidence(),
+            reason: placement.reason().map(str::to_owned),
         },
     }
 }
@@ -305,7 +310,6 @@ fn text(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::Transform;
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{ReferenceChoice, Samples};
 
@@ -323,21 +327,11 @@ mod tests {
             Frame::new(name.into(), 4, 2, Samples::Eight(vec![0; 24]), Exposure::given(ev).expect("a number"))
         };
         let bracket = Bracket::new(vec![frame("b", 1.0), frame("a", 0.0)], &ReferenceChoice::Number(1)).unwrap();
-        let verdict = |status, warp| Verdict {
-            status,
-            model: None,
-            transform: warp,
-            inliers: None,
-            keypoints: Some(KeypointCounts { plain: 1, mtb: 2, merged: 3 }),
-            error_px: None,
-            confidence: 0.25,
-            reason: None,
-        };
-        let whole = Rect { x0: 0, y0: 0, x1: 4, y1: 2 };
-        let alignment = Alignment {
-            verdicts: vec![verdict(Status::Rejected, None), verdict(Status::Reference, Some(Transform::Identity))],
-            overlap: whole,
-        };
+        let mut alignment = Alignment::unmoved(&bracket);
+        alignment.placements[0] =
+            Placement::Rejected { by: RejectedBy::Alignment, confidence: 0.25, reason: Some("why".to_owned()) };
+        alignment.features[0].keypoints = Some(KeypointCounts { plain: 1, mtb: 2, merged: 3 });
+        let whole = alignment.overlap;
         let json: serde_json::Value =
             serde_json::from_str(&Report::new(&bracket, &alignment, whole).to_json()).unwrap();
         assert_eq!(json["schema"], SCHEMA);

@@ -52,8 +52,7 @@ pub fn write(
     metadata: &Metadata,
 ) -> Result<Vec<Written>> {
     let mut files = Vec::new();
-    for (frame, verdict) in bracket.frames().iter().zip(&alignment.verdicts) {
-        let Some(warp) = verdict.transform else { continue };
+    for (_, frame, warp) in alignment.placed(bracket) {
         let path = name(prefix, frame.path());
         let size = (region.width(), region.height());
         let metadata = Metadata { profile: frame.profile.clone(), ..metadata.clone() };

@@ -1,27 +1,19 @@
 //! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the
 //! bitmaps' other minima.
 //!
-//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Verdict`]. Cost: some times
-//! that of a frame that the bitmaps settle.
+//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Placement`], and what
+//! features found. Cost: some times that of a frame that the bitmaps settle.
 
 use crate::align::grey::GreyPyramid;
 use crate::align::ladder::ReferenceFeatures;
 use crate::align::ladder::Search;
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::reduction::reduce;
-use crate::align::ladder::selection::Candidates;
-use crate::align::ladder::selection::FeatureCounts;
-use crate::align::ladder::selection::aligned_verdict;
-use crate::align::ladder::selection::is_acceptable;
-use crate::align::ladder::selection::rejected_verdict;
-use crate::align::ladder::selection::rejection_reason;
-use crate::align::ladder::starts::by_alternatives;
-use crate::align::ladder::starts::by_bitmaps;
-use crate::align::ladder::starts::by_start;
-use crate::align::ladder::starts::warped_to_reference;
+use crate::align::ladder::selection::{Candidates, estimate, is_acceptable, rejected, rejection_reason};
+use crate::align::ladder::starts::{by_alternatives, by_bitmaps, by_start, warped_to_reference};
 use crate::align::ladder::thresholds::{CORROBORATED_PX, LEAST_INLIERS, SAME_APART};
 use crate::align::refinement::FramePair;
-use crate::align::result::Verdict;
+use crate::align::result::{FeatureCounts, Found, Placement};
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
 
@@ -48,14 +40,14 @@ impl Target<'_> {
 }
 
 impl Search<'_> {
-    /// The verdict of a frame that the bitmaps did not settle.
+    /// The placement of a frame that the bitmaps did not settle.
     pub(super) fn doubtful(
         &self,
         i: usize,
         first: Option<Candidate>,
         neighbour: Option<Target>,
         shared: &ReferenceFeatures,
-    ) -> Verdict {
+    ) -> Found {
         let frame = &self.pyramids[i];
         let (width, height) = self.size();
         let near = CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt();
@@ -101,26 +93,27 @@ impl Search<'_> {
         let same =
             |a: &Candidate, b: &Candidate| distance(&a.transform, &b.transform, width, height) <= SAME_APART * near;
         let Some((b, best)) = candidates.winner(same) else {
-            return rejected_verdict(rejection_reason(None), 0.0, found);
+            return (rejected(rejection_reason(None), 0.0), found);
         };
         let uniqueness = candidates.uniqueness((b, best), |c| !same(c, best));
         let best = Candidate { reliability: best.reliability * uniqueness, ..best.clone() };
         if !is_acceptable(&best) {
-            return rejected_verdict(rejection_reason(Some(&best)), best.confidence(), found);
+            return (rejected(rejection_reason(Some(&best)), best.confidence()), found);
         }
         let reduced = reduce(&targets[b].compare(frame, &best.transform), best.clone());
         let error_px = reduced.error_px.max(targets[b].error_px);
-        aligned_verdict(&Candidate { reliability: best.reliability, error_px, ..reduced }, found)
+        let reduced = Candidate { reliability: best.reliability, error_px, ..reduced };
+        (Placement::Placed(estimate(&reduced)), found)
     }
 
     /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's
     /// pixels.
-    pub(crate) fn neighbour_target(&self, n: usize, verdict: &Verdict) -> Option<Target<'_>> {
-        let transform = verdict.transform?;
+    pub(crate) fn neighbour_target(&self, n: usize, placement: &Placement) -> Option<Target<'_>> {
+        let transform = placement.transform()?;
         let pyramid = match transform {
             Transform::Identity => Cow::Borrowed(&self.pyramids[n]),
             transform => Cow::Owned(warped_to_reference(&(self.grey)(n), &transform)),
         };
-        Some(Target { pyramid, error_px: verdict.error_px.unwrap_or(0.0), confidence: verdict.confidence })
+        Some(Target { pyramid, error_px: placement.error_px().unwrap_or(0.0), confidence: placement.confidence() })
     }
 }

@@ -1,7 +1,7 @@
 //! Transforms inferred from the other frames of a bracket, for frames that show too little.
 //!
-//! In: the verdicts on the frames by themselves. Out: those on frames with little detail, by what the camera did while
-//! the others were taken. Cost: that of comparing each such frame with the reference once more, and with its neighbour
+//! In: the placements of the frames by themselves. Out: those of frames with little detail, by what the camera did
+//! while the others were taken. Cost: that of comparing each such frame with the reference once more, and with its neighbour
 //! in exposure on a grid of some ten thousand samples.
 //!
 //! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds
@@ -12,15 +12,15 @@ use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
 use crate::align::ladder::camera_track::{CameraTrack, InferredTransform, KnownTransform};
 use crate::align::ladder::candidate::{Candidate, tolerance_px};
-use crate::align::ladder::selection::{FeatureCounts, aligned_verdict};
+use crate::align::ladder::selection::estimate;
 use crate::align::ladder::thresholds::{DECISIVE_NATS, INFERRED_CONFIDENCE, INFERRING_CONFIDENCE};
-use crate::align::result::{Status, Verdict};
+use crate::align::result::{Estimate, Placement};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
 /// Frames that moved by no more than this are static, in pixels: scans and settling tripods move by as much.
 const STATIC_PX: f64 = 1.0;
 /// An assumed place is merged by where its expected error is no more than so many times that at which a place is half
-/// as good: in what it fills ([`Status::Assumed`]) an error displaces, and cannot smear.
+/// as good: in what it fills ([`Placement::Assumed`]) an error displaces, and cannot smear.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
 /// A frame of which no more than this share shows something is nearly black or nearly white. Of lamps and windows of
 /// interiors it is up to a tenth, of photographs that were metered nearly all.
@@ -36,63 +36,65 @@ const LEAST_SAMPLES: u64 = 16;
 impl Search<'_> {
     /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to
     /// unmoved, unless their tiles are decidedly for the motion: little detail is easily misaligned by a pixel.
-    pub(crate) fn keep_static_frames_static(&self, verdicts: &mut [Verdict]) {
-        let still = |v: &&Verdict| v.transform == Some(Transform::Identity) && v.confidence >= INFERRING_CONFIDENCE;
-        let sure = verdicts.iter().filter(|v| v.transform.is_some() && v.confidence >= INFERRING_CONFIDENCE).count();
-        if 2 * verdicts.iter().filter(still).count() <= sure.max(2) {
+    pub(crate) fn keep_static_frames_static(&self, placements: &mut [Placement]) {
+        let sure =
+            || placements.iter().filter(|p| p.confidence() >= INFERRING_CONFIDENCE).filter_map(|p| p.transform());
+        if 2 * sure().filter(|transform| *transform == Transform::Identity).count() <= sure().count().max(2) {
             return;
         }
-        for (i, verdict) in verdicts.iter_mut().enumerate() {
-            let is_open = verdict.status == Status::Aligned
-                && self.given[i].is_none()
-                && self.contents[i].detail.share <= LITTLE_DETAIL;
-            let Some(transform) = verdict.transform.filter(|_| is_open) else { continue };
+        for (i, placement) in placements.iter_mut().enumerate() {
+            let Placement::Placed(Estimate { transform, .. }) = *placement else { continue };
+            let has_detail = self.contents[i].detail.share > LITTLE_DETAIL;
+            if transform == Transform::Identity || has_detail || self.given[i].is_some() {
+                continue;
+            }
             let (here, there) = (self.evaluate(i, Transform::Identity), self.evaluate(i, transform));
             if there.tiles.evidence_over(&here.tiles) <= DECISIVE_NATS {
-                *verdict = unmoved(&here, verdict, here.error_px);
+                *placement = unmoved(&here, here.error_px);
             }
         }
     }
 
     /// A frame that could not be aligned is unmoved where all the others are, or as good as, and its own tiles are for
     /// it rather than against it.
-    pub(crate) fn accept_static(&self, verdicts: &mut [Verdict]) {
+    pub(crate) fn accept_static(&self, placements: &mut [Placement]) {
         let (width, height) = self.size();
-        let others = verdicts.iter().filter(|v| v.status != Status::Reference).filter_map(|v| v.transform);
+        let others = placements.iter().filter(|p| **p != Placement::Reference).filter_map(Placement::transform);
         let moves: Vec<f64> = others.map(|w| distance(&w, &Transform::Identity, width, height)).collect();
         let farthest = moves.iter().copied().fold(0.0, f64::max);
         if moves.is_empty() || farthest > STATIC_PX {
             return;
         }
-        for (i, verdict) in verdicts.iter_mut().enumerate() {
-            if verdict.status == Status::Rejected && self.given[i].is_none() {
+        for (i, placement) in placements.iter_mut().enumerate() {
+            if self.could_not_align(i, placement) {
                 let here = self.evaluate(i, Transform::Identity);
                 let agreement = here.agreement();
                 if agreement.agreeing > 0 && agreement.disagreeing <= agreement.agreeing {
-                    *verdict = unmoved(&here, verdict, here.error_px.max(farthest));
+                    *placement = unmoved(&here, here.error_px.max(farthest));
                 }
             }
         }
     }
 
     /// The transforms from which others are inferred.
-    pub(crate) fn known(&self, verdicts: &[Verdict]) -> Vec<KnownTransform> {
-        let known = |(i, v): (usize, &Verdict)| {
-            let transform = v.transform.filter(|_| v.confidence >= INFERRING_CONFIDENCE)?;
-            Some(KnownTransform { time: self.capture_times[i], transform, error_px: v.error_px.unwrap_or(0.0) })
+    pub(crate) fn known(&self, placements: &[Placement]) -> Vec<KnownTransform> {
+        let known = |(i, placement): (usize, &Placement)| {
+            let transform = placement.transform().filter(|_| placement.confidence() >= INFERRING_CONFIDENCE)?;
+            let error_px = placement.error_px().unwrap_or(0.0);
+            Some(KnownTransform { time: self.capture_times[i], transform, error_px })
         };
-        verdicts.iter().enumerate().filter_map(known).collect()
+        placements.iter().enumerate().filter_map(known).collect()
     }
 
     /// Frames that are nearly black or white get the transform that the `known` ones predict, where its error is small
     /// enough to merge.
-    pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, verdicts: &mut [Verdict]) {
+    pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, placements: &mut [Placement]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };
-        let before = verdicts.to_vec();
-        for (i, verdict) in verdicts.iter_mut().enumerate() {
+        let before = placements.to_vec();
+        for (i, placement) in placements.iter_mut().enumerate() {
             let detail = self.contents[i].detail;
-            if verdict.status != Status::Rejected || self.given[i].is_some() || detail.share > LITTLE_DETAIL {
+            if !self.could_not_align(i, placement) || detail.share > LITTLE_DETAIL {
                 continue;
             }
             let place = track.at(self.capture_times[i]);
@@ -103,16 +105,13 @@ impl Search<'_> {
                     false => format!("the camera moved little between the other {count} frames"),
                 };
                 let tone = if detail.is_white { "white" } else { "black" };
-                *verdict = Verdict {
-                    status: Status::Assumed,
-                    model: Some(Model::of(&place.transform)),
-                    transform: Some(place.transform),
-                    inliers: verdict.inliers,
-                    keypoints: verdict.keypoints,
+                *placement = Placement::Assumed(Estimate {
+                    transform: place.transform,
+                    model: Model::of(&place.transform),
                     error_px: Some(place.bound_px),
                     confidence: INFERRED_CONFIDENCE / (1.0 + off * off),
                     reason: Some(format!("nearly all of it is {tone}; {stood}")),
-                };
+                });
             }
         }
     }
@@ -124,11 +123,11 @@ impl Search<'_> {
         i: usize,
         place: &InferredTransform,
         detail: Detail,
-        verdicts: &[Verdict],
+        placements: &[Placement],
     ) -> bool {
-        let is_known = |&n: &usize| n != i && verdicts[n].transform.is_some();
-        let nearest = (0..verdicts.len()).filter(is_known).min_by_key(|&n| (n.abs_diff(i), n));
-        let Some(target) = nearest.and_then(|n| self.neighbour_target(n, &verdicts[n])) else { return true };
+        let is_known = |&n: &usize| n != i && placements[n].transform().is_some();
+        let nearest = (0..placements.len()).filter(is_known).min_by_key(|&n| (n.abs_diff(i), n));
+        let Some(target) = nearest.and_then(|n| self.neighbour_target(n, &placements[n])) else { return true };
         brightness_order(&target.pyramid, &self.pyramids[i], place, detail).is_none_or(|share| share >= IN_ORDER)
     }
 }
@@ -174,11 +173,11 @@ fn brightness_order(
     Some(if detail.is_white { 1.0 - share } else { share })
 }
 
-/// The verdict on a frame that is taken to be unmoved, as its tiles see it `here`, in place of the one that it had.
-fn unmoved(here: &Candidate, had: &Verdict, error_px: f64) -> Verdict {
-    let found = FeatureCounts { inliers: had.inliers, keypoints: had.keypoints };
-    let verdict = aligned_verdict(here, found);
-    Verdict { confidence: verdict.confidence.max(INFERRED_CONFIDENCE), error_px: Some(error_px), ..verdict }
+/// The placement of a frame that is taken to be unmoved, by its tiles `here`.
+fn unmoved(here: &Candidate, error_px: f64) -> Placement {
+    let estimate = estimate(here);
+    let confidence = estimate.confidence.max(INFERRED_CONFIDENCE);
+    Placement::Placed(Estimate { confidence, error_px: Some(error_px), ..estimate })
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The ladder: the order of the methods, from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Verdict`] for each frame. Cost: for a frame that the bitmaps settle
+//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: for a frame that the bitmaps settle
 //! that of [`by_bitmaps`]; for a difficult one some times as much.
 //!
 //! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not
@@ -26,12 +26,12 @@ use crate::align::grey::{COARSEST, Content, GreyPyramid, content_and_pyramid, me
 use crate::align::ladder::camera_track::capture_times;
 use crate::align::ladder::candidate::{Candidate, evaluate};
 use crate::align::ladder::reduction::reduce;
-use crate::align::ladder::selection::{FeatureCounts, aligned_verdict, rejected_verdict, rejection_reason};
+use crate::align::ladder::selection::{estimate, rejected, rejection_reason};
 use crate::align::ladder::starts::by_bitmaps;
 use crate::align::ladder::thresholds::LEAST_INLIERS;
 use crate::align::refinement::FramePair;
-use crate::align::result::{Status, Verdict};
-use crate::align::transform::{Transform, level_to_full};
+use crate::align::result::{Estimate, FeatureCounts, Found, Placement};
+use crate::align::transform::{Model, Transform, level_to_full};
 use crate::bracket::Bracket;
 use crate::error::Result;
 use crate::plane::{Plane, map_at_once};
@@ -55,14 +55,17 @@ pub(crate) struct Search<'a> {
     pub(crate) detected_at_once: usize,
     pub(crate) reference: usize,
     /// The frames whose place is given.
-    pub(crate) given: &'a [Option<Verdict>],
+    pub(crate) given: &'a [Option<Found>],
     pub(crate) options: &'a AlignOptions,
 }
+
+/// The placements of all frames, and what features found for each.
+type AllFound = (Vec<Placement>, Vec<FeatureCounts>);
 
 /// The result of comparing a frame with the reference by bitmaps alone.
 enum FirstResult {
     /// Final.
-    Settled(Verdict),
+    Settled(Found),
     /// The best candidate so far, if any.
     Doubtful(Option<Candidate>),
 }
@@ -77,46 +80,46 @@ struct ReferenceFeatures {
 
 impl Search<'_> {
     /// From the bitmaps alone: a shift and a rotation.
-    pub(crate) fn by_bitmaps_alone(&self) -> Vec<Verdict> {
+    pub(crate) fn by_bitmaps_alone(&self) -> AllFound {
         self.each(|i| {
             let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
             let checked = self.evaluate(i, found.transform());
             // Each measures errors that the other does not.
-            aligned_verdict(
-                &Candidate { error_px: checked.error_px.max(found.error_px), ..checked },
-                FeatureCounts::default(),
-            )
+            let checked = Candidate { error_px: checked.error_px.max(found.error_px), ..checked };
+            (Placement::Placed(estimate(&checked)), FeatureCounts::default())
         })
     }
 
     /// From features alone: a homography.
-    pub(crate) fn by_features_alone(&self) -> Vec<Verdict> {
+    pub(crate) fn by_features_alone(&self) -> AllFound {
         let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
-        let mut verdicts = self.each(|i| {
+        let (placements, mut counts) = self.each(|i| {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
                 Some((transform, inliers)) if inliers >= LEAST_INLIERS => {
-                    aligned_verdict(&self.evaluate(i, transform), FeatureCounts { inliers: Some(inliers), keypoints })
+                    let placement = Placement::Placed(estimate(&self.evaluate(i, transform)));
+                    (placement, FeatureCounts { inliers: Some(inliers), keypoints })
                 }
                 other => {
                     let inliers = other.map_or(0, |c| c.1);
                     let reason =
                         format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
-                    rejected_verdict(reason, 0.0, FeatureCounts { inliers: Some(inliers), keypoints })
+                    (rejected(reason, 0.0), FeatureCounts { inliers: Some(inliers), keypoints })
                 }
             }
         });
-        verdicts[self.reference].keypoints = Some(sets[self.reference].counts);
-        verdicts
+        counts[self.reference].keypoints = Some(sets[self.reference].counts);
+        (placements, counts)
     }
 
     /// By all means, as far as needed.
-    pub(crate) fn auto(&self) -> Vec<Verdict> {
+    pub(crate) fn auto(&self) -> AllFound {
         let (width, height) = self.size();
         if width.min(height) < LEAST_SIDE {
-            let mut verdicts = self.each(|_| rejected_verdict(rejection_reason(None), 0.0, FeatureCounts::default()));
-            self.leave_uniform_frames_unmoved(&mut verdicts);
-            return verdicts;
+            let (mut placements, counts) =
+                self.each(|_| (rejected(rejection_reason(None), 0.0), FeatureCounts::default()));
+            self.leave_uniform_frames_unmoved(&mut placements);
+            return (placements, counts);
         }
         let repeats = bitmaps::repeats(self.reference_pyramid(), &self.options.mtb);
         let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
@@ -129,16 +132,20 @@ impl Search<'_> {
             [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
         let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
         let (brighter, darker) = (sides.pop().unwrap_or_default(), sides.pop().unwrap_or_default());
-        let mut verdicts: Vec<Verdict> = darker.into_iter().rev().collect();
         let keypoints = shared.features.as_ref().map(|f| f.counts);
-        verdicts.push(Verdict { keypoints, ..Verdict::with_identity(Status::Reference) });
-        verdicts.extend(brighter);
-        self.keep_static_frames_static(&mut verdicts);
-        let known = self.known(&verdicts);
-        self.accept_static(&mut verdicts);
-        self.infer_from_track(known, &mut verdicts);
-        self.leave_uniform_frames_unmoved(&mut verdicts);
-        verdicts
+        let reference = (Placement::Reference, FeatureCounts { inliers: None, keypoints });
+        let (mut placements, counts): AllFound = darker.into_iter().rev().chain([reference]).chain(brighter).unzip();
+        self.keep_static_frames_static(&mut placements);
+        let known = self.known(&placements);
+        self.accept_static(&mut placements);
+        self.infer_from_track(known, &mut placements);
+        self.leave_uniform_frames_unmoved(&mut placements);
+        (placements, counts)
+    }
+
+    /// Whether frame `i` was to be aligned, and could not be.
+    fn could_not_align(&self, i: usize, placement: &Placement) -> bool {
+        self.given[i].is_none() && matches!(placement, Placement::Rejected { .. })
     }
 
     /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
@@ -152,7 +159,8 @@ impl Search<'_> {
         let (pair, candidate) = by_bitmaps(self.reference_pyramid(), &self.pyramids[i], &self.options.mtb);
         match candidate {
             Some(c) if c.is_settled() && !repeats => {
-                FirstResult::Settled(aligned_verdict(&reduce(&pair, c), FeatureCounts::default()))
+                let placement = Placement::Placed(estimate(&reduce(&pair, c)));
+                FirstResult::Settled((placement, FeatureCounts::default()))
             }
             other => FirstResult::Doubtful(other),
         }
@@ -166,15 +174,14 @@ impl Search<'_> {
         self.reference_pyramid().size(0)
     }
 
-    /// `verdict` of every frame but the reference, in parallel.
-    fn each(&self, verdict: impl Fn(usize) -> Verdict + Sync) -> Vec<Verdict> {
-        let reference = || Verdict::with_identity(Status::Reference);
+    /// `find` of every frame that is neither the reference nor given, in parallel.
+    fn each(&self, find: impl Fn(usize) -> Found + Sync) -> AllFound {
         let place = |i: usize| match &self.given[i] {
             Some(given) => given.clone(),
-            None if i == self.reference => reference(),
-            None => verdict(i),
+            None if i == self.reference => (Placement::Reference, FeatureCounts::default()),
+            None => find(i),
         };
-        map_at_once(self.pyramids.len(), self.compared_at_once, place)
+        map_at_once(self.pyramids.len(), self.compared_at_once, place).into_iter().unzip()
     }
 
     fn features(&self, i: usize) -> FeatureSets {
@@ -194,22 +201,22 @@ impl Search<'_> {
         evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
-    /// The verdicts of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the
+    /// The placements of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the
     /// nearest before it that was placed.
-    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Verdict> {
-        let mut verdicts: Vec<Verdict> = Vec::with_capacity(order.len());
+    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Found> {
+        let mut all: Vec<Found> = Vec::with_capacity(order.len());
         for &i in order {
-            let verdict = match &first[i] {
-                FirstResult::Settled(verdict) => verdict.clone(),
+            let found = match &first[i] {
+                FirstResult::Settled(found) => found.clone(),
                 FirstResult::Doubtful(candidate) => {
-                    let nearest =
-                        order.iter().zip(&verdicts).rev().find_map(|(&n, verdict)| self.neighbour_target(n, verdict));
+                    let mut before = order.iter().zip(&all).rev();
+                    let nearest = before.find_map(|(&n, (placement, _))| self.neighbour_target(n, placement));
                     self.doubtful(i, candidate.clone(), nearest, shared)
                 }
             };
-            verdicts.push(verdict);
+            all.push(found);
         }
-        verdicts
+        all
     }
 }
 
@@ -217,9 +224,8 @@ impl Search<'_> {
     /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can
     /// frames that are smaller than any level that is searched. Nothing excludes another transform, so the confidence
     /// is 0.
-    fn leave_uniform_frames_unmoved(&self, verdicts: &mut [Verdict]) {
-        let others = || verdicts.iter().filter(|v| v.status != Status::Reference);
-        if others().any(|v| v.transform.is_some()) {
+    fn leave_uniform_frames_unmoved(&self, placements: &mut [Placement]) {
+        if placements.iter().any(|p| *p != Placement::Reference && p.transform().is_some()) {
             return;
         }
         let (width, height) = self.size();
@@ -228,11 +234,15 @@ impl Search<'_> {
             (_, true) => format!("{width}x{height} pixels are too few"),
             _ => return,
         };
-        for (i, verdict) in verdicts.iter_mut().enumerate() {
-            if verdict.status == Status::Rejected && self.given[i].is_none() {
-                let unmoved = Verdict::with_identity(Status::Unmoved);
-                let (inliers, keypoints) = (verdict.inliers, verdict.keypoints);
-                *verdict = Verdict { inliers, keypoints, confidence: 0.0, reason: Some(reason.clone()), ..unmoved };
+        for (i, placement) in placements.iter_mut().enumerate() {
+            if self.could_not_align(i, placement) {
+                *placement = Placement::Placed(Estimate {
+                    transform: Transform::Identity,
+                    model: Model::Unmoved,
+                    error_px: None,
+                    confidence: 0.0,
+                    reason: Some(reason.clone()),
+                });
             }
         }
     }
@@ -242,9 +252,9 @@ impl Search<'_> {
 pub(crate) fn search(
     bracket: &Bracket,
     options: &AlignOptions,
-    given: &[Option<Verdict>],
-    find: fn(&Search) -> Vec<Verdict>,
-) -> Result<Vec<Verdict>> {
+    given: &[Option<Found>],
+    find: fn(&Search) -> AllFound,
+) -> Result<AllFound> {
     let looked = bracket.map_whole(content_and_pyramid);
     let (contents, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let capture_times = capture_times(bracket);

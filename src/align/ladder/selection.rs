@@ -1,6 +1,6 @@
-//! Selection among the candidates of a frame, and the verdict that follows.
+//! Selection among the candidates of a frame, and the placement that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Verdict`]. Cost: negligible. A pure function
+//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure function
 //! of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
@@ -8,15 +8,8 @@ use crate::align::ladder::thresholds::{
     ACCEPTED_CONFIDENCE, ACCEPTED_RELIABILITY, COMPARABLE_EVIDENCE, DECISIVE_NATS, EXPLAINING_TILES,
     LATER_EVIDENCE_FACTOR, LATER_EVIDENCE_TILES, UNOPPOSED_AGREEING, UNOPPOSED_AGREEING_PER_DISAGREEING,
 };
-use crate::align::result::{KeypointCounts, Status, Verdict};
+use crate::align::result::{Estimate, Placement, RejectedBy};
 use crate::align::transform::Model;
-
-/// What features found for a frame.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct FeatureCounts {
-    pub(crate) inliers: Option<usize>,
-    pub(crate) keypoints: Option<KeypointCounts>,
-}
 
 /// Whether a candidate is good enough to merge by.
 pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
@@ -106,37 +99,28 @@ pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     }
 }
 
-pub(crate) fn aligned_verdict(candidate: &Candidate, found: FeatureCounts) -> Verdict {
-    let model = Model::of(&candidate.transform);
-    Verdict {
-        status: if model == Model::Unmoved { Status::Unmoved } else { Status::Aligned },
-        model: Some(model),
-        transform: Some(candidate.transform),
-        inliers: found.inliers,
-        keypoints: found.keypoints,
+/// The transform of `candidate`, as it was measured.
+pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
+    Estimate {
+        transform: candidate.transform,
+        model: Model::of(&candidate.transform),
         error_px: (candidate.agreement().agreeing > 0).then_some(candidate.error_px),
         confidence: candidate.confidence(),
         reason: None,
     }
 }
 
-pub(super) fn rejected_verdict(reason: String, confidence: f64, found: FeatureCounts) -> Verdict {
-    Verdict {
-        status: Status::Rejected,
-        model: None,
-        transform: None,
-        inliers: found.inliers,
-        keypoints: found.keypoints,
-        error_px: None,
-        confidence: confidence.min(ACCEPTED_CONFIDENCE),
-        reason: Some(reason),
-    }
+/// Not aligned, for this `reason`; `confidence` is that of the best transform found.
+pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
+    let confidence = confidence.min(ACCEPTED_CONFIDENCE);
+    Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::align::agreement::{Agreement, TileCheck};
+    use crate::align::result::Status;
     use crate::align::scene::shift;
     use std::sync::Arc;
 
@@ -255,9 +239,9 @@ mod tests {
     fn frame_without_any_candidate_is_rejected_with_the_reason() {
         let none = Candidates::default();
         assert!(none.winner(alike).is_none());
-        let verdict = rejected_verdict(rejection_reason(None), 0.0, FeatureCounts::default());
-        assert_eq!((verdict.status, verdict.transform, verdict.confidence), (Status::Rejected, None, 0.0));
-        assert!(verdict.reason.unwrap().contains("too little in common"));
+        let placement = rejected(rejection_reason(None), 0.0);
+        assert_eq!((placement.status(), placement.transform(), placement.confidence()), (Status::Rejected, None, 0.0));
+        assert!(placement.reason().unwrap().contains("too little in common"));
         assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few parts"));
         assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 parts"));
     }

@@ -5,7 +5,7 @@ use crate::align::bitmaps::MtbOptions;
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::starts::{by_bitmaps, by_start, is_sane};
 use crate::align::scene::{Scene, Shot, perspective, rigid, shift};
-use crate::align::transform::{Model, distance, map};
+use crate::align::transform::{distance, map};
 use nalgebra::Matrix3;
 
 const SIZE: (usize, usize) = (480, 320);

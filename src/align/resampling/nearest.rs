@@ -79,6 +79,7 @@ impl Strip<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::Placement;
     use crate::bracket::Codes;
     use crate::response::tests::still;
 
@@ -92,7 +93,7 @@ mod tests {
             strip.start(x, y, 1).map(|start| codes[start])
         };
         let expected = code(&alignment, 17, 24);
-        alignment.verdicts[0].transform = Some(Transform::Rigid { dx: 7.2, dy: 3.9, angle: 0.0 });
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 7.2, dy: 3.9, angle: 0.0 });
         assert_eq!(code(&alignment, 10, 20), expected);
         assert!(expected.is_some() && code(&alignment, 55, 20).is_none());
     }

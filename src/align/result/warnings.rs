@@ -1,9 +1,9 @@
 //! Warnings about an alignment: rejected and uncertain frames, and a small overlap.
 //!
-//! In: a bracket and the verdict on each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover.
+//! In: a bracket and the placement of each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover.
 //! Cost: that of the [overlap](overlap::largest).
 
-use crate::align::result::{Rect, Status, Verdict, overlap};
+use crate::align::result::{Estimate, Placement, Rect, RejectedBy, overlap};
 use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
@@ -16,45 +16,49 @@ const DOUBT: f64 = 0.5;
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// The warnings of single frames.
-pub(crate) fn of_frames(bracket: &Bracket, verdicts: &[Verdict]) -> Vec<Warning> {
+pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    let unseen = verdicts.iter().filter(|v| v.status == Status::Unmoved).find_map(|v| v.reason.clone());
+    let unseen = placements.iter().find_map(|placement| match placement {
+        Placement::Placed(Estimate { transform: Transform::Identity, reason, .. }) => reason.clone(),
+        _ => None,
+    });
     warnings
         .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
-    let is_still = verdicts.iter().filter_map(|v| v.transform).all(|transform| transform == Transform::Identity);
-    for (i, (frame, verdict)) in bracket.frames().iter().zip(verdicts).enumerate() {
+    let is_still = placements.iter().filter_map(Placement::transform).all(|transform| transform == Transform::Identity);
+    for (i, (frame, placement)) in bracket.frames().iter().zip(placements).enumerate() {
         let path = frame.path().to_path_buf();
         // The user has set its transform.
-        if frame.excluded.is_some() && verdict.transform.is_some() {
+        if frame.excluded.is_some() && placement.transform().is_some() {
             warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
         }
-        match verdict.status {
-            Status::Rejected => {
-                let reason = verdict.reason.clone().unwrap_or_default();
-                warnings.push(Warning::FrameRejected { path, reason });
+        match placement {
+            Placement::Rejected { by: RejectedBy::Alignment, reason, .. } => {
+                warnings.push(Warning::FrameRejected { path, reason: reason.clone().unwrap_or_default() });
             }
-            Status::Assumed => warnings.push(Warning::FrameAssumed {
+            Placement::Rejected { by: RejectedBy::Flash, .. } => {
+                warnings.push(Warning::FlashFired { path, is_used: false });
+            }
+            Placement::Assumed(estimate) => warnings.push(Warning::FrameAssumed {
                 path,
-                reason: verdict.reason.clone().unwrap_or_default(),
-                error_px: verdict.error_px.unwrap_or_default(),
+                reason: estimate.reason.clone().unwrap_or_default(),
+                error_px: estimate.error_px.unwrap_or_default(),
                 is_dark: i < bracket.reference_index(),
                 is_still,
             }),
-            Status::Flash => warnings.push(Warning::FlashFired { path, is_used: false }),
-            _ if verdict.confidence < DOUBT && verdict.reason.is_none() => {
-                warnings.push(Warning::LowConfidence { path, confidence: verdict.confidence });
+            Placement::Placed(Estimate { confidence, reason: None, .. }) if *confidence < DOUBT => {
+                warnings.push(Warning::LowConfidence { path, confidence: *confidence });
             }
-            _ => {}
+            Placement::Rejected { by: RejectedBy::User, .. } | Placement::Placed(_) | Placement::Reference => {}
         }
     }
     warnings
 }
 
 /// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
-pub(crate) fn common_overlap(bracket: &Bracket, verdicts: &[Verdict]) -> Result<(Rect, Option<Warning>)> {
+pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
     let placed: Vec<(usize, Transform)> =
-        verdicts.iter().enumerate().filter_map(|(i, v)| Some((i, v.transform?))).collect();
+        placements.iter().enumerate().filter_map(|(i, p)| Some((i, p.transform()?))).collect();
     let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
     let common = overlap::largest(&transforms, width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;

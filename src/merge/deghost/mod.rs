@@ -11,7 +11,7 @@
 //!    reference, and where that clips or is black, the nearest frame that agrees with it. What a clipped or black code says is
 //!    only a bound. What is `usual` between the two in the whole picture is no motion.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger cells: what alignment,
-//!    noise and JPEG leave cancels, what moved adds up. The strongest scale decides; the three channels have one verdict: `evidence`.
+//!    noise and JPEG leave cancels, what moved adds up. The strongest scale decides; the three channels have one decision: `evidence`.
 //! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs, is connected with that and has such an edge
 //!    all around is left out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
 //! 5. Where anything moved, shorter frames that are black are left out too: they agree with anything.
@@ -28,7 +28,7 @@ mod region;
 mod structure;
 mod usual;
 
-use crate::align::{Alignment, Rect, Status, Transform};
+use crate::align::{Alignment, Placement, Rect, Transform};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};
@@ -133,7 +133,7 @@ pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
     warp: Transform,
     pub(super) meaning: Meaning,
-    /// Whether its place is but [assumed](Status::Assumed): it shows what no other does, and is not compared.
+    /// Whether its place is but [assumed](Placement::Assumed): it shows what no other does, and is not compared.
     is_assumed: bool,
 }
 
@@ -144,19 +144,14 @@ pub(super) fn layers<'a>(
     curve: &ResponseCurve,
 ) -> (Vec<Layer<'a>>, usize) {
     let unit = bracket.reference().exposure.relative();
-    let placed = bracket.frames().iter().zip(&alignment.verdicts).enumerate();
-    let mut layers = Vec::new();
-    let mut reference = 0;
-    for (index, (frame, verdict)) in placed {
-        if let Some(warp) = verdict.transform {
-            if index == bracket.reference_index() {
-                reference = layers.len();
-            }
-            let meaning = Meaning::of(curve, frame.exposure.relative() / unit);
-            layers.push(Layer { frame, warp, meaning, is_assumed: verdict.status == Status::Assumed });
-        }
-    }
-    (layers, reference)
+    let layer = |(index, frame, warp): (usize, &'a Frame, Transform)| Layer {
+        frame,
+        warp,
+        meaning: Meaning::of(curve, frame.exposure.relative() / unit),
+        is_assumed: matches!(alignment.placements[index], Placement::Assumed(_)),
+    };
+    let reference = alignment.placed(bracket).position(|(index, ..)| index == bracket.reference_index());
+    (alignment.placed(bracket).map(layer).collect(), reference.unwrap_or_default())
 }
 
 /// By what the radiance of frame i (of the placed ones, by rising exposure) is multiplied at rows of the region; nothing where by 1.
