@@ -85,10 +85,11 @@ fn main() {
         threads: Some(threads),
         ..Options::default()
     };
-    let run = |threads| pipeline::run(&images, &options(threads), &|_| ()).expect("a bracket that merges");
+    let run = |threads| pipeline::run(&images, &options(threads), &pipeline::unwatched).expect("a bracket that merges");
     for threads in THREADS {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let outcome = pipeline::develop(&images, &options(threads), &|_| ()).expect("a bracket that merges");
+        let outcome =
+            pipeline::develop(&images, &options(threads), &pipeline::unwatched).expect("a bracket that merges");
         let (mut whole, mut alone) = (Vec::new(), Vec::new());
         for round in 0..=rounds {
             let times =

@@ -284,7 +284,7 @@ fn line(c: &mut Criterion) {
     group.throughput(Throughput::Elements(5 * pixels(&small())));
     for (name, options) in [("window, 1 thread", options(1)), ("window, 2 threads", options(2))] {
         group.bench_function(name, |b| {
-            b.iter(|| pipeline::run(black_box(&images), &options, &|_| ()).expect("the window merges"));
+            b.iter(|| pipeline::run(black_box(&images), &options, &pipeline::unwatched).expect("the window merges"));
         });
     }
 }

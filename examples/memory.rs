@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for frame in &result.report.frames {
         println!("{}: {:?}, confidence {:.2}", frame.path, frame.alignment.status, frame.alignment.confidence);
     }
-    let radiance = image::Rgb32FImage::from(result.radiance);
+    let radiance = image::Rgb32FImage::from(result.radiance.pixels);
     let mut luminances: Vec<f32> = radiance.pixels().map(|p| 0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]).collect();
     luminances.sort_by(f32::total_cmp);
     let at = |part: f64| luminances[(part * (luminances.len() - 1) as f64) as usize];

@@ -8,7 +8,7 @@
 //! # fn main() -> hdralign::error::Result<()> {
 //! let images = ["IMG_1.jpg".into(), "IMG_2.jpg".into(), "IMG_3.jpg".into()];
 //! let options = Options { outputs: vec!["room.exr".into(), "room.png".into()], ..Options::default() };
-//! let report = pipeline::run(&images, &options, &|_progress| ())?;
+//! let report = pipeline::run(&images, &options, &pipeline::unwatched)?;
 //! for frame in &report.frames {
 //!     println!("{}: {:?}, confidence {:.2}", frame.path, frame.alignment.status, frame.alignment.confidence);
 //! }
@@ -21,7 +21,6 @@
 //! ```
 //! use hdralign::bracket::{Bracket, Frame, ReferenceChoice, exposure::Exposure};
 //! use hdralign::pipeline::{self, Options};
-//! use std::ops::ControlFlow;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! # let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
@@ -32,10 +31,10 @@
 //!     frames.push(Frame::from_image(format!("{ev} EV"), image, exposure)?);
 //! }
 //! let bracket = Bracket::new(frames, &ReferenceChoice::Auto)?;
-//! let result = pipeline::merge_bracket(bracket, &Options::default(), &|_progress| ControlFlow::Continue(()))?;
+//! let result = pipeline::merge_bracket(bracket, &Options::default(), &pipeline::unwatched)?;
 //!
-//! let radiance = image::Rgb32FImage::from(result.radiance);
-//! let picture = image::RgbImage::from(result.display);
+//! let radiance = image::Rgb32FImage::from(result.radiance.pixels);
+//! let picture = image::RgbImage::from(result.display.pixels);
 //! assert_eq!(radiance.dimensions(), picture.dimensions());
 //! # Ok(())
 //! # }
@@ -61,7 +60,7 @@
 //! # }
 //! ```
 //!
-//! # The line
+//! # The pipeline
 //!
 //! [`pipeline::run`] is the whole of it: [load](bracket::load) → [align](align::align) → [response](response::recover) →
 //! [merge](merge::merge) → [tonemap](tonemap::tonemap) → [write](write::write) → [report](report::Report). Each stage borrows what it needs

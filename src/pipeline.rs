@@ -1,49 +1,50 @@
-//! The line: load, align, response, merge, tonemap, write, report.
+//! The pipeline: load, align, response, merge, tonemap, write, report.
 //!
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
-//! report has each one's time.
+//! report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a bracket in memory.
 
-mod asked;
 pub mod camera;
 mod crop;
 mod curves;
-mod doubts;
+mod files;
 mod fusion;
-mod line;
 mod memory;
 mod names;
+mod options_report;
 mod picture;
-mod referred;
+mod radiance;
+mod reference;
+mod response;
 mod results;
-mod slabs;
+mod run;
 mod threads;
 mod tonemapping;
 
-use crate::align::transforms_file::SavedAlignment;
-use crate::align::{AlignMode, AlignOptions, Alignment, Placement};
+use crate::align::{AlignMode, AlignOptions, Placement};
 use crate::bracket::colour::Space;
-use crate::bracket::{Bracket, LoadOptions, ReferenceChoice};
+use crate::bracket::{Bracket, LoadOptions};
 use crate::budget::Stages;
 use crate::error::{Error, Result};
-use crate::inspect::{self, files, tables::Tables};
+use crate::inspect::{self, tables::Tables};
 use crate::merge::calibration::Calibration;
 use crate::merge::deghost::{Deghost, Ghosts};
-use crate::merge::{MergeOptions, RadianceMap, normalisation, weight::Weight};
-use crate::page::Developed;
+use crate::merge::{RadianceMap, normalisation, weight::Weight};
 use crate::plane::Plane;
-use crate::report::{self, Report};
+use crate::report::Report;
 use crate::response::ResponseModel;
-use crate::response::file::{self, SavedResponse};
+use crate::response::file::SavedResponse;
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
-use crate::write::{self, CompleteFile, Output, Pending, Target, aligned};
-use fusion::Aligned;
-use line::{Line, Radiance};
-use slabs::Slabs;
+use crate::write::{self, CompleteFile, Output, Pending};
+use options_report::options_report;
+use radiance::RadianceRows;
+use run::{Aligned, Run};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use threads::in_pool;
 
 pub use crop::Crop;
+pub use files::targets;
 pub use memory::merge_bracket;
 pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use threads::start_threads;
@@ -52,34 +53,34 @@ pub use tonemapping::{TonemapOptions, tonemap_file};
 /// What is done to a bracket, and where the results go.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// What the user says of the files.
+    /// How files are read, and what is given of exposures and the reference.
     pub load: LoadOptions,
     /// How frames are aligned.
     pub align: AlignOptions,
-    /// What becomes of the exposures before they are divided out.
+    /// Exposure correction.
     pub exposures: Exposures,
-    /// How the response is had.
+    /// Method used to recover the camera response.
     pub response: ResponseModel,
     /// A response saved before; it takes the place of [`response`](Self::response).
     pub response_file: Option<PathBuf>,
-    /// How far a code is trusted.
+    /// Weighting function.
     pub weight: Weight,
-    /// Whether and how readily what moved is left out.
+    /// Deghosting, and its strength.
     pub deghost: Deghost,
-    /// Where and how much was left out is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
+    /// The motion mask is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
     pub ghost_mask: Option<PathBuf>,
-    /// Whether the veil of scattered light is sought and taken off.
+    /// Whether lens flare is subtracted.
     pub flare: bool,
     /// Which part of the reference the results show.
     pub crop: Crop,
     /// The linear colour space of the results; none for that of the reference's profile.
     pub colour: Option<Space>,
-    /// What takes radiance to cd/m2.
+    /// Calibration of radiance to cd/m2.
     pub calibration: Calibration,
-    /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be laid beside each
-    /// other ([normalisation]); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
+    /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be
+    /// compared ([normalisation]); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
     pub unit_exposure: Option<f64>,
-    /// How the picture comes about.
+    /// Tone mapping operator, or exposure fusion.
     pub rendering: Rendering,
     /// How files are encoded, and whether those that exist are replaced.
     pub write: write::Options,
@@ -100,13 +101,13 @@ pub struct Options {
 }
 
 impl Options {
-    /// What takes memory where a bracket is aligned.
+    /// The stages that need memory in a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift);
         Stages { features, ..Stages::default() }
     }
 
-    /// What takes memory where it is merged.
+    /// The stages that need memory in a run that merges.
     pub(crate) fn merging(&self) -> Stages {
         let fusing = matches!(self.rendering, Rendering::Fused(_));
         Stages { merging: true, deghosting: self.deghost.is_on(), fusing, ..self.aligning() }
@@ -115,11 +116,6 @@ impl Options {
     /// The radiance maps and pictures.
     fn results(&self) -> Result<Vec<Output>> {
         Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
-    }
-
-    /// Whether the file of transforms is there, and so is read and not written.
-    fn takes_transforms(&self) -> bool {
-        self.transforms.as_ref().is_some_and(|path| path.exists())
     }
 }
 
@@ -134,7 +130,7 @@ pub struct Outcome {
     pub report: Report,
 }
 
-/// A step of the line.
+/// A stage of a run, in their order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Reading and decoding.
@@ -147,33 +143,50 @@ pub enum Stage {
     Merge,
     /// Tone mapping.
     Tonemap,
+    /// Gathering and drawing the evidence of the alignment, for a page or for `inspect`.
+    Inspect,
     /// Writing.
     Write,
-    /// Gathering what the alignment rests on, and drawing it.
-    Inspect,
 }
 
-/// What is going on, for whoever watches; called from any thread.
+/// Progress of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Progress {
     /// A stage begins.
     Begins(Stage),
-    /// So many of the frames are decoded.
+    /// This number of frames has been decoded.
     Decoded(usize),
+}
+
+/// The caller's function that progress is reported to, from any thread. Where it breaks, the run is cancelled before the
+/// next stage: with [`Error::Cancelled`], and without any file.
+pub type Watch<'a> = &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync);
+
+/// The [`Watch`] of a caller that needs no progress and never cancels.
+pub fn unwatched(_: Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Tells `watch` that `stage` begins.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+fn announce(watch: Watch, stage: Stage) -> Result<()> {
+    if watch(Progress::Begins(stage)).is_break() { Err(Error::Cancelled) } else { Ok(()) }
 }
 
 /// Aligns, calibrates, merges, tone-maps and writes the bracket `images`; gives the report.
 ///
-/// Nothing is named before all is whole: on an error no output exists that did not before. The result does not depend on the order
+/// No file gets its name before all are complete: on an error no output exists that did not before. The result does not depend on the order
 /// of `images` (but for exposures and a reference given by it), on the number of threads, on the memory allowed, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
-pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
+pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Report> {
     prepare(images, options, watch)?.commit()
 }
 
-/// What a run made, whole but for its names; and its report.
+/// The report of a run, and its files, which are complete but for their names.
 #[derive(Debug)]
 pub struct Prepared<R> {
     /// What was done; the outputs in it are not there yet.
@@ -202,11 +215,11 @@ impl<R> Prepared<R> {
     }
 }
 
-/// As [`run`], but nothing is named: the bytes of all files are on their way to the disk, and whoever waits for them takes no core.
+/// As [`run`], but the files have no names yet: their bytes are on their way to the disk, and waiting for them takes no core.
 ///
 /// # Errors
 /// Those of [`run`].
-pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Prepared<Report>> {
+pub fn prepare(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Prepared<Report>> {
     Ok(merged(images, options, watch, false)?.0)
 }
 
@@ -214,171 +227,129 @@ pub fn prepare(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) 
 ///
 /// # Errors
 /// Those of [`run`].
-pub fn develop(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Outcome> {
+pub fn develop(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Outcome> {
     let (prepared, results) = merged(images, options, watch, true)?;
-    let Results { radiance, display } = results;
-    let radiance = radiance.whole()?;
-    Ok(Outcome { radiance, display: DisplayImage { pixels: display }, report: prepared.commit()? })
+    results.outcome(prepared.commit()?)
 }
 
-/// What is left when all is written.
+/// Radiance and picture, when all files are written.
 struct Results {
-    radiance: Slabs,
+    radiance: RadianceRows,
     /// Empty unless it was to be kept.
     display: Plane<[u8; 3]>,
 }
 
-/// The line; the picture is kept where it is wanted.
-fn merged(
+impl Results {
+    fn outcome(self, report: Report) -> Result<Outcome> {
+        let (radiance, display) = (self.radiance.whole()?, DisplayImage { pixels: self.display });
+        Ok(Outcome { radiance, display, report })
+    }
+}
+
+/// [`prepare`], with the results; the picture among them where it is to be `kept`.
+fn merged(images: &[PathBuf], options: &Options, watch: Watch, is_kept: bool) -> Result<(Prepared<Report>, Results)> {
+    on_files(images, options, watch, Options::merging, |run, bracket, saved| developed(run, bracket, saved, is_kept))
+}
+
+/// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and gives it to `work`,
+/// with the response that was saved before. The threads are as many as memory allows.
+fn on_files<R: Send>(
     images: &[PathBuf],
     options: &Options,
-    watch: &(dyn Fn(Progress) + Sync),
-    keep: bool,
-) -> Result<(Prepared<Report>, Results)> {
+    watch: Watch,
+    stages: fn(&Options) -> Stages,
+    work: impl FnOnce(Run, Bracket, Option<SavedResponse>) -> Result<R> + Send,
+) -> Result<R> {
     in_pool(options.threads, || {
-        check_names(images, options)?;
-        let (options, taken) = &with_transforms(images, options)?;
+        files::check(images, options)?;
+        let (options, transforms) = &files::with_transforms(images, options)?;
         let saved = options.response_file.as_deref().map(SavedResponse::read).transpose()?;
-        let mut line = Line::new(watch).with_page(options);
-        let bracket = line.load(images, &options.merging(), options)?;
-        in_pool(bracket.threads(), move || {
-            check_taken(taken, &bracket)?;
-            developed(line, bracket, saved, taken, options, keep)
-        })
+        let mut run = Run::new(options, watch).with_page();
+        let bracket = run.load(images, &stages(options))?;
+        if let Some((path, transforms)) = transforms {
+            transforms.check(&bracket, path)?;
+            run.transforms_from = Some(path);
+        }
+        in_pool(bracket.threads(), move || work(run, bracket, saved))
     })
 }
 
-/// The line from the loaded bracket on; the picture is kept where it is wanted.
+/// The stages from the loaded bracket on.
 fn developed(
-    mut line: Line,
+    mut run: Run,
     bracket: Bracket,
     saved: Option<SavedResponse>,
-    taken: &Taken,
-    options: &Options,
-    keep: bool,
+    is_kept: bool,
 ) -> Result<(Prepared<Report>, Results)> {
+    let options = run.options;
     options.crop.check(&bracket)?;
     options.calibration.check(bracket.reference())?;
     options.unit_exposure.map_or(Ok(()), |_| normalisation::check(bracket.reference()))?;
-    let (bracket, alignment) = line.align(bracket, options)?;
-    check_placed(&bracket, &alignment)?;
-    let (bracket, camera) = line.response(bracket, &alignment, saved, options)?;
-    let curve_file = line.curve_file(&bracket, &alignment, &camera.curve, options)?;
-    let region = options.crop.rect(&bracket, &alignment);
-    options.write.picture.adjust.check((region.width(), region.height()))?;
-    let calibration = options.calibration.settle(bracket.reference(), &camera.curve)?;
-    let radiance = line.merge(&bracket, &alignment, &camera, region, options)?;
-    let (radiance, statistics) = line.units(radiance, &calibration, options)?;
-    let (ghosts, local) = (radiance.ghosts.as_ref(), radiance.local.as_ref());
-    let aligned = Aligned { bracket: &bracket, alignment: &alignment, region, curve: &camera.curve, ghosts };
-    let photographed = radiance.photographed;
-    let picture = line.tonemap(&radiance.slabs, photographed, &aligned, options)?;
-    let mut files = line.others(&bracket, &alignment, region, options)?;
-    let metadata = line::metadata(bracket.reference(), photographed, options);
-    let merging = MergeOptions { weight: options.weight, region };
-    let developed = Developed { curve: &camera.curve, merging, ghosts, local };
-    line.gather(&bracket, &alignment, region, Some(&developed), options)?;
-    let mut report = Report::new(&bracket, &alignment, region);
-    // The frames make room for what is encoded.
-    drop(bracket);
-    let Radiance { slabs, merged, limits, ghosts, flare, local, .. } = radiance;
-    report.options = Some(asked::report(options, true));
-    report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-    report.local_processing = camera.local_report(local.as_ref());
-    report.response = Some(camera.report);
-    report.radiance = Some(merged.report(statistics, limits, options.unit_exposure));
-    report.calibration = calibration;
-    report.colour = Some(slabs.primaries().into());
-    report.flare = flare;
-    report.white_balance = picture.light;
-    report.ghosts = ghosts.as_ref().map(Ghosts::report);
-    let (results, display) = line.results(&slabs, &statistics, &picture, metadata, keep, options)?;
-    files.splice(0..0, results.into_iter().chain(curve_file));
-    if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &ghosts) {
+    let aligned = run.align(bracket)?;
+    check_placed(&aligned)?;
+    let (aligned, camera) = run.response(aligned, saved)?;
+    let response_file = run.write_response(&aligned, &camera)?;
+    options.write.picture.adjust.check((aligned.region.width(), aligned.region.height()))?;
+    let calibration = options.calibration.settle(aligned.bracket.reference(), &camera.curve)?;
+    let radiance = run.merge(&aligned, &camera, calibration)?;
+    let picture = run.tonemap(&aligned, &camera, &radiance)?;
+    run.gather(&aligned, Some((&camera, &radiance)))?;
+    let frames = run.write_frames(&aligned)?;
+    let metadata = run::metadata(aligned.bracket.reference(), radiance.photographed, options);
+    let mut report = Report::new(&aligned.bracket, &aligned.alignment, aligned.region);
+    // The encoders need the memory of the frames.
+    drop(aligned);
+    let (mut files, display) = run.write_results(&radiance, &picture, metadata, is_kept)?;
+    files.extend(response_file.into_iter().chain(frames));
+    if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &radiance.ghosts) {
         files.push(write::png::mask::write(path, &ghosts.mask())?);
     }
-    let files = line.report(&mut report, files, options)?;
-    let prepared = Prepared { report, files, overwrite: options.write.overwrite };
-    Ok((prepared, Results { radiance: slabs, display }))
+    report.options = Some(options_report(options, true));
+    report.local_processing = camera.local_report(radiance.local.as_ref());
+    report.response = Some(camera.report);
+    report.radiance = Some(radiance.merged.report(radiance.statistics, radiance.limits, options.unit_exposure));
+    report.calibration = radiance.calibration;
+    report.colour = Some(radiance.rows.primaries().into());
+    report.flare = radiance.flare;
+    report.white_balance = picture.light;
+    report.ghosts = radiance.ghosts.as_ref().map(Ghosts::report);
+    Ok((run.report(report, files)?, Results { radiance: radiance.rows, display }))
 }
 
 /// Aligns the bracket `images`, writes aligned frames and the report where asked for, and gives the report.
 ///
 /// # Errors
 /// See [`Error`].
-pub fn align_only(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<Report> {
-    in_pool(options.threads, || {
-        check_names(images, options)?;
-        let (options, taken) = &with_transforms(images, options)?;
-        let mut line = Line::new(watch).with_page(options);
-        let bracket = line.load(images, &options.aligning(), options)?;
-        options.crop.check(&bracket)?;
-        in_pool(bracket.threads(), move || {
-            check_taken(taken, &bracket)?;
-            let (bracket, alignment) = line.align(bracket, options)?;
-            let region = options.crop.rect(&bracket, &alignment);
-            line.gather(&bracket, &alignment, region, None, options)?;
-            let mut report = Report::new(&bracket, &alignment, region);
-            report.options = Some(asked::report(options, false));
-            report.transforms_from = taken.as_ref().map(|(path, _)| path.to_string_lossy().into_owned());
-            let files = line.others(&bracket, &alignment, region, options)?;
-            let files = line.report(&mut report, files, options)?;
-            write::commit(files, options.write.overwrite)?;
-            Ok(report)
-        })
+pub fn align_only(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Report> {
+    on_files(images, options, watch, Options::aligning, |mut run, bracket, _| {
+        run.options.crop.check(&bracket)?;
+        let aligned = run.align(bracket)?;
+        run.gather(&aligned, None)?;
+        let mut report = Report::new(&aligned.bracket, &aligned.alignment, aligned.region);
+        report.options = Some(options_report(run.options, false));
+        let files = run.write_frames(&aligned)?;
+        run.report(report, files)?.commit()
     })
 }
 
-/// Aligns the bracket `images` and writes what that rests on into `folder`: tables, bitmaps and drawings. Of `options` those for loading,
+/// Aligns the bracket `images` and writes the evidence of that into `folder`: tables, bitmaps and drawings. Of `options` those for loading,
 /// alignment, threads and overwriting count. Gives the tables, which name the files.
 ///
 /// # Errors
 /// See [`Error`]; on any of them nothing is there that was not before.
-pub fn inspect(
-    images: &[PathBuf],
-    options: &Options,
-    folder: &Path,
-    watch: &(dyn Fn(Progress) + Sync),
-) -> Result<Tables> {
+pub fn inspect(images: &[PathBuf], options: &Options, folder: &Path, watch: Watch) -> Result<Tables> {
     in_pool(options.threads, || {
         options.align.validate()?;
-        files::check(folder, images, options.write.overwrite)?;
-        let mut line = Line::new(watch);
-        let bracket = line.load(images, &Stages { inspecting: true, ..options.aligning() }, options)?;
+        inspect::files::check(folder, images, options.write.overwrite)?;
+        let mut run = Run::new(options, watch);
+        let bracket = run.load(images, &Stages { inspecting: true, ..options.aligning() })?;
         in_pool(bracket.threads(), move || {
-            let (bracket, alignment) = line.align(bracket, options)?;
-            let (tables, _) = line.timed(Stage::Inspect, || {
-                let inspection = inspect::inspect(&bracket, &alignment, &options.align, &line.warnings)?;
-                files::write(&inspection, folder, options.write.overwrite)
-            })?;
-            Ok(tables)
+            let Aligned { bracket, alignment, .. } = run.align(bracket)?;
+            run.begin(Stage::Inspect)?;
+            let inspection = inspect::inspect(&bracket, &alignment, &options.align, &run.warnings)?;
+            inspect::files::write(&inspection, folder, options.write.overwrite)
         })
     })
-}
-
-/// Every file that a run on `images` writes.
-///
-/// # Errors
-/// [`Error::Option`] where two aligned frames would have one name.
-pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
-    let mut files = Target::of("-o", &options.outputs);
-    files.extend(Target::of("--picture", &options.pictures));
-    files.extend(Target::of("--save-response", options.save_response.as_slice()));
-    files.extend(Target::of("--report", options.report.as_slice()));
-    files.extend(Target::of("--ghost-mask", options.ghost_mask.as_slice()));
-    if !options.takes_transforms() {
-        files.extend(Target::of("--transforms", options.transforms.as_slice()));
-    }
-    if let Some(prefix) = &options.save_aligned {
-        files.extend(Target::of("--save-aligned", &aligned::names(prefix, images)?));
-    }
-    Ok(files)
-}
-
-/// Every file that a run on `images` reads.
-fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
-    let transforms = options.transforms.iter().filter(|_| options.takes_transforms());
-    images.iter().chain(&options.response_file).chain(transforms).cloned().collect()
 }
 
 /// Whether the options that concern no file are within their ranges.
@@ -390,51 +361,8 @@ fn validate(options: &Options) -> Result<()> {
     options.deghost.validate()
 }
 
-/// Whether everything asked for can be written, before any work is done.
-fn check_names(images: &[PathBuf], options: &Options) -> Result<()> {
-    validate(options)?;
-    options.write.check(&options.results()?)?;
-    for path in [&options.response_file, &options.save_response].into_iter().flatten() {
-        file::Format::of(path)?;
-    }
-    if let Some(path) = &options.report {
-        report::Format::of(path)?;
-    }
-    write::png::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
-    write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
-}
-
-/// Transforms that were there already, and their file.
-type Taken = Option<(PathBuf, SavedAlignment)>;
-
-/// `options` with the reference and the places of the file of transforms, where there is one and the user does not say otherwise; then
-/// there is none to be written.
-fn with_transforms(images: &[PathBuf], options: &Options) -> Result<(Options, Taken)> {
-    let mut options = options.clone();
-    let Some(path) = options.transforms.take_if(|path| path.exists()) else {
-        return Ok((options, None));
-    };
-    let saved = SavedAlignment::read(&path)?;
-    saved.check_names(images, &path)?;
-    let is_open = match &options.load.reference {
-        ReferenceChoice::Auto => true,
-        ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),
-        ReferenceChoice::Number(_) | ReferenceChoice::File(_) => false,
-    };
-    if is_open {
-        options.load.reference = ReferenceChoice::File(saved.reference.clone());
-    }
-    options.align.given.extend(saved.frames.iter().cloned());
-    Ok((options, Some((path, saved))))
-}
-
-/// Whether the transforms that were taken are of `bracket`.
-fn check_taken(taken: &Taken, bracket: &Bracket) -> Result<()> {
-    taken.as_ref().map_or(Ok(()), |(path, saved)| saved.check(bracket, path))
-}
-
 /// Whether there is more to merge than the reference.
-fn check_placed(bracket: &Bracket, alignment: &Alignment) -> Result<()> {
+fn check_placed(Aligned { bracket, alignment, .. }: &Aligned) -> Result<()> {
     if alignment.placed(bracket).count() > 1 {
         return Ok(());
     }

@@ -68,6 +68,18 @@ impl<T> Plane<T> {
     }
 }
 
+impl<T: image::Primitive> From<Plane<[T; 3]>> for image::ImageBuffer<image::Rgb<T>, Vec<T>>
+where
+    image::Rgb<T>: image::Pixel<Subpixel = T>,
+{
+    /// RGB by rows, as an image of the `image` crate: `Rgb32FImage` of radiance, `RgbImage` of a picture.
+    fn from(plane: Plane<[T; 3]>) -> Self {
+        let (width, height) = (plane.width() as u32, plane.height() as u32);
+        // It has as many values as it has pixels, times three.
+        image::ImageBuffer::from_raw(width, height, plane.into_vec().into_flattened()).unwrap_or_default()
+    }
+}
+
 impl<T: Copy> Plane<T> {
     /// The value at column `x` of row `y`.
     pub fn at(&self, x: usize, y: usize) -> T {

@@ -43,15 +43,14 @@ fn bracket_in_memory_is_merged_without_opening_a_file() {
     setrlimit(Resource::Nofile, Rlimit { current: Some(0), ..limit }).expect("a limit");
     assert!(std::fs::File::open("Cargo.toml").is_err(), "files can still be opened");
     let (merged, cancelled, refused) = pool.install(|| {
-        let go_on = |_| ControlFlow::Continue(());
-        let merged = pipeline::merge_bracket(bracket(), &Options::default(), &go_on);
+        let merged = pipeline::merge_bracket(bracket(), &Options::default(), &pipeline::unwatched);
         let cancel = |progress| match progress {
             Progress::Begins(Stage::Merge) => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
         };
         let cancelled = pipeline::merge_bracket(bracket(), &Options::default(), &cancel);
         let with_file = Options { outputs: vec!["out.exr".into()], ..Options::default() };
-        (merged, cancelled, pipeline::merge_bracket(bracket(), &with_file, &go_on))
+        (merged, cancelled, pipeline::merge_bracket(bracket(), &with_file, &pipeline::unwatched))
     });
     setrlimit(Resource::Nofile, limit).expect("the limit as it was");
 
@@ -63,8 +62,8 @@ fn bracket_in_memory_is_merged_without_opening_a_file() {
         let shift = frame.alignment.shift_px.expect("a transform");
         assert!((0..2).all(|i| (shift[i] + truth[i]).abs() < 0.1), "{}: {shift:?}", frame.path);
     }
-    let display = image::RgbImage::from(merged.display);
-    let map = image::Rgb32FImage::from(merged.radiance);
+    let display = image::RgbImage::from(merged.display.pixels);
+    let map = image::Rgb32FImage::from(merged.radiance.pixels);
     assert_eq!(display.dimensions(), map.dimensions());
     // Radiance is relative: its ratio to the scene's is one number. Codes are rounded to 0.2 to 4 % of the exposure.
     let crop = merged.report.crop;

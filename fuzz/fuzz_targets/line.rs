@@ -274,7 +274,7 @@ fn line(case: &Case) {
     let mut options = case.options.clone();
     options.load.ev = options.load.ev.map(|_| case.ev.clone());
     options.report = Some(folder().join("o.json"));
-    let outcome = match pipeline::develop(&frames, &options, &|_| ()) {
+    let outcome = match pipeline::develop(&frames, &options, &pipeline::unwatched) {
         Ok(outcome) => outcome,
         Err(e) => {
             let is_ours = matches!(
@@ -338,7 +338,7 @@ fn check_again(case: &Case, mut frames: Vec<PathBuf>, mut options: Options, firs
         memory: Some(MemoryLimit { bytes: MemoryLimit::PROGRAM + (40 << 20), folder: folder().to_owned() }),
         ..options.load
     };
-    let second = pipeline::develop(&frames, &options, &|_| ());
+    let second = pipeline::develop(&frames, &options, &pipeline::unwatched);
     let second = second.unwrap_or_else(|e| panic!("it went well before: {e}"));
     assert!(second.radiance == first.radiance, "other radiance of {case:?}");
     assert!(second.display == first.display, "another picture of {case:?}");

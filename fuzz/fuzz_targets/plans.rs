@@ -55,7 +55,7 @@ fn transforms(content: &[u8]) {
         crop: if content.len() % 2 == 0 { Crop::None } else { Crop::Common },
         ..Options::default()
     };
-    match pipeline::develop(frames, &options, &|_| ()) {
+    match pipeline::develop(frames, &options, &pipeline::unwatched) {
         Ok(outcome) => {
             let values = outcome.radiance.pixels.as_slice().as_flattened();
             assert!(!values.is_empty() && values.iter().all(|v| v.is_finite() && *v > 0.0));

@@ -7,7 +7,7 @@
 use hdralign::bracket::colour::Space;
 use hdralign::limits::Limits;
 use hdralign::merge::FLOOR;
-use hdralign::pipeline::{TonemapOptions, tonemap_file};
+use hdralign::pipeline::{TonemapOptions, tonemap_file, unwatched};
 use hdralign::read;
 use hdralign::write::exr::{Options as ExrOptions, Sample};
 use hdralign_fuzz::{check_error, folder, hash, held, put, set_up};
@@ -41,7 +41,7 @@ fn radiance(data: &[u8]) {
     let mut options = TonemapOptions { outputs, colour, ..TonemapOptions::default() };
     options.write.overwrite = true;
     options.write.exr = ExrOptions { sample: Sample::Float, ..ExrOptions::default() };
-    let report = tonemap_file(&path, &options, &|_| ()).unwrap_or_else(|e| panic!("it was read, and not shown: {e}"));
+    let report = tonemap_file(&path, &options, &unwatched).unwrap_or_else(|e| panic!("it was read, and not shown: {e}"));
     let text = serde_json::to_string(&report).expect("JSON");
     assert!(serde_json::from_str::<serde_json::Value>(&text).is_ok());
     for output in &options.outputs[..3] {

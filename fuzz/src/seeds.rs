@@ -184,7 +184,7 @@ fn radiance(give: &dyn Fn(&str, &[u8])) {
         let mut options = TonemapOptions { outputs: vec![path.clone()], ..TonemapOptions::default() };
         options.write.overwrite = true;
         change(&mut options);
-        pipeline::tonemap_file(&source, &options, &|_| ()).expect("a picture");
+        pipeline::tonemap_file(&source, &options, &pipeline::unwatched).expect("a picture");
         give(name, &fs::read(path).expect("it was written"));
     };
     use write_exr::{Compression as Own, Sample};
@@ -281,7 +281,7 @@ fn line_and_plans(plans: &dyn Fn(&str, u8, &[u8]), photograph: &dyn Fn(&str, &[u
         report: Some(at("s.json")),
         ..Options::default()
     };
-    pipeline::run(&frames, &options, &|_| ()).expect("a merged bracket");
+    pipeline::run(&frames, &options, &pipeline::unwatched).expect("a merged bracket");
     let bytes = |name: &str| fs::read(at(name)).expect("it was written");
     photograph("own.png", &bytes("s.png"));
     photograph("own.jpg", &bytes("s.jpg"));

@@ -10,7 +10,7 @@ use super::plan::Step;
 use super::step::{self, Begun, Brief, Made};
 use crate::budget::Demand;
 use crate::error::Result;
-use crate::pipeline::Options;
+use crate::pipeline::{self, Options};
 use crate::scratch::MemoryLimit;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::collections::BTreeMap;
@@ -100,7 +100,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
         if pool.as_ref().is_none_or(|pool| pool.current_num_threads() != share.threads) {
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
         }
-        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &|_| ()), || board.fill(i));
+        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &pipeline::unwatched), || board.fill(i));
         // Where there is no pool to be had, the step says so itself.
         let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);

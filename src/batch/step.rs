@@ -11,7 +11,7 @@ use super::record::{self, Content, Record};
 use crate::error::{Error, Result};
 use crate::intake::{self, Stamp};
 use crate::pipeline::camera::{self, CameraReport};
-use crate::pipeline::{self, Options, Progress};
+use crate::pipeline::{self, Options, Watch};
 use crate::report::Report;
 use crate::write::{self, CompleteFile, Target};
 use serde::Serialize;
@@ -95,12 +95,7 @@ enum Prepared {
 /// # Errors
 /// Those of [`pipeline::run`]; [`Error::Changed`] where a photograph is another at the end than it was at the begin; [`Error::OutputExists`], [`Error::OutputChanged`], [`Error::OtherPhotographs`] for a result that neither this
 /// step nor an earlier form of it made; [`Error::FrameLost`].
-pub fn begin<'a>(
-    step: &'a Step,
-    options: &Options,
-    force: bool,
-    watch: &(dyn Fn(Progress) + Sync),
-) -> Result<Begun<'a>> {
+pub fn begin<'a>(step: &'a Step, options: &Options, force: bool, watch: Watch) -> Result<Begun<'a>> {
     let stamps: Vec<Stamp> = step.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = step.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
     let options = &acting(step, options);
@@ -127,7 +122,7 @@ pub fn begin<'a>(
         Kind::Merge => Prepared::Merged(Box::new(pipeline::prepare(&step.inputs, options, watch)?)),
         Kind::Response => {
             let options = camera::Options {
-                line: options.clone(),
+                pipeline: options.clone(),
                 curves: step.outputs.clone(),
                 plots: Vec::new(),
                 // One bad bracket stops nothing.
@@ -267,7 +262,7 @@ fn as_value(report: &impl Serialize) -> Value {
 ///
 /// # Errors
 /// Those of [`begin`] and [`Made::commit`]; they are told in [`Step::failure`] too.
-pub fn run(step: &Step, options: &Options, force: bool, watch: &(dyn Fn(Progress) + Sync)) -> Result<(Brief, bool)> {
+pub fn run(step: &Step, options: &Options, force: bool, watch: Watch) -> Result<(Brief, bool)> {
     let outcome = begin(step, options, force, watch).and_then(|begun| match begun {
         Begun::Unchanged(brief) => Ok((brief, false)),
         Begun::Made(made) => Ok((made.commit()?, true)),

@@ -314,7 +314,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
         options.load.memory = args.work.memory(|| folder.to_owned());
         options.threads = args.work.threads;
         options.load.max_pixels = largest(step, &args.work);
-        match step::run(step, &options, args.work.force, &|_| ()) {
+        match step::run(step, &options, args.work.force, &pipeline::unwatched) {
             Ok((brief, is_new)) => {
                 done += 1;
                 degraded |= brief.degraded;

@@ -9,6 +9,7 @@ use hdralign::bracket::header::Header;
 use hdralign::limits::Limits;
 use hdralign::pipeline::{Progress, Stage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -244,14 +245,15 @@ impl Bar {
         std::thread::Builder::new().name("hdralign bar".into()).spawn(tick).ok()
     }
 
-    /// Shows how far the work is.
-    pub fn show(&self, progress: Progress) {
+    /// Shows how far the work is; never cancels it.
+    pub fn show(&self, progress: Progress) -> ControlFlow<()> {
         let mut course = locked(&self.shared.course);
         match progress {
             Progress::Begins(stage) => course.begins(stage, self.began.elapsed().as_secs_f64()),
             Progress::Decoded(frames) => course.decoded = course.decoded.max(frames),
         }
         draw(&self.bar, &mut course, self.began);
+        ControlFlow::Continue(())
     }
 
     /// Takes the bar off the screen.

@@ -50,7 +50,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let Aligned { images, work, .. } = &args.aligned;
     let options = camera::Options {
-        line: pipeline::Options {
+        pipeline: pipeline::Options {
             response: args.recovery.model()?,
             exposures: args.recovery.exposures,
             ..args.aligned.options()

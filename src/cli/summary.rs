@@ -273,7 +273,7 @@ mod tests {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
         let images: Vec<PathBuf> = [2, 3, 4].iter().map(|i| format!("{folder}/window_{i}.jpg").into()).collect();
         let align = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
-        pipeline::align_only(&images, &Options { align, ..Options::default() }, &|_| ()).unwrap()
+        pipeline::align_only(&images, &Options { align, ..Options::default() }, &pipeline::unwatched).unwrap()
     }
 
     #[test]

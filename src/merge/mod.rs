@@ -71,15 +71,6 @@ pub struct RadianceMap {
     pub primaries: Primaries,
 }
 
-impl From<RadianceMap> for image::Rgb32FImage {
-    /// Linear RGB; the primaries are lost.
-    fn from(map: RadianceMap) -> Self {
-        let (width, height) = (map.pixels.width() as u32, map.pixels.height() as u32);
-        // It has as many values as it has pixels, times three.
-        image::ImageBuffer::from_raw(width, height, map.pixels.into_vec().into_flattened()).unwrap_or_default()
-    }
-}
-
 /// How frames are merged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MergeOptions {

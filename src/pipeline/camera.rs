@@ -9,9 +9,8 @@ mod folders;
 mod seen;
 
 use super::curves;
-use super::line::Line;
 use super::threads::in_pool;
-use super::{Prepared, Progress};
+use super::{Prepared, Watch};
 use crate::bracket::ReferenceChoice;
 use crate::error::{Error, Result};
 use crate::inspect::response_plot;
@@ -23,6 +22,7 @@ use crate::write::{self, Target, Written};
 use seen::Seen;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// The version of the report's format: keys are only ever added to it.
 pub const SCHEMA: &str = "hdralign-response-report/1";
@@ -37,7 +37,7 @@ const DRAWN: usize = 600;
 pub struct Options {
     /// How brackets are loaded and aligned, exposures tuned, the response recovered and files replaced; what it says of outputs does not
     /// count.
-    pub line: super::Options,
+    pub pipeline: super::Options,
     /// The curve is saved here, by extension as `.json`, `.rsp` or `.csv`; where there is none, beside the first photograph, named after
     /// the camera.
     pub curves: Vec<PathBuf>,
@@ -113,7 +113,7 @@ impl Options {
 ///
 /// # Errors
 /// Those of [`prepare`]; [`Error::Option`] where a folder holds no bracket, or something is said of one bracket and there are several.
-pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sync)) -> Result<CameraReport> {
+pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<CameraReport> {
     let brackets = folders::brackets(images)?;
     check_options(&brackets, options)?;
     prepare(&brackets, options, watch)?.commit()
@@ -125,19 +125,15 @@ pub fn run(images: &[PathBuf], options: &Options, watch: &(dyn Fn(Progress) + Sy
 /// # Errors
 /// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell, or where
 /// none can be used.
-pub fn prepare(
-    brackets: &[Vec<PathBuf>],
-    options: &Options,
-    watch: &(dyn Fn(Progress) + Sync),
-) -> Result<Prepared<CameraReport>> {
-    in_pool(options.line.threads, || {
-        options.line.align.validate()?;
+pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<Prepared<CameraReport>> {
+    in_pool(options.pipeline.threads, || {
+        options.pipeline.align.validate()?;
         let photographs = brackets.concat();
         check_names(&photographs, options)?;
-        let mut line = Line::new(watch);
-        let seen = seen::see(brackets, options, &mut line)?;
-        let (curve, recovered, warnings) = response::recover_from(&places(&seen), &options.line.response)?;
-        line.warnings.extend(warnings);
+        let began = Instant::now();
+        let (seen, mut warnings) = seen::see(brackets, options, watch)?;
+        let (curve, recovered, more) = response::recover_from(&places(&seen), &options.pipeline.response)?;
+        warnings.extend(more);
         let first = &seen[0];
         if let Some(reason) = recovered.fallback {
             return Err(Error::NoResponse { path: first.path.clone(), reason });
@@ -148,7 +144,7 @@ pub fn prepare(
         if curves.is_empty() {
             let path = default_output(&photographs, &saved);
             let target = Target::of("-o", std::slice::from_ref(&path));
-            write::check_targets(&target, &photographs, options.line.write.overwrite)?;
+            write::check_targets(&target, &photographs, options.pipeline.write.overwrite)?;
             curves.push(path);
         }
         let miniatures: Vec<_> = seen.iter().filter_map(|bracket| bracket.miniature.as_ref()).collect();
@@ -161,7 +157,7 @@ pub fn prepare(
         let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
         let mut pending = Vec::new();
         for written in files {
-            line.warnings.extend(written.warnings);
+            warnings.extend(written.warnings);
             pending.push(written.file);
         }
         let report = CameraReport {
@@ -172,20 +168,20 @@ pub fn prepare(
             brackets: seen.into_iter().map(|bracket| bracket.report).collect(),
             response: recovered,
             outputs: names.iter().map(|p| p.to_string_lossy().into_owned()).collect(),
-            warnings: line.warnings.iter().map(WarningReport::from).collect(),
-            time_s: line.began.elapsed().as_secs_f64(),
+            warnings: warnings.iter().map(WarningReport::from).collect(),
+            time_s: began.elapsed().as_secs_f64(),
         };
-        Ok(Prepared { report, files: pending, overwrite: options.line.write.overwrite })
+        Ok(Prepared { report, files: pending, overwrite: options.pipeline.write.overwrite })
     })
 }
 
 /// What is said of single frames by their number in one bracket is for one bracket.
 fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     let single = |option, reason: &str| Err(Error::Option { option, reason: reason.to_owned() });
-    if brackets.len() > 1 && options.line.load.ev.is_some() {
+    if brackets.len() > 1 && options.pipeline.load.ev.is_some() {
         return single("-e", "it is for one bracket, and there are several; calibrate by that bracket alone");
     }
-    if brackets.len() > 1 && matches!(options.line.load.reference, ReferenceChoice::File(_)) {
+    if brackets.len() > 1 && matches!(options.pipeline.load.reference, ReferenceChoice::File(_)) {
         return single(
             "--reference",
             "a file is in one bracket, and there are several; give a number, or leave it out",
@@ -198,7 +194,7 @@ fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
 fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
     options.curves.iter().try_for_each(|path| Format::of(path).map(|_| ()))?;
     options.plots.iter().try_for_each(|path| response_plot::Format::of(path).map(|_| ()))?;
-    write::check_targets(&options.named(), photographs, options.line.write.overwrite)
+    write::check_targets(&options.named(), photographs, options.pipeline.write.overwrite)
 }
 
 /// Beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` where it does not say.

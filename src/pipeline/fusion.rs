@@ -1,12 +1,13 @@
-//! Exposure fusion within the line: the aligned frames to a picture, without radiance.
+//! Exposure fusion as a stage of a run: the aligned frames to a picture, without radiance.
 //!
 //! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
+use super::run::Aligned;
+use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
-use crate::align::{Alignment, Rect, Transform};
+use crate::bracket::Frame;
 use crate::bracket::colour::{Conversion, Transfer};
-use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
 use crate::merge::deghost::Ghosts;
 use crate::plane::{BAND_ROWS, Plane};
@@ -16,46 +17,51 @@ use crate::tonemap::fusion::{self, Channels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What is fused.
-pub(super) struct Aligned<'a> {
-    pub bracket: &'a Bracket,
-    pub alignment: &'a Alignment,
-    /// The part of the reference that the picture shows.
-    pub region: Rect,
-    pub curve: &'a ResponseCurve,
-    /// What is left out of the frames, over `region`.
-    pub ghosts: Option<&'a Ghosts>,
+/// The frames that are fused.
+struct Fused<'a> {
+    aligned: &'a Aligned,
+    placed: Vec<Placed<'a>>,
+    curve: &'a ResponseCurve,
+    /// The ghosts of the frames, over the region of `aligned`.
+    ghosts: Option<&'a Ghosts>,
 }
 
-impl Aligned<'_> {
-    /// The picture: codes of `colours`, 0 to 1 but for some overshoot.
-    ///
-    /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch).
-    pub fn fused(&self, options: &fusion::Options, colours: Colours) -> Result<Channels> {
-        let placed: Vec<Placed> = self.alignment.placed(self.bracket).collect();
-        let to_shown = ToShown::of(self.bracket.reference(), colours);
-        let channels = |k: usize| -> Result<Channels> {
-            let mut channels = self.codes(&placed, k)?;
-            if let Some(to_shown) = &to_shown {
-                let [red, green, blue] = &mut channels;
-                let rows = red.as_mut_slice().par_iter_mut().zip(green.as_mut_slice()).zip(blue.as_mut_slice());
-                rows.filter(|((r, _), _)| **r >= 0.0)
-                    .for_each(|((r, g), b)| [*r, *g, *b] = to_shown.codes([*r, *g, *b]));
-            }
-            Ok(channels)
-        };
-        fusion::fuse(placed.len(), channels, options)
-    }
+/// The picture of the frames: codes of `colours`, 0 to 1 but for some overshoot.
+///
+/// # Errors
+/// [`Error::Scratch`](crate::error::Error::Scratch).
+pub(super) fn fused(
+    aligned: &Aligned,
+    curve: &ResponseCurve,
+    ghosts: Option<&Ghosts>,
+    options: &fusion::Options,
+    colours: Colours,
+) -> Result<Channels> {
+    let placed: Vec<Placed> = aligned.alignment.placed(&aligned.bracket).collect();
+    let frames = Fused { aligned, placed, curve, ghosts };
+    let to_shown = ToShown::of(aligned.bracket.reference(), colours);
+    let channels = |k: usize| -> Result<Channels> {
+        let mut channels = frames.codes(k)?;
+        if let Some(to_shown) = &to_shown {
+            let [red, green, blue] = &mut channels;
+            let rows = red.as_mut_slice().par_iter_mut().zip(green.as_mut_slice()).zip(blue.as_mut_slice());
+            rows.filter(|((r, _), _)| **r >= 0.0).for_each(|((r, g), b)| [*r, *g, *b] = to_shown.codes([*r, *g, *b]));
+        }
+        Ok(channels)
+    };
+    fusion::fuse(frames.placed.len(), channels, options)
+}
 
-    /// The codes 0..=1 of frame `k` of those placed, -1 outside it.
-    fn codes(&self, placed: &[Placed], k: usize) -> Result<Channels> {
-        let (width, height) = (self.region.width(), self.region.height());
+impl Fused<'_> {
+    /// The codes 0..=1 of placed frame `k`, -1 outside it.
+    fn codes(&self, k: usize) -> Result<Channels> {
+        let region = self.aligned.region;
+        let (width, height) = (region.width(), region.height());
         let mut planes: Channels = std::array::from_fn(|_| Plane::filled(width, height, 0.0f32));
         let [red, green, blue] = planes.each_mut().map(|p| p.as_mut_slice().par_chunks_mut(BAND_ROWS * width));
         red.zip(green).zip(blue).enumerate().try_for_each(|(i, ((red, green), blue))| {
             let first = i * BAND_ROWS;
-            let codes = self.rows(placed, k, first..first + red.len() / width)?;
+            let codes = self.rows(k, first..first + red.len() / width)?;
             for (((r, g), b), code) in red.iter_mut().zip(green).zip(blue).zip(codes) {
                 [*r, *g, *b] = code;
             }
@@ -67,10 +73,11 @@ impl Aligned<'_> {
     /// The same of some rows of the region; where something moved, what the frame would show of the next one towards the reference, which is as much
     /// changed, and of what is continued where the reference clips. To give it no weight there would not do: the coarse levels of the pyramids carry what
     /// moved beyond its borders.
-    fn rows(&self, placed: &[Placed], k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+    fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+        let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
         let (_, frame, warp) = &placed[k];
-        let columns = self.region.x0..self.region.x1;
-        let lines = self.region.y0 + rows.start..self.region.y0 + rows.end;
+        let columns = region.x0..region.x1;
+        let lines = region.y0 + rows.start..region.y0 + rows.end;
         let window = frame.window(rows_under(warp, (frame.width(), frame.height()), &columns, &lines))?;
         let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
         resample_rows(&window, warp, columns, lines, &mut codes);
@@ -78,13 +85,13 @@ impl Aligned<'_> {
             // Overshoot of the kernel must not be taken for what is outside.
             *code = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
         }
-        let reference = placed.iter().position(|(i, _, _)| *i == self.bracket.reference_index()).unwrap_or(k);
+        let reference = placed.iter().position(|(i, _, _)| *i == aligned.bracket.reference_index()).unwrap_or(k);
         let kept = self.ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(k, rows.clone()));
         if k == reference || kept.is_empty() {
             return Ok(codes);
         }
         let toward = if k < reference { k + 1 } else { k - 1 };
-        let next = self.rows(placed, toward, rows.clone())?;
+        let next = self.rows(toward, rows.clone())?;
         let time = |k: usize| placed[k].1.exposure.relative() / placed[reference].1.exposure.relative();
         let (time, next_time) = (time(k) as f32, time(toward) as f32);
         let radiance = |code: [f32; 3]| [0, 1, 2].map(|c| self.curve.exposure(c, 255.0 * code[c]) / next_time);
@@ -104,7 +111,7 @@ impl Aligned<'_> {
     }
 }
 
-/// A placed frame: its number in the bracket, itself, and where it lies.
+/// A placed frame: its index in the bracket, the frame, and its transform.
 type Placed<'a> = (usize, &'a Frame, Transform);
 
 /// The way from the codes of a frame to those of the picture, both 0 to 1: the measures of fusion are made for what a display shows.
@@ -133,7 +140,8 @@ impl ToShown {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bracket::ReferenceChoice;
+    use crate::align::Alignment;
+    use crate::bracket::{Bracket, ReferenceChoice};
     use crate::merge::deghost;
     use crate::response::tests::still;
 
@@ -149,9 +157,8 @@ mod tests {
         let (alignment, curve) = (Alignment::unmoved(&bracket), ResponseCurve::srgb());
         let region = alignment.overlap;
         let ghosts = deghost::find(&bracket, &alignment, &curve, region, deghost::AUTO, None).unwrap();
-        let aligned =
-            Aligned { bracket: &bracket, alignment: &alignment, region, curve: &curve, ghosts: Some(&ghosts) };
-        let fused = aligned.fused(&fusion::Options::default(), Colours::Srgb).unwrap();
+        let aligned = Aligned { bracket, alignment, region };
+        let fused = fused(&aligned, &curve, Some(&ghosts), &fusion::Options::default(), Colours::Srgb).unwrap();
         for c in 0..3 {
             // Rounding of the codes that the sky is continued from, and of sums over the levels. Bare, the reference's white has codes 99 of 158.
             let (found, around) = (255.0 * fused[c].at(120, 90), 255.0 * fused[c].at(20, 90));

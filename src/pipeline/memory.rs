@@ -3,33 +3,26 @@
 //! In: a [`Bracket`], of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
 //! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and writing.
 
-use super::line::Line;
+use super::run::Run;
 use super::threads::in_own_pool;
-use super::{Options, Outcome, Progress, developed, validate};
+use super::{Options, Outcome, Watch, developed, validate};
 use crate::bracket::{Bracket, LoadOptions};
 use crate::error::{Error, Result};
-use crate::tonemap::DisplayImage;
-use std::ops::ControlFlow;
 
 /// Aligns, calibrates, merges and tone-maps `bracket`.
 ///
 /// `options.load` and all options that name a file must be as by default. The work is done on the rayon pool that calls this, or
-/// on one of [`threads`](Options::threads). `watch` is called from any thread; where it breaks, the run is cancelled before the next stage.
+/// on one of [`threads`](Options::threads).
 ///
 /// # Errors
 /// [`Error::Option`] for options that are out of range or need files; [`Error::Cancelled`]; [`Error::NothingAligned`] and
 /// [`Error::NoOverlap`] where the frames do not show one scene. A frame is named by its path, which need not exist.
-pub fn merge_bracket(
-    bracket: Bracket,
-    options: &Options,
-    watch: &(dyn Fn(Progress) -> ControlFlow<()> + Sync),
-) -> Result<Outcome> {
+pub fn merge_bracket(bracket: Bracket, options: &Options, watch: Watch) -> Result<Outcome> {
     in_own_pool(options.threads, || {
         refuse_files(options)?;
         validate(options)?;
-        let (prepared, results) = developed(Line::cancellable(watch), bracket, None, &None, options, true)?;
-        let radiance = results.radiance.whole()?;
-        Ok(Outcome { radiance, display: DisplayImage { pixels: results.display }, report: prepared.report })
+        let (prepared, results) = developed(Run::new(options, watch), bracket, None, true)?;
+        results.outcome(prepared.report)
     })
 }
 

@@ -17,7 +17,7 @@ use crate::tonemap::tones::Tones;
 use crate::write::picture::Options;
 use rayon::prelude::*;
 
-/// Shows all of the radiance, slab by slab with the number of the first row, as often as it is asked.
+/// Calls a function with all of the radiance, part by part with the number of the first row; may be called again.
 pub(super) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
 /// A picture of which rows may be asked for.

@@ -6,7 +6,7 @@
 use super::picture::{Each, Picture};
 use super::results::Results;
 use super::threads::in_pool;
-use super::{Progress, Stage};
+use super::{Stage, Watch, announce};
 use crate::bracket::colour::Space;
 use crate::budget;
 use crate::error::{Error, Result};
@@ -52,11 +52,7 @@ impl TonemapOptions {
 /// # Errors
 /// Those of [`read::read_within`] and of writing; [`Error::Option`] where the memory allowed does not suffice; on any of them no output exists that
 /// did not before.
-pub fn tonemap_file(
-    input: &Path,
-    options: &TonemapOptions,
-    watch: &(dyn Fn(Progress) + Sync),
-) -> Result<TonemapReport> {
+pub fn tonemap_file(input: &Path, options: &TonemapOptions, watch: Watch) -> Result<TonemapReport> {
     in_pool(options.threads, || {
         options.operator.validate()?;
         options.write.check(&options.results()?)?;
@@ -65,7 +61,7 @@ pub fn tonemap_file(
         let targets = [Target::of("-o", &options.outputs), Target::of("--picture", &options.pictures)].concat();
         write::check_targets(&targets, &[input.to_owned()], options.write.overwrite)?;
         let began = Instant::now();
-        watch(Progress::Begins(Stage::Load));
+        announce(watch, Stage::Load)?;
         let contents = read::read_within(input, &options.limits)?;
         let size = (contents.map.pixels.width(), contents.map.pixels.height());
         let threads = budget::tonemapping(&options.limits, size, rayon::current_num_threads());
@@ -81,12 +77,8 @@ fn tonemapped(
     contents: read::Contents,
     options: &TonemapOptions,
     began: Instant,
-    watch: &(dyn Fn(Progress) + Sync),
+    watch: Watch,
 ) -> Result<TonemapReport> {
-    let timed = |stage, since: Instant| {
-        watch(Progress::Begins(stage));
-        Some(since.elapsed().as_secs_f64())
-    };
     let mut warnings = contents.warnings(input);
     let read::Contents { map, metadata, .. } = contents;
     let (map, repaired) = read::repair(map);
@@ -99,7 +91,8 @@ fn tonemapped(
     let mut report = TonemapReport::new(input, &map, &metadata);
     report.operator = options.operator.clone();
     report.adjust = options.write.picture.adjust;
-    report.time_s.load = timed(Stage::Tonemap, began);
+    report.time_s.load = Some(began.elapsed().as_secs_f64());
+    announce(watch, Stage::Tonemap)?;
     let since = Instant::now();
     let size = (map.pixels.width(), map.pixels.height());
     let photographed = Photographed::read(&metadata.comments);
@@ -108,7 +101,8 @@ fn tonemapped(
     let picture = Picture::toned(each, shape, photographed, &options.operator, made)?;
     report.white_balance = picture.light;
     warnings.extend(picture.warning(made));
-    report.time_s.tonemap = timed(Stage::Write, since);
+    report.time_s.tonemap = Some(since.elapsed().as_secs_f64());
+    announce(watch, Stage::Write)?;
     let since = Instant::now();
     // Headers name the program that wrote the file, which this is.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };

@@ -44,14 +44,6 @@ pub struct DisplayImage {
     pub pixels: Plane<[u8; 3]>,
 }
 
-impl From<DisplayImage> for image::RgbImage {
-    fn from(display: DisplayImage) -> Self {
-        let (width, height) = (display.pixels.width() as u32, display.pixels.height() as u32);
-        // It has as many values as it has pixels, times three.
-        image::ImageBuffer::from_raw(width, height, display.pixels.into_vec().into_flattened()).unwrap_or_default()
-    }
-}
-
 /// Tone mapping operator: from radiance to the range of a display.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]

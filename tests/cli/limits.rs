@@ -10,11 +10,12 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::batch::{plan::Step, step};
-use hdralign::pipeline::{Options, Progress, Stage};
+use hdralign::pipeline::{self, Options, Progress, Stage};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fs::{self, File};
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
@@ -434,6 +435,7 @@ fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_resu
         if progress == Progress::Begins(Stage::Load) {
             fs::write(frame, [&before[..], b"more"].concat()).expect("written");
         }
+        ControlFlow::Continue(())
     };
     let options =
         Options { align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() }, ..Options::default() };
@@ -441,6 +443,6 @@ fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_resu
     assert!(error.contains(": was changed while it was read"), "{error}");
     assert!(!steps[0].outputs[0].exists() && !steps[0].report.exists());
     // Now that it stays as it is, it is merged: JPEGs may have anything behind them.
-    step::run(&steps[0], &options, false, &|_| ()).expect("merged");
+    step::run(&steps[0], &options, false, &pipeline::unwatched).expect("merged");
     assert!(steps[0].outputs[0].exists());
 }

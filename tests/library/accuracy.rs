@@ -43,7 +43,7 @@ fn merged(mode: AlignMode) -> Outcome {
         crop: Crop::None,
         ..Options::default()
     };
-    pipeline::develop(&images, &options, &|_| ()).expect("a merge")
+    pipeline::develop(&images, &options, &pipeline::unwatched).expect("a merge")
 }
 
 /// By default, but for the reference, which is the truth's, and no crop; run once.

@@ -6,6 +6,7 @@ mod support;
 mod accuracy;
 mod architecture;
 mod licences;
+mod progress;
 mod properties;
 mod same_bytes;
 mod several_brackets;

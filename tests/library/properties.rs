@@ -273,7 +273,9 @@ fn any_bracket_gives_finite_radiance_or_a_message_and_the_same_bytes_twice() {
             ..options
         };
         let images = photographs.write(dir.path());
-        let run = |threads| pipeline::develop(&images, &Options { threads: Some(threads), ..options.clone() }, &|_| ());
+        let run = |threads| {
+            pipeline::develop(&images, &Options { threads: Some(threads), ..options.clone() }, &pipeline::unwatched)
+        };
         let one = match run(1) {
             Ok(outcome) => outcome,
             Err(error) => {
@@ -518,7 +520,7 @@ fn any_curve_and_any_exposures_give_finite_radiance() {
             weight,
             ..Options::default()
         };
-        if let Ok(outcome) = pipeline::develop(&photographs.write(dir.path()), &options, &|_| ()) {
+        if let Ok(outcome) = pipeline::develop(&photographs.write(dir.path()), &options, &pipeline::unwatched) {
             merged.set(merged.get() + 1);
             let values = outcome.radiance.pixels.as_slice().as_flattened();
             prop_assert!(values.iter().all(|v| v.is_finite() && *v > 0.0), "{values:?}");

@@ -110,7 +110,7 @@ fn little_memory_does_not_change_a_byte() {
 fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
     assert!(simd::choose(arm));
     let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
-    let report = pipeline::run(&images, options, &|_| ()).expect("the window merges");
+    let report = pipeline::run(&images, options, &pipeline::unwatched).expect("the window merges");
     assert!(simd::choose(Arm::Native));
     let mut report: Value = serde_json::from_str(&report.to_json()).expect("JSON");
     report["time_s"].take();

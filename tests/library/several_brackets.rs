@@ -73,7 +73,7 @@ fn ratio(a: &Outcome, b: &Outcome) -> f64 {
 #[test]
 fn brackets_of_different_exposure_have_one_unit_where_it_is_asked_for() {
     let folder = scenes();
-    let develop = |frames, unit| pipeline::develop(&of(&folder, frames), &options(unit), &|_| ()).unwrap();
+    let develop = |frames, unit| pipeline::develop(&of(&folder, frames), &options(unit), &pipeline::unwatched).unwrap();
     let (short, long) = (develop(1..=3, None), develop(3..=5, None));
     let unit_of = |o: &Outcome| {
         let radiance = o.report.radiance.as_ref().unwrap();
@@ -106,7 +106,7 @@ fn brackets_of_different_exposure_have_one_unit_where_it_is_asked_for() {
 fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
     let folder = scenes();
     let files: Vec<PathBuf> = ["a.exr", "a.json", "a.html"].map(|name| folder.at(name)).into();
-    let run = |o: Options| pipeline::run(&of(&folder, 1..=3), &o, &|_| ());
+    let run = |o: Options| pipeline::run(&of(&folder, 1..=3), &o, &pipeline::unwatched);
     run(Options {
         outputs: vec![files[0].clone()],
         report: Some(files[1].clone()),
@@ -149,8 +149,8 @@ fn recover(
     lenient: bool,
 ) -> hdralign::error::Result<CameraReport> {
     let line = Options { response: ResponseModel::default(), ..options(None) };
-    let options = camera::Options { line, curves: vec![folder.at(name)], plots: Vec::new(), lenient };
-    camera::prepare(brackets, &options, &|_| ())?.commit()
+    let options = camera::Options { pipeline: line, curves: vec![folder.at(name)], plots: Vec::new(), lenient };
+    camera::prepare(brackets, &options, &pipeline::unwatched)?.commit()
 }
 
 #[test]

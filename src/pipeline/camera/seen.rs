@@ -3,10 +3,10 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
-use super::super::doubts::processing;
-use super::super::line::Line;
+use super::super::response::processing;
+use super::super::run::{Aligned, Run};
 use super::super::threads::in_pool;
-use super::super::{check_placed, curves};
+use super::super::{Watch, check_placed, curves};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::preset::Preset;
 use crate::bracket::Capture;
@@ -33,22 +33,20 @@ pub(super) struct Seen {
 /// # Errors
 /// That of the first bracket that cannot be used; where those are left out, [`Error::NoResponse`] if none is left, and [`Error::Scratch`],
 /// which is no fault of a bracket.
-pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line) -> Result<Vec<Seen>> {
+pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<(Vec<Seen>, Vec<Warning>)> {
     let most = PATCHES / brackets.len().max(1);
     let mut seen = Vec::with_capacity(brackets.len());
     let mut found_given = 0;
-    let mut left_out = Vec::new();
+    let (mut warnings, mut left_out) = (Vec::new(), Vec::new());
     for paths in brackets {
-        let warned = line.warnings.len();
-        match one(paths, brackets.len(), options, line) {
-            Ok((mut bracket, given)) => {
+        match one(paths, brackets.len(), options, watch) {
+            Ok((mut bracket, given, found)) => {
                 bracket.places.thin(most);
                 found_given += given;
+                warnings.extend(found);
                 seen.push(bracket);
             }
-            Err(error) if options.lenient && !matches!(error, Error::Scratch { .. }) => {
-                // What was said of it before is of no use to a result that it has no part in.
-                line.warnings.truncate(warned);
+            Err(error) if options.lenient && !matches!(error, Error::Scratch { .. } | Error::Cancelled) => {
                 let path = paths.first().cloned().unwrap_or_default();
                 left_out.push(Warning::BracketLeftOut { path, reason: error.to_string() });
             }
@@ -62,31 +60,35 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, line: &mut Line)
         let reason = format!("none of its {} brackets can be used; of the first: {reason}", brackets.len());
         return Err(Error::NoResponse { path, reason });
     }
-    if left_out.is_empty() && found_given < options.line.align.given.len() {
+    if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
         let reason = "a photograph named there is in none of the brackets".to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
-    line.warnings.extend(left_out);
-    line.warnings.extend(differing_cameras(&seen));
-    Ok(seen)
+    warnings.extend(left_out);
+    warnings.extend(differing_cameras(&seen));
+    Ok((seen, warnings))
 }
 
-/// The bracket `paths` of `brackets`, and how many of the places that the user gave are of its frames.
-fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -> Result<(Seen, usize)> {
-    let mut own = options.line.clone();
-    let bracket = line.load(paths, &own.aligning(), &own)?;
+/// The bracket `paths` of `brackets`, how many of the transforms that the user gave are of its frames, and its warnings.
+fn one(paths: &[PathBuf], brackets: usize, options: &Options, watch: Watch) -> Result<(Seen, usize, Vec<Warning>)> {
+    let mut own = options.pipeline.clone();
+    let mut run = Run::new(&options.pipeline, watch);
+    let bracket = run.load(paths, &own.aligning())?;
     if brackets > 1 {
         own.align.given.retain(|given: &Preset| bracket.named(&given.path).is_some());
     }
-    let (mut bracket, alignment, mut places) = in_pool(bracket.threads(), || {
-        let (bracket, alignment) = line.align(bracket, &own)?;
-        check_placed(&bracket, &alignment)?;
-        let places = Places::of(&bracket, &alignment)?;
-        Ok((bracket, alignment, places))
+    let mut run = run.with_options(&own);
+    let (aligned, mut places) = in_pool(bracket.threads(), || {
+        let aligned = run.align(bracket)?;
+        check_placed(&aligned)?;
+        let places = Places::of(&aligned.bracket, &aligned.alignment)?;
+        Ok((aligned, places))
     })?;
+    let Aligned { mut bracket, alignment, .. } = aligned;
+    let mut warnings = run.warnings;
     if own.exposures == Exposures::FineTuned {
-        let (tuned, warnings) = ratios::fine_tuned(bracket, &mut places);
-        line.warnings.extend(warnings);
+        let (tuned, more) = ratios::fine_tuned(bracket, &mut places);
+        warnings.extend(more);
         bracket = tuned;
     }
     if processing(&bracket, &places, &own).is_some_and(|evidence| evidence.is_local) {
@@ -97,7 +99,7 @@ fn one(paths: &[PathBuf], brackets: usize, options: &Options, line: &mut Line) -
     let first = bracket.reference();
     let (path, capture) = (first.path().to_owned(), first.capture.clone());
     let seen = Seen { path, capture, places, miniature, report: BracketReport { reference, frames } };
-    Ok((seen, own.align.given.len()))
+    Ok((seen, own.align.given.len(), warnings))
 }
 
 fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {

@@ -1,11 +1,12 @@
-//! Alignment, and to which frame.
+//! The stage of alignment: to the reference of the bracket or, where that fails, to another frame.
 //!
-//! In: a bracket. Out: its alignment, to the reference that it has or, where that fails, to another. Cost: that of the alignment; where half
-//! of the frames or more cannot be placed, up to three times as much.
+//! In: a bracket. Out: its alignment, and the bracket with the reference of that. Cost: that of the alignment; where
+//! half of the frames or more cannot be placed, up to three times as much.
 //!
-//! The reference that is chosen by itself is the frame that sees the most. Where that is a stray of another scene, one that was saved
-//! mirrored, or one that someone walked through, it is the reference that is wrong and not all others. Of those that could not be placed
-//! beside it the one that sees the most is tried, and taken where more are surely placed beside that. A reference of the user's choice stays.
+//! The reference that is chosen automatically is the frame with the most pixels that are neither clipped nor black.
+//! Where that frame is of another scene, was saved mirrored, or someone walked through it, all others are rejected
+//! although it is the reference that is wrong. The best of the rejected frames is tried as the reference then, and
+//! stays it where more frames are placed with confidence. A reference that the user chose stays.
 
 use super::Options;
 use crate::align;
@@ -16,10 +17,10 @@ use crate::error::{Result, Warning};
 
 /// References that are tried beside the first.
 const OTHERS: usize = 2;
-/// Frames count for another reference that are placed beside it with this confidence: where parallax leaves every place in doubt, the frame that
-/// sees the most is still the best to look from.
+/// Confidence with which frames must be placed to count for another reference: where parallax makes every transform
+/// uncertain, the first reference is still the best.
 const SURE: f64 = 0.8;
-/// ... and where the first is left alone, with this.
+/// ... where no frame is placed with the first.
 const LIKELY: f64 = 0.5;
 
 /// Aligns `bracket`, which comes back with the reference that it was aligned to.
@@ -31,12 +32,12 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // Who was placed beside one of the references is no stray by itself.
-    let mut done: Vec<bool> = left_out(&bracket, options);
+    // A frame that was placed with one reference cannot be better than that as a reference.
+    let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
         let placed = count(&alignment, 0.0);
-        let among = bracket.frames().len() - left_out(&bracket, options).iter().filter(|&&out| out).count();
-        // Of two, neither says which is the stray.
+        let among = bracket.frames().len() - excluded(&bracket, options).iter().filter(|&&out| out).count();
+        // Of two, nothing tells which is of another scene.
         if among < 3 || 2 * placed > among {
             break;
         }
@@ -44,10 +45,10 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
         let Some(other) = bracket.best_of(|i| !done[i]) else { break };
         let first = bracket.reference_index();
         bracket = bracket.with_reference(other);
-        let (found, said) = align::align(&bracket, &options.align)?;
+        let (found, found_warnings) = align::align(&bracket, &options.align)?;
         let least = if placed > 1 { SURE } else { LIKELY };
         if count(&found, least) > placed {
-            (alignment, warnings) = (found, said);
+            (alignment, warnings) = (found, found_warnings);
         } else {
             mark(&bracket, &found, &mut done);
             bracket = bracket.with_reference(first);
@@ -56,7 +57,7 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     Ok((bracket, alignment, warnings))
 }
 
-/// Whether the reference is ours to choose, and frames are judged at all.
+/// Whether the reference is chosen automatically, and frames can be rejected.
 fn is_open(options: &Options) -> bool {
     let is_ours = matches!(options.load.reference, ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_));
     is_ours
@@ -64,19 +65,20 @@ fn is_open(options: &Options) -> bool {
         && options.align.given.iter().all(|given| given.place == PresetTransform::Excluded)
 }
 
-/// Which frames are left out: those that the user names, and those that are excluded by themselves.
-fn left_out(bracket: &Bracket, options: &Options) -> Vec<bool> {
+/// The frames that are excluded: by the user, or because of the flash.
+fn excluded(bracket: &Bracket, options: &Options) -> Vec<bool> {
     let mut out: Vec<bool> = bracket.frames().iter().map(|frame| frame.excluded.is_some()).collect();
     options.align.given.iter().filter_map(|given| bracket.named(&given.path)).for_each(|i| out[i] = true);
     out
 }
 
-/// How many frames take part, with the reference, of which the place is known with `least` confidence.
+/// The number of frames that are placed with `least` confidence, with the reference.
 fn count(alignment: &Alignment, least: f64) -> usize {
     let is_sure = |placement: &&Placement| placement.transform().is_some() && placement.confidence() >= least;
     alignment.placements.iter().filter(is_sure).count()
 }
 
+/// Marks the frames that are placed.
 fn mark(bracket: &Bracket, alignment: &Alignment, done: &mut [bool]) {
     alignment.placed(bracket).for_each(|(i, ..)| done[i] = true);
 }

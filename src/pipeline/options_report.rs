@@ -1,4 +1,4 @@
-//! What was asked for, as the report tells it.
+//! The options of a run, as the report has them.
 //!
 //! In: [`Options`]. Out: an [`OptionsReport`]. Cost: none.
 
@@ -6,8 +6,8 @@ use super::Options;
 use crate::report::options::OptionsReport;
 use crate::write::picture::Size;
 
-/// Of a run that merges all that the report has; of one that only aligns, what counts there.
-pub(super) fn report(options: &Options, merges: bool) -> OptionsReport {
+/// All options for a run that `merges`; for one that only aligns, those of the alignment.
+pub(super) fn options_report(options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {
         align: options.align.mode,
@@ -43,7 +43,7 @@ mod tests {
             crop: Crop::None,
             ..Options::default()
         };
-        let json = |merges| serde_json::to_value(report(&options, merges)).unwrap();
+        let json = |merges| serde_json::to_value(options_report(&options, merges)).unwrap();
         let (merged, aligned) = (json(true), json(false));
         assert_eq!((&merged["crop"], &aligned["crop"]), (&"none".into(), &"none".into()));
         assert_eq!((&merged["response_file"], &merged["response_model"]), (&"c.json".into(), &().into()));

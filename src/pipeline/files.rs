@@ -1,0 +1,81 @@
+//! The files of a run: what it reads and writes, checked before any work is done.
+//!
+//! In: the photographs and [`Options`]. Out: the files that are written; the options with the transforms that were saved
+//! before. Cost: that of asking the system for each name, and of reading the file of transforms.
+
+use super::{Options, validate};
+use crate::align::transforms_file::SavedAlignment;
+use crate::bracket::ReferenceChoice;
+use crate::error::Result;
+use crate::report;
+use crate::response::file;
+use crate::write::{self, Target, aligned};
+use std::path::PathBuf;
+
+/// Whether the file of transforms exists, and so is read and not written.
+fn takes_transforms(options: &Options) -> bool {
+    options.transforms.as_ref().is_some_and(|path| path.exists())
+}
+
+/// Every file that a run on `images` writes.
+///
+/// # Errors
+/// [`Error::Option`](crate::error::Error::Option) where two aligned frames would have one name.
+pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
+    let mut files = Target::of("-o", &options.outputs);
+    files.extend(Target::of("--picture", &options.pictures));
+    files.extend(Target::of("--save-response", options.save_response.as_slice()));
+    files.extend(Target::of("--report", options.report.as_slice()));
+    files.extend(Target::of("--ghost-mask", options.ghost_mask.as_slice()));
+    if !takes_transforms(options) {
+        files.extend(Target::of("--transforms", options.transforms.as_slice()));
+    }
+    if let Some(prefix) = &options.save_aligned {
+        files.extend(Target::of("--save-aligned", &aligned::names(prefix, images)?));
+    }
+    Ok(files)
+}
+
+/// Every file that a run on `images` reads.
+fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
+    let transforms = options.transforms.iter().filter(|_| takes_transforms(options));
+    images.iter().chain(&options.response_file).chain(transforms).cloned().collect()
+}
+
+/// Whether all options are valid, and all files can be written.
+pub(super) fn check(images: &[PathBuf], options: &Options) -> Result<()> {
+    validate(options)?;
+    options.write.check(&options.results()?)?;
+    for path in [&options.response_file, &options.save_response].into_iter().flatten() {
+        file::Format::of(path)?;
+    }
+    if let Some(path) = &options.report {
+        report::Format::of(path)?;
+    }
+    write::png::mask::check(options.ghost_mask.as_deref(), options.deghost.is_on())?;
+    write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
+}
+
+/// `options` with the reference and the placements of the file of transforms, and that file, where it exists: then none
+/// is written. A reference that the user chose stays.
+pub(super) fn with_transforms(
+    images: &[PathBuf],
+    options: &Options,
+) -> Result<(Options, Option<(PathBuf, SavedAlignment)>)> {
+    let mut options = options.clone();
+    let Some(path) = options.transforms.take_if(|path| path.exists()) else {
+        return Ok((options, None));
+    };
+    let saved = SavedAlignment::read(&path)?;
+    saved.check_names(images, &path)?;
+    let is_open = match &options.load.reference {
+        ReferenceChoice::Auto => true,
+        ReferenceChoice::AutoExcept(left_out) => !left_out.contains(&saved.reference),
+        ReferenceChoice::Number(_) | ReferenceChoice::File(_) => false,
+    };
+    if is_open {
+        options.load.reference = ReferenceChoice::File(saved.reference.clone());
+    }
+    options.align.given.extend(saved.frames.iter().cloned());
+    Ok((options, Some((path, saved))))
+}

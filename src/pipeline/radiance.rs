@@ -1,0 +1,254 @@
+//! The stage of merging: radiance in the colour space and the unit of the results.
+//!
+//! In: aligned frames and the response. Out: [`Radiance`], of which the rows are in memory or, where memory is limited,
+//! on disk. Cost: that of merging, of deghosting and of the search for flare; on disk also that of writing and reading
+//! 12 bytes a pixel.
+
+use super::Options;
+use super::response::Camera;
+use super::run::Aligned;
+use crate::bracket::Bracket;
+use crate::bracket::colour::Primaries;
+use crate::error::{Result, Warning};
+use crate::merge::calibration::{self, CalibrationReport, Unit};
+use crate::merge::deghost::{self, Ghosts};
+use crate::merge::flare::{self, FlareReport, Veil};
+use crate::merge::local::LocalGain;
+use crate::merge::range::Limits;
+use crate::merge::statistics::{Statistics, Tally};
+use crate::merge::{MergeOptions, Merged, Merging, Photographed, RadianceMap, gamut, normalisation};
+use crate::plane::{BAND_ROWS, Plane};
+use crate::scratch::{Kept, Scratch};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// The radiance of a run, and what was found on the way to it.
+pub(super) struct Radiance {
+    pub rows: RadianceRows,
+    /// What the photographs showed of it.
+    pub photographed: Option<Photographed>,
+    pub merged: Merged,
+    /// The radiances between which the frames have a signal; none where they are locally processed.
+    pub limits: Option<Limits>,
+    pub ghosts: Option<Ghosts>,
+    /// None where flare was not asked for.
+    pub flare: Option<FlareReport>,
+    /// The factors of the frames, where they are locally processed.
+    pub local: Option<LocalGain>,
+    pub tally: Tally,
+    pub statistics: Statistics,
+    pub calibration: Option<CalibrationReport>,
+}
+
+/// Merges the frames, and brings their radiance into the colour space and the unit of the results. The warning is of
+/// colours outside that space.
+pub(super) fn merged(
+    Aligned { bracket, alignment, region }: &Aligned,
+    camera: &Camera,
+    calibration: Option<CalibrationReport>,
+    options: &Options,
+) -> Result<(Radiance, Option<Warning>)> {
+    let (curve, region) = (&camera.curve, *region);
+    let local = camera.is_local().then(|| LocalGain::find(bracket, alignment, curve, region)).transpose()?;
+    let gain = local.as_ref().map(|local| move |layer: usize, rows: Range<usize>| local.at(layer, rows));
+    let gain = gain.as_ref().map(|gain| gain as deghost::Gain);
+    let ghosts = |strength| deghost::find(bracket, alignment, curve, region, strength, gain);
+    let ghosts = options.deghost.strength().map(ghosts).transpose()?;
+    let merging = MergeOptions { weight: options.weight, region };
+    let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
+    let merging = merging.with_local_gain(local.as_ref())?;
+    let (mut rows, bounds) = RadianceRows::merged(&merging, &Room::of(bracket, merging.size(), options))?;
+    let merged = merging.merged(bounds);
+    let limits = if local.is_none() { Limits::of(bracket, alignment, curve)? } else { None };
+    let mut flare = None;
+    if options.flare {
+        let veil = veil(&rows)?;
+        flare = Some(veil.as_ref().map_or_else(FlareReport::default, Veil::report));
+        if let Some(veil) = veil {
+            rows = rows.changed(|first, mut map| {
+                veil.take_off(first, &mut map.pixels);
+                map
+            })?;
+        }
+    }
+    // All exposures, of rejected frames too: they show how bright the photographer took the scene to be.
+    let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
+    let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
+    let photographed = match &local {
+        Some(local) => photographed.map(|photographed| local.photographed(photographed)),
+        None => photographed,
+    };
+    let calibrated = calibration.as_ref().map(|calibration| calibration.cd_m2_per_unit);
+    let normalised = |unit| normalisation::factor(unit, merged.reference_exposure);
+    let factor = calibrated.or(options.unit_exposure.map(normalised));
+    let mut outside = 0;
+    if options.colour.is_some() || factor.is_some() {
+        rows = rows.changed(|_, map| {
+            let (mut map, drawn) = match options.colour {
+                Some(space) => gamut::converted(map, space),
+                None => (map, 0),
+            };
+            outside += drawn;
+            if let Some(factor) = factor {
+                calibration::calibrate(&mut map, factor);
+            }
+            map
+        })?;
+    }
+    let mut tally = Tally::default();
+    rows.each(|_, map| {
+        tally.see(&map.pixels, gamut::weights(&map.primaries));
+        Ok(())
+    })?;
+    let statistics = tally.statistics(calibration.as_ref().map_or(Unit::Relative, |_| Unit::CdM2));
+    let photographed = photographed.map(|photographed| photographed.times(factor.unwrap_or(1.0)));
+    let limits = limits.map(|limits| limits.times(factor.unwrap_or(1.0)));
+    let radiance =
+        Radiance { rows, photographed, merged, limits, ghosts, flare, local, tally, statistics, calibration };
+    Ok((radiance, gamut::warning(outside)))
+}
+
+/// The flare over `rows`; none where there is none to be found.
+fn veil(rows: &RadianceRows) -> Result<Option<Veil>> {
+    let mut cells = flare::Cells::new(rows.size().0, rows.size().1);
+    rows.each(|_, map| {
+        cells.see(&map.pixels);
+        Ok(())
+    })?;
+    Ok(cells.veil())
+}
+
+/// How many rows of radiance are in memory at a time.
+enum Room {
+    /// All.
+    Enough,
+    /// So many; the others are in this file.
+    Rows(usize, Arc<Scratch>),
+}
+
+impl Room {
+    /// By the memory that the `bracket` leaves for radiance of this size.
+    fn of(bracket: &Bracket, (width, height): (usize, usize), options: &Options) -> Room {
+        let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
+        // A row of all frames, of moved ones a little more; of radiance, and of the picture.
+        let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
+        let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
+        // Whole bands, and whole cells of the search for flare.
+        let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
+        Room::Rows((rows / unit * unit).max(unit), scratch.clone())
+    }
+}
+
+/// The rows of a radiance map: all in memory, or in parts on disk.
+pub(super) struct RadianceRows {
+    size: (usize, usize),
+    primaries: Primaries,
+    store: Store,
+}
+
+enum Store {
+    Held(RadianceMap),
+    OnDisk(Vec<Kept<[f32; 3]>>),
+}
+
+impl RadianceRows {
+    /// All rows of `merging`, and the numbers of pixels of which the radiance is a bound only: clipped in all frames, or
+    /// black in all.
+    fn merged(merging: &Merging, room: &Room) -> Result<(Self, (usize, usize))> {
+        let (width, height) = merging.size();
+        let mut bounds = (0, 0);
+        let mut merge = |rows| -> Result<RadianceMap> {
+            let slab = merging.slab(rows)?;
+            bounds.0 += slab.all_clipped;
+            bounds.1 += slab.all_black;
+            Ok(slab.map)
+        };
+        let (primaries, store) = match room {
+            Room::Enough => {
+                let map = merge(0..height)?;
+                (map.primaries, Store::Held(map))
+            }
+            Room::Rows(rows, scratch) => {
+                let mut parts = Vec::new();
+                let mut primaries = Primaries::SRGB;
+                for first in (0..height).step_by(*rows) {
+                    let map = merge(first..(first + rows).min(height))?;
+                    primaries = map.primaries;
+                    parts.push(scratch.put(map.pixels.as_slice())?);
+                }
+                (primaries, Store::OnDisk(parts))
+            }
+        };
+        Ok((RadianceRows { size: (width, height), primaries, store }, bounds))
+    }
+
+    /// Width and height, in pixels.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// Its primaries.
+    pub fn primaries(&self) -> Primaries {
+        self.primaries
+    }
+
+    /// Calls `see` with each part and the number of its first row, from top to bottom.
+    pub fn each(&self, mut see: impl FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()> {
+        match &self.store {
+            Store::Held(map) => see(0, map),
+            Store::OnDisk(parts) => {
+                let mut first = 0;
+                for part in parts {
+                    let map = self.read(part)?;
+                    see(first, &map)?;
+                    first += map.pixels.height();
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Each part as `change` makes it from the part and the number of its first row.
+    pub fn changed(mut self, mut change: impl FnMut(usize, RadianceMap) -> RadianceMap) -> Result<Self> {
+        let mut primaries = self.primaries;
+        self.store = match self.store {
+            Store::Held(map) => {
+                let map = change(0, map);
+                primaries = map.primaries;
+                Store::Held(map)
+            }
+            Store::OnDisk(parts) => {
+                let before = RadianceRows { store: Store::OnDisk(Vec::new()), ..self };
+                let mut first = 0;
+                for part in &parts {
+                    let map = change(first, before.read(part)?);
+                    primaries = map.primaries;
+                    part.replace(map.pixels.as_slice())?;
+                    first += map.pixels.height();
+                }
+                Store::OnDisk(parts)
+            }
+        };
+        Ok(RadianceRows { primaries, ..self })
+    }
+
+    /// All of it, in memory.
+    pub fn whole(self) -> Result<RadianceMap> {
+        match self.store {
+            Store::Held(map) => Ok(map),
+            Store::OnDisk(ref parts) => {
+                let mut pixels = Vec::with_capacity(self.size.0 * self.size.1);
+                for part in parts {
+                    pixels.extend(part.get(0..part.len())?);
+                }
+                Ok(RadianceMap { pixels: Plane::from_vec(self.size.0, self.size.1, pixels), primaries: self.primaries })
+            }
+        }
+    }
+
+    fn read(&self, part: &Kept<[f32; 3]>) -> Result<RadianceMap> {
+        let (width, pixels) = (self.size.0, part.get(0..part.len())?);
+        let pixels = Plane::from_vec(width, pixels.len() / width, pixels);
+        Ok(RadianceMap { pixels, primaries: self.primaries })
+    }
+}
