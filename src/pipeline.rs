@@ -10,13 +10,13 @@ mod files;
 mod fusion;
 mod memory;
 mod names;
-mod options_report;
 mod picture;
 mod radiance;
 mod reference;
+mod report;
 mod response;
 mod results;
-mod run;
+mod stages;
 mod threads;
 mod tonemapping;
 
@@ -27,7 +27,7 @@ use crate::budget::Stages;
 use crate::error::{Error, Result};
 use crate::inspect::{self, tables::Tables};
 use crate::merge::calibration::Calibration;
-use crate::merge::deghost::{Deghost, Ghosts};
+use crate::merge::deghost::Deghost;
 use crate::merge::{RadianceMap, normalisation, weight::Weight};
 use crate::plane::Plane;
 use crate::report::Report;
@@ -36,9 +36,8 @@ use crate::response::file::SavedResponse;
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
 use crate::write::{self, CompleteFile, Output, Pending};
-use options_report::options_report;
 use radiance::RadianceRows;
-use run::{Aligned, Run};
+use stages::{Aligned, Run};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use threads::in_pool;
@@ -220,7 +219,7 @@ impl<R> Prepared<R> {
 /// # Errors
 /// Those of [`run`].
 pub fn prepare(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Prepared<Report>> {
-    Ok(merged(images, options, watch, false)?.0)
+    Ok(merge_files(images, options, watch, false)?.0)
 }
 
 /// As [`run`], and gives the results in memory too, whatever memory is allowed.
@@ -228,27 +227,33 @@ pub fn prepare(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Pr
 /// # Errors
 /// Those of [`run`].
 pub fn develop(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Outcome> {
-    let (prepared, results) = merged(images, options, watch, true)?;
-    results.outcome(prepared.commit()?)
+    let (prepared, results) = merge_files(images, options, watch, true)?;
+    results.outcome(prepared)
 }
 
-/// Radiance and picture, when all files are written.
-struct Results {
+/// The results of a run, when all files are written.
+struct InMemory {
     radiance: RadianceRows,
     /// Empty unless it was to be kept.
     display: Plane<[u8; 3]>,
 }
 
-impl Results {
-    fn outcome(self, report: Report) -> Result<Outcome> {
+impl InMemory {
+    /// With the report, when the files have got their names.
+    fn outcome(self, prepared: Prepared<Report>) -> Result<Outcome> {
         let (radiance, display) = (self.radiance.whole()?, DisplayImage { pixels: self.display });
-        Ok(Outcome { radiance, display, report })
+        Ok(Outcome { radiance, display, report: prepared.commit()? })
     }
 }
 
-/// [`prepare`], with the results; the picture among them where it is to be `kept`.
-fn merged(images: &[PathBuf], options: &Options, watch: Watch, is_kept: bool) -> Result<(Prepared<Report>, Results)> {
-    on_files(images, options, watch, Options::merging, |run, bracket, saved| developed(run, bracket, saved, is_kept))
+/// [`prepare`], with the results; the picture among them if `is_kept`.
+fn merge_files(
+    images: &[PathBuf],
+    options: &Options,
+    watch: Watch,
+    is_kept: bool,
+) -> Result<(Prepared<Report>, InMemory)> {
+    on_files(images, options, watch, Options::merging, |run, bracket, saved| merge_loaded(run, bracket, saved, is_kept))
 }
 
 /// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and gives it to `work`,
@@ -275,12 +280,12 @@ fn on_files<R: Send>(
 }
 
 /// The stages from the loaded bracket on.
-fn developed(
+fn merge_loaded(
     mut run: Run,
     bracket: Bracket,
     saved: Option<SavedResponse>,
     is_kept: bool,
-) -> Result<(Prepared<Report>, Results)> {
+) -> Result<(Prepared<Report>, InMemory)> {
     let options = run.options;
     options.crop.check(&bracket)?;
     options.calibration.check(bracket.reference())?;
@@ -295,8 +300,8 @@ fn developed(
     let picture = run.tonemap(&aligned, &camera, &radiance)?;
     run.gather(&aligned, Some((&camera, &radiance)))?;
     let frames = run.write_frames(&aligned)?;
-    let metadata = run::metadata(aligned.bracket.reference(), radiance.photographed, options);
-    let mut report = Report::new(&aligned.bracket, &aligned.alignment, aligned.region);
+    let metadata = stages::metadata(aligned.bracket.reference(), radiance.photographed, options);
+    let report = report::of_merge(&aligned, camera, &radiance, &picture, options);
     // The encoders need the memory of the frames.
     drop(aligned);
     let (mut files, display) = run.write_results(&radiance, &picture, metadata, is_kept)?;
@@ -304,16 +309,7 @@ fn developed(
     if let (Some(path), Some(ghosts)) = (&options.ghost_mask, &radiance.ghosts) {
         files.push(write::png::mask::write(path, &ghosts.mask())?);
     }
-    report.options = Some(options_report(options, true));
-    report.local_processing = camera.local_report(radiance.local.as_ref());
-    report.response = Some(camera.report);
-    report.radiance = Some(radiance.merged.report(radiance.statistics, radiance.limits, options.unit_exposure));
-    report.calibration = radiance.calibration;
-    report.colour = Some(radiance.rows.primaries().into());
-    report.flare = radiance.flare;
-    report.white_balance = picture.light;
-    report.ghosts = radiance.ghosts.as_ref().map(Ghosts::report);
-    Ok((run.report(report, files)?, Results { radiance: radiance.rows, display }))
+    Ok((run.report(report, files)?, InMemory { radiance: radiance.rows, display }))
 }
 
 /// Aligns the bracket `images`, writes aligned frames and the report where asked for, and gives the report.
@@ -325,8 +321,7 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: Watch) -> Result
         run.options.crop.check(&bracket)?;
         let aligned = run.align(bracket)?;
         run.gather(&aligned, None)?;
-        let mut report = Report::new(&aligned.bracket, &aligned.alignment, aligned.region);
-        report.options = Some(options_report(run.options, false));
+        let report = report::of_alignment(&aligned, run.options);
         let files = run.write_frames(&aligned)?;
         run.report(report, files)?.commit()
     })

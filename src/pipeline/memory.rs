@@ -3,9 +3,9 @@
 //! In: a [`Bracket`], of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
 //! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and writing.
 
-use super::run::Run;
+use super::stages::Run;
 use super::threads::in_own_pool;
-use super::{Options, Outcome, Watch, developed, validate};
+use super::{Options, Outcome, Watch, merge_loaded, validate};
 use crate::bracket::{Bracket, LoadOptions};
 use crate::error::{Error, Result};
 
@@ -21,8 +21,8 @@ pub fn merge_bracket(bracket: Bracket, options: &Options, watch: Watch) -> Resul
     in_own_pool(options.threads, || {
         refuse_files(options)?;
         validate(options)?;
-        let (prepared, results) = developed(Run::new(options, watch), bracket, None, true)?;
-        results.outcome(prepared.report)
+        let (prepared, results) = merge_loaded(Run::new(options, watch), bracket, None, true)?;
+        results.outcome(prepared)
     })
 }
 

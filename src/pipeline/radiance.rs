@@ -6,7 +6,7 @@
 
 use super::Options;
 use super::response::Camera;
-use super::run::Aligned;
+use super::stages::Aligned;
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;
 use crate::error::{Result, Warning};

@@ -11,7 +11,7 @@
 use super::Options;
 use crate::align;
 use crate::align::preset::PresetTransform;
-use crate::align::{AlignMode, Alignment, Placement};
+use crate::align::{AlignMode, Alignment};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
 
@@ -32,10 +32,10 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // A frame that was placed with one reference cannot be better than that as a reference.
+    // A frame that was placed with one reference is of the same scene as that, and is not tried itself.
     let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
-        let placed = count(&alignment, 0.0);
+        let placed = count(&bracket, &alignment, 0.0);
         let among = bracket.frames().len() - excluded(&bracket, options).iter().filter(|&&out| out).count();
         // Of two, nothing tells which is of another scene.
         if among < 3 || 2 * placed > among {
@@ -47,7 +47,7 @@ pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
         bracket = bracket.with_reference(other);
         let (found, found_warnings) = align::align(&bracket, &options.align)?;
         let least = if placed > 1 { SURE } else { LIKELY };
-        if count(&found, least) > placed {
+        if count(&bracket, &found, least) > placed {
             (alignment, warnings) = (found, found_warnings);
         } else {
             mark(&bracket, &found, &mut done);
@@ -73,9 +73,8 @@ fn excluded(bracket: &Bracket, options: &Options) -> Vec<bool> {
 }
 
 /// The number of frames that are placed with `least` confidence, with the reference.
-fn count(alignment: &Alignment, least: f64) -> usize {
-    let is_sure = |placement: &&Placement| placement.transform().is_some() && placement.confidence() >= least;
-    alignment.placements.iter().filter(is_sure).count()
+fn count(bracket: &Bracket, alignment: &Alignment, least: f64) -> usize {
+    alignment.placed(bracket).filter(|(i, ..)| alignment.placements[*i].confidence() >= least).count()
 }
 
 /// Marks the frames that are placed.

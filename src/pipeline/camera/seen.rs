@@ -4,7 +4,7 @@
 //! and aligning.
 
 use super::super::response::processing;
-use super::super::run::{Aligned, Run};
+use super::super::stages::{Aligned, Run};
 use super::super::threads::in_pool;
 use super::super::{Watch, check_placed, curves};
 use super::{BracketReport, Options, PATCHES};

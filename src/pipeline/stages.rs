@@ -1,4 +1,4 @@
-//! One run: its stages in order, each with a clock, and the warnings so far.
+//! The stages of one run, each with a clock, and the warnings so far.
 //!
 //! In: [`Options`], and for each stage what the one before gave. Out: what the next one takes; at the end the report.
 //! Cost: that of the stages.
@@ -92,7 +92,7 @@ impl<'a> Run<'a> {
         Ok(bracket)
     }
 
-    /// Aligns `bracket`, to its own reference or to another frame ([`reference`]).
+    /// Aligns `bracket`, to its own reference or to another frame: [`reference::align`].
     pub fn align(&mut self, bracket: Bracket) -> Result<Aligned> {
         let began = self.begin(Stage::Align)?;
         let loaded = bracket.reference_index();
@@ -201,7 +201,7 @@ impl<'a> Run<'a> {
         Ok(files)
     }
 
-    /// Writes the radiance maps and the pictures. Gives the picture too where it is to be `kept`, else an empty one.
+    /// Writes the radiance maps and the pictures. Gives the picture too if it `is_kept`, else an empty one.
     pub fn write_results(
         &mut self,
         radiance: &Radiance,

@@ -1,13 +1,47 @@
-//! The options of a run, as the report has them.
+//! The report of a run: the sections that its stages fill.
 //!
-//! In: [`Options`]. Out: an [`OptionsReport`]. Cost: none.
+//! In: the options of the run, and what each stage gave. Out: a [`Report`] without outputs, warnings and times. Cost:
+//! none.
 
 use super::Options;
+use super::picture::Picture;
+use super::radiance::Radiance;
+use super::response::Camera;
+use super::stages::Aligned;
+use crate::merge::deghost::Ghosts;
+use crate::report::Report;
 use crate::report::options::OptionsReport;
 use crate::write::picture::Size;
 
+/// The report of a run that only aligns.
+pub(super) fn of_alignment(Aligned { bracket, alignment, region }: &Aligned, options: &Options) -> Report {
+    Report { options: Some(options_report(options, false)), ..Report::new(bracket, alignment, *region) }
+}
+
+/// The report of a run that merges.
+pub(super) fn of_merge(
+    aligned: &Aligned,
+    camera: Camera,
+    radiance: &Radiance,
+    picture: &Picture,
+    options: &Options,
+) -> Report {
+    Report {
+        options: Some(options_report(options, true)),
+        local_processing: camera.local_report(radiance.local.as_ref()),
+        response: Some(camera.report),
+        radiance: Some(radiance.merged.report(radiance.statistics, radiance.limits, options.unit_exposure)),
+        calibration: radiance.calibration,
+        colour: Some(radiance.rows.primaries().into()),
+        flare: radiance.flare,
+        white_balance: picture.light,
+        ghosts: radiance.ghosts.as_ref().map(Ghosts::report),
+        ..of_alignment(aligned, options)
+    }
+}
+
 /// All options for a run that `merges`; for one that only aligns, those of the alignment.
-pub(super) fn options_report(options: &Options, merges: bool) -> OptionsReport {
+fn options_report(options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {
         align: options.align.mode,
