@@ -99,7 +99,7 @@ fn movement(report: &Report) -> Option<String> {
 /// Photographs, and the size of what came of them.
 fn size(report: &Report) -> String {
     let (width, height) = (report.crop.width_px, report.crop.height_px);
-    let merged = report.frames.iter().filter(|f| f.alignment.rejected_by.is_none()).count();
+    let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none()).count();
     let all = report.frames.len();
     let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
     let megapixels = (width * height) as f64 / 1e6;
@@ -177,7 +177,7 @@ fn doubts(report: &Report, room: usize) -> String {
 /// What the exposures span, and what the result holds.
 fn range(report: &Report) -> String {
     let evs = || {
-        let merged = report.frames.iter().filter(|f| f.alignment.rejected_by.is_none());
+        let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none());
         merged.map(|f| f.relative_exposure.log2())
     };
     let span = evs().fold(f64::NEG_INFINITY, f64::max) - evs().fold(f64::INFINITY, f64::min);

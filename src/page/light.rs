@@ -44,7 +44,8 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     };
     let stops = stops_over_reference(report);
     let tells = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;
-    let placed: Vec<usize> = (0..stops.len()).filter(|&i| report.frames[i].alignment.rejected_by.is_none()).collect();
+    let placed: Vec<usize> =
+        (0..stops.len()).filter(|&i| report.frames[i].alignment.status.rejected_by().is_none()).collect();
     let ranges: Vec<(usize, f64, f64)> =
         placed.iter().map(|&i| (i, tells(TELLING.0, stops[i]), tells(TELLING.1, stops[i]))).collect();
     let (low, high) = (step(from) - 0.5, step(to + 1) + 0.5);

@@ -195,7 +195,11 @@ fn verdict(frame: &FrameReport) -> String {
 /// What differs between the bitmaps.
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
-    let about = if frame.alignment.rejected_by.is_some() { "the bitmaps' own best motion" } else { "the motion found" };
+    let about = if frame.alignment.status.rejected_by().is_some() {
+        "the bitmaps' own best motion"
+    } else {
+        "the motion found"
+    };
     format!(
         "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and \
          shift.</b> Of the pixels that count in \

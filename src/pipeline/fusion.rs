@@ -3,7 +3,7 @@
 //! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
-use super::stages::Aligned;
+use super::reference::Aligned;
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::bracket::Frame;

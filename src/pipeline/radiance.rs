@@ -5,8 +5,8 @@
 //! 12 bytes a pixel.
 
 use super::Options;
+use super::reference::Aligned;
 use super::response::Camera;
-use super::stages::Aligned;
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;
 use crate::error::{Result, Warning};

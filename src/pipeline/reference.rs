@@ -11,9 +11,16 @@
 use super::Options;
 use crate::align;
 use crate::align::preset::PresetTransform;
-use crate::align::{AlignMode, Alignment};
+use crate::align::{AlignMode, Alignment, Rect};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
+
+/// A bracket, its alignment, and the part of the reference that the results show.
+pub(super) struct Aligned {
+    pub bracket: Bracket,
+    pub alignment: Alignment,
+    pub region: Rect,
+}
 
 /// References that are tried beside the first.
 const OTHERS: usize = 2;

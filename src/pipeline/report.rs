@@ -6,8 +6,8 @@
 use super::Options;
 use super::picture::Picture;
 use super::radiance::Radiance;
+use super::reference::Aligned;
 use super::response::Camera;
-use super::stages::Aligned;
 use crate::merge::deghost::Ghosts;
 use crate::report::Report;
 use crate::report::options::OptionsReport;

@@ -5,7 +5,7 @@
 //! frames and of fitting the curve, some tenths of a second.
 
 use super::Options;
-use super::stages::Aligned;
+use super::reference::Aligned;
 use crate::align::AlignMode;
 use crate::bracket::{Bracket, Capture};
 use crate::error::{Error, Result, Warning};

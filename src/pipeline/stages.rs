@@ -6,12 +6,11 @@
 use super::fusion;
 use super::picture::Picture;
 use super::radiance::{self, Radiance};
-use super::reference;
+use super::reference::{self, Aligned};
 use super::response::{self, Camera};
 use super::results::Results;
 use super::{Options, Prepared, Progress, Stage, Watch, announce, curves};
 use crate::align::transforms_file::SavedAlignment;
-use crate::align::{Alignment, Rect};
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
 use crate::error::{Result, Warning};
@@ -25,13 +24,6 @@ use crate::tonemap::Rendering;
 use crate::write::{self, Metadata, Written, aligned};
 use std::path::PathBuf;
 use std::time::Instant;
-
-/// A bracket, its alignment, and the part of the reference that the results show.
-pub(super) struct Aligned {
-    pub bracket: Bracket,
-    pub alignment: Alignment,
-    pub region: Rect,
-}
 
 /// A run, as far as it has come.
 pub(super) struct Run<'a> {

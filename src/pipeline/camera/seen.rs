@@ -3,8 +3,9 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
+use super::super::reference::Aligned;
 use super::super::response::processing;
-use super::super::stages::{Aligned, Run};
+use super::super::stages::Run;
 use super::super::threads::in_pool;
 use super::super::{Watch, check_placed, curves};
 use super::{BracketReport, Options, PATCHES};
