@@ -80,7 +80,7 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! [`plane`], [`statistics`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
 //! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
@@ -108,6 +108,7 @@ pub mod report;
 pub mod response;
 pub mod scratch;
 pub mod simd;
+pub mod statistics;
 mod tiff_file;
 pub mod tonemap;
 pub mod write;

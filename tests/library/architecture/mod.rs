@@ -6,13 +6,14 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 24] = [
+const LAYERS: [&str; 25] = [
     "error",
     "limits",
     "intake",
     "tiff_file",
     "simd",
     "plane",
+    "statistics",
     "scratch",
     "budget",
     "pyramid",
