@@ -81,7 +81,7 @@
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
 //! [`plane`], [`statistics`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`mod@write`], [`read`], [`report`], [`draw`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -93,6 +93,7 @@ pub mod batch;
 pub mod bracket;
 mod budget;
 pub mod compare;
+pub mod draw;
 pub mod error;
 pub mod inspect;
 mod intake;

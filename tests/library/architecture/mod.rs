@@ -6,7 +6,7 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 25] = [
+const LAYERS: [&str; 26] = [
     "error",
     "limits",
     "intake",
@@ -26,6 +26,7 @@ const LAYERS: [&str; 25] = [
     "write",
     "read",
     "report",
+    "draw",
     "inspect",
     "compare",
     "page",
