@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn columns_are_aligned_whatever_is_in_them() {
         let rows = [vec!["Zwölf.jpg".to_owned(), "7".into()], vec!["a".into(), "123456".into()]];
-        let text = columns(&["n"], rows.into_iter());
+        let text = columns(&["photograph", "n"], rows.into_iter());
         assert_eq!(text, "photograph       n\n----------  ------\nZwölf.jpg        7\na           123456\n");
     }
 
