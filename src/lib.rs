@@ -79,8 +79,8 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`plane`], [`statistics`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! [`mod@write`], [`read`], [`report`], [`draw`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -92,6 +92,7 @@ pub mod batch;
 pub mod bracket;
 mod budget;
 pub mod compare;
+pub mod draw;
 pub mod error;
 pub mod inspect;
 mod intake;
@@ -107,6 +108,7 @@ pub mod report;
 pub mod response;
 pub mod scratch;
 pub mod simd;
+pub mod statistics;
 mod tiff_file;
 pub mod tonemap;
 pub mod write;

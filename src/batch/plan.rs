@@ -12,6 +12,7 @@ use super::name::{Template, Values, plain};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::pipeline::natural;
+use crate::statistics::of_rank;
 use names::{StepFiles, Unique};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -354,9 +355,9 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
     for bracket in brackets {
         exposures.entry(unit_of(bracket, normalisation)).or_default().extend(&bracket.exposures);
     }
-    let middle = |mut all: Vec<f64>| {
-        all.sort_by(f64::total_cmp);
-        all.get(all.len().saturating_sub(1) / 2).copied().unwrap_or(1.0)
+    let middle = |all: Vec<f64>| {
+        let rank = all.len().saturating_sub(1) / 2;
+        of_rank(all, rank).unwrap_or(1.0)
     };
     exposures.into_iter().map(|(unit, all)| (unit, unit.map(|_| middle(all)))).collect()
 }

@@ -9,10 +9,10 @@
 use super::input::{Input, Pixels};
 use super::radiance::percentile;
 use super::{Limits, Magnitudes, Unit};
-use crate::bracket::Samples;
+use crate::draw::scale::Cells;
+use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path as Line, Pen};
+use crate::draw::text::{shorten, width};
 use crate::error::{Error, Result};
-use crate::inspect::drawing::{Anchor, Area, Colour, Drawing, Path as Line, Pen, rasterise};
-use crate::inspect::lettering;
 use crate::plane::Plane;
 use crate::tonemap::codes::Colours;
 use crate::write::{self, Format, Metadata, Pending, Target, png};
@@ -33,7 +33,7 @@ const TEXT: f64 = 16.0;
 const DECADES: f64 = 3.0;
 
 /// No number, or no pixel, in one of the files.
-const NOTHING: [u8; 3] = [255, 0, 200];
+const NOTHING: Colour = Colour(255, 0, 200);
 /// From the least difference to the tolerance: blue, darker to lighter.
 const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
 /// From the tolerance to the most: violet, red, orange, yellow, white.
@@ -77,43 +77,6 @@ pub(super) fn write(
     write::commit(vec![write::push_all(Box::new(writer), &page)?.file], overwrite)
 }
 
-/// How panels are made of pictures: `by` x `by` pixels are one, or one is `times` x `times`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Fit {
-    by: usize,
-    times: usize,
-}
-
-impl Fit {
-    fn of((width, height): (usize, usize)) -> Fit {
-        let side = width.max(height).max(1);
-        Fit { by: side.div_ceil(MOST), times: (LEAST / side).max(1) }
-    }
-
-    fn size(self, (width, height): (usize, usize)) -> (usize, usize) {
-        (width.div_ceil(self.by) * self.times, height.div_ceil(self.by) * self.times)
-    }
-
-    /// A panel whose cells `cell` makes of columns and rows.
-    fn panel(
-        self,
-        (width, height): (usize, usize),
-        cell: impl Fn(std::ops::Range<usize>, std::ops::Range<usize>) -> [u8; 3] + Sync,
-    ) -> Plane<[u8; 3]> {
-        let (across, down) = self.size((width, height));
-        Plane::from_rows(across, down, |y, row| {
-            let pixels = |i: usize, n: usize| {
-                let first = i / self.times * self.by;
-                first..(first + self.by).min(n)
-            };
-            let rows = pixels(y, height);
-            for (x, v) in row.iter_mut().enumerate() {
-                *v = cell(pixels(x, width), rows.clone());
-            }
-        })
-    }
-}
-
 fn page(
     (a, b): (&Input, &Input),
     magnitudes: Option<&Magnitudes>,
@@ -121,22 +84,22 @@ fn page(
 ) -> std::result::Result<Plane<[u8; 3]>, String> {
     let ((aw, ah), (bw, bh)) = (a.size(), b.size());
     let size = (aw.max(bw), ah.max(bh));
-    let fit = Fit::of(size);
+    let fit = Cells::within(size, LEAST, MOST);
     let middle = middle_of(a);
-    let shown = |input: &Input| fit.panel(size, |columns, rows| mean(input, middle, columns, rows));
+    let shown = |input: &Input| fit.picture(size, |columns, rows| mean(input, middle, columns, rows));
     let scale = magnitudes.map(|m| Scale::of(m, words.limits));
     let dimmed = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
         let [r, g, b] = mean(a, middle, columns, rows).map(f64::from);
         [(0.35 * (0.2126 * r + 0.7152 * g + 0.0722 * b)) as u8; 3]
     };
     let is_missing = |x: usize, y: usize| x >= aw.min(bw) || y >= ah.min(bh);
-    let difference = fit.panel(size, |columns, rows| {
+    let difference = fit.picture(size, |columns, rows| {
         let (Some(magnitudes), Some(scale)) = (magnitudes, &scale) else {
-            return if is_missing(columns.start, rows.start) { NOTHING } else { dimmed(columns, rows) };
+            return if is_missing(columns.start, rows.start) { NOTHING.rgb() } else { dimmed(columns, rows) };
         };
         let most =
             rows.clone().flat_map(|y| &magnitudes.plane.row(y)[columns.clone()]).fold(0.0, |m: f32, v| m.max(*v));
-        if most > 0.0 { scale.colour(most) } else { dimmed(columns, rows) }
+        if most > 0.0 { scale.colour(most).rgb() } else { dimmed(columns, rows) }
     });
 
     let (across, down) = fit.size(size);
@@ -147,17 +110,17 @@ fn page(
     let height = above + down + below;
     let mut drawing = Drawing::new(width, height, words.title);
     let room = (width - 2 * MARGIN) as f64;
-    let title = lettering::shorten(words.title, TITLE * zoom, room);
+    let title = shorten(words.title, TITLE * zoom, room);
     drawing.text((MARGIN as f64, 36.0 * zoom), TITLE * zoom, Anchor::Start, Colour::INK, &title);
     let headings = [format!("expected: {}", a.name()), "difference".into(), format!("actual: {}", b.name())];
     let corners = [0, 1, 2].map(|i| MARGIN + i * (across + GAP));
     for (x, heading) in corners.iter().zip(&headings) {
-        let heading = lettering::shorten(heading, TEXT * zoom, across as f64);
+        let heading = shorten(heading, TEXT * zoom, across as f64);
         let place = (*x as f64, above as f64 - 9.0 * zoom);
         drawing.text(place, TEXT * zoom, Anchor::Start, Colour::FAINT, &heading);
     }
     legend(&mut drawing, (above + down) as f64 + 16.0 * zoom, (room, zoom), scale.as_ref());
-    let mut page = rasterise(&drawing.to_svg())?;
+    let mut page = drawing.to_pixels()?;
     for (x, panel) in corners.iter().zip([shown(a), difference, shown(b)]) {
         for y in 0..panel.height() {
             page.row_mut(above + y)[*x..x + panel.width()].copy_from_slice(panel.row(y));
@@ -175,11 +138,11 @@ fn page(
 fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option<&Scale>) {
     let text = TEXT * zoom;
     let (left, below) = (MARGIN as f64, y + 54.0 * zoom);
-    let sample = |drawing: &mut Drawing, x: f64, colour: [u8; 3], words: &str| {
+    let sample = |drawing: &mut Drawing, x: f64, colour: Colour, words: &str| {
         let area = Area { x, y: below + 4.0 * zoom, width: 26.0 * zoom, height: 14.0 * zoom };
-        drawing.fill_area(area, Colour(colour[0], colour[1], colour[2]));
+        drawing.fill_area(area, colour);
         drawing.text((x + 34.0 * zoom, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, words);
-        x + 58.0 * zoom + lettering::width(words, text)
+        x + 58.0 * zoom + width(words, text)
     };
     let Some(scale) = scale else {
         sample(drawing, left, NOTHING, "in one of them alone");
@@ -187,11 +150,10 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
     };
     let (bar, strips) = (room.min(640.0 * zoom), 128);
     for i in 0..strips {
-        let [r, g, b] = scale.at(i as f64 / (strips - 1) as f64);
         let width = bar / strips as f64;
         // A hair wider, so that no paper shows between.
         let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
-        drawing.fill_area(area, Colour(r, g, b));
+        drawing.fill_area(area, scale.at(i as f64 / (strips - 1) as f64));
     }
     let ticks = (0..=DECADES as i32).map(|k| scale.top * libm::exp10(f64::from(k) - DECADES));
     for (i, value) in ticks.enumerate() {
@@ -211,12 +173,17 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
         line.line((left + bar * place, y - 7.0 * zoom), (left + bar * place, y + 22.0 * zoom));
         drawing.stroke(&line, Pen { colour: Colour::INK, width: 2.0 * zoom, opacity: 1.0 });
     }
-    let mut next = sample(drawing, left, [70; 3], "equal");
+    let mut next = sample(drawing, left, Colour(70, 70, 70), "equal");
     if scale.tolerance > 0.0 {
         let words = format!("within {} {}", short(scale.tolerance), scale.unit());
-        next = sample(drawing, next, between(&WITHIN, 0.7), &words);
+        next = sample(drawing, next, Colour::between(&WITHIN, 0.7), &words);
     }
-    next = sample(drawing, next, between(&BEYOND, 0.5), if scale.tolerance > 0.0 { "beyond" } else { "not equal" });
+    next = sample(
+        drawing,
+        next,
+        Colour::between(&BEYOND, 0.5),
+        if scale.tolerance > 0.0 { "beyond" } else { "not equal" },
+    );
     if scale.has_nothing {
         next = sample(drawing, next, NOTHING, "no number in one of them");
     }
@@ -263,27 +230,19 @@ impl Scale {
         1.0 + libm::log10(value.max(1e-12) / self.top) / DECADES
     }
 
-    fn colour(&self, magnitude: f32) -> [u8; 3] {
+    fn colour(&self, magnitude: f32) -> Colour {
         if magnitude.is_infinite() { NOTHING } else { self.at(self.place(magnitude.into())) }
     }
 
-    fn at(&self, place: f64) -> [u8; 3] {
+    fn at(&self, place: f64) -> Colour {
         // Without a tolerance everything is beyond it.
         let border = if self.tolerance > 0.0 { self.place(self.tolerance).clamp(0.0, 1.0) } else { 0.0 };
         if place < border {
-            between(&WITHIN, place / border)
+            Colour::between(&WITHIN, place / border)
         } else {
-            between(&BEYOND, (place - border) / (1.0 - border).max(1e-9))
+            Colour::between(&BEYOND, (place - border) / (1.0 - border).max(1e-9))
         }
     }
-}
-
-/// The colour `place` of the way, 0 to 1, along `colours`.
-fn between(colours: &[[f64; 3]], place: f64) -> [u8; 3] {
-    let at = place.clamp(0.0, 1.0) * (colours.len() - 1) as f64;
-    let line = (at as usize).min(colours.len() - 2);
-    let share = at - line as f64;
-    [0, 1, 2].map(|c| (colours[line][c] + (colours[line + 1][c] - colours[line][c]) * share).round() as u8)
 }
 
 /// A white ring with a black edge around a place of the page, within the area from one corner to the other.
@@ -328,11 +287,8 @@ fn mean(input: &Input, middle: f32, columns: std::ops::Range<usize>, rows: std::
                     255.0 * (v / (v + middle)).sqrt()
                 }),
                 Pixels::Display(photograph) => {
-                    let at = 3 * (y * width + x);
-                    match &photograph.samples {
-                        Samples::Eight(v) => [0, 1, 2].map(|c| f32::from(v[at + c])),
-                        Samples::Sixteen(v) => [0, 1, 2].map(|c| f32::from(v[at + c]) / 257.0),
-                    }
+                    let unit = f32::from(photograph.samples.max()) / 255.0;
+                    input.at(x, y).map(|code| code as f32 / unit)
                 }
             };
             (0..3).for_each(|c| sum[c] += shown[c]);
@@ -346,20 +302,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn panels_fit_and_lose_no_pixel() {
-        assert_eq!(Fit::of((4000, 3000)), Fit { by: 4, times: 1 });
-        assert_eq!(Fit::of((4000, 3000)).size((4000, 2999)), (1000, 750));
-        assert_eq!(Fit::of((60, 100)).size((60, 100)), (180, 300));
-        // One pixel of 16 in a cell is seen.
-        let fit = Fit { by: 4, times: 1 };
-        let panel = fit.panel((9, 8), |columns, rows| {
-            [u8::from(columns.contains(&8) && rows.contains(&3)), columns.len() as u8, rows.len() as u8]
-        });
-        assert_eq!((panel.width(), panel.height()), (3, 2));
-        assert_eq!((panel.at(2, 0), panel.at(0, 1)), ([1, 1, 4], [0, 4, 4]));
-    }
-
-    #[test]
     fn the_scale_has_a_round_top_and_its_colours_grow_brighter() {
         let magnitudes = |most: f32| Magnitudes { plane: Plane::filled(3, 3, most), unit: Unit::Stops };
         let top = |most: f32| Scale::of(&magnitudes(most), &Limits::default()).top;
@@ -369,9 +311,9 @@ mod tests {
         }
         let scale = Scale::of(&magnitudes(1.0), &Limits { tolerance_stops: Some(0.01), ..Limits::default() });
         assert!((scale.place(0.01) - 1.0 / 3.0).abs() < 1e-9 && scale.place(1.0) == 1.0);
-        assert_eq!((scale.colour(1.0), scale.colour(f32::INFINITY)), ([255; 3], NOTHING));
+        assert_eq!((scale.colour(1.0), scale.colour(f32::INFINITY)), (Colour::WHITE, NOTHING));
         // Blue within the tolerance, warm beyond, and the more the brighter.
-        let at = |i: i32| scale.at(f64::from(i) / 100.0).map(u32::from);
+        let at = |i: i32| scale.at(f64::from(i) / 100.0).rgb().map(u32::from);
         assert!((0..33).all(|i| at(i)[2] > at(i)[0]) && (34..=100).all(|i| at(i)[0] >= at(i)[2]));
         let light = |i: i32| at(i).iter().sum::<u32>();
         assert!((0..32).chain(34..99).all(|i| light(i) <= light(i + 1) + 3));

@@ -15,6 +15,7 @@ use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, ms_ssi
 use crate::bracket::colour::Conversion;
 use crate::merge::RadianceMap;
 use crate::plane::{BAND_ROWS, Plane};
+use crate::statistics::of_rank;
 use crate::write::Metadata;
 use rayon::prelude::*;
 
@@ -90,10 +91,9 @@ fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
 }
 
 /// The value that `share` of `values` are below.
-pub(super) fn percentile(mut values: Vec<f32>, share: f64) -> Option<f32> {
+pub(super) fn percentile(values: Vec<f32>, share: f64) -> Option<f32> {
     let last = values.len().checked_sub(1)?;
-    let (_, value, _) = values.select_nth_unstable_by((share * last as f64).round() as usize, f32::total_cmp);
-    Some(*value)
+    of_rank(values, (share * last as f64).round() as usize)
 }
 
 /// Sums of one channel.

@@ -3,8 +3,6 @@
 //! In: an [`Inspection`] and a folder. Out: files named after the photographs: `NAME.keypoints.svg`, ..., and `tables.txt`,
 //! `tables.json`. Cost: that of drawing; one frame's sheets are in memory at a time.
 
-use super::drawing::rasterise;
-use super::picture::png_rgb;
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};
 use crate::error::{Error, Result};
@@ -12,6 +10,7 @@ use crate::write::{self, CompleteFile, NewFolder, Target};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
+use strum::VariantArray;
 
 /// Files in memory.
 type Named = Vec<(PathBuf, Vec<u8>)>;
@@ -41,8 +40,10 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
         }
         Ok(_) => {
             let every = |stem: &String| {
-                let of = |kind: SheetKind| kind.extensions().iter().map(move |e| (kind, *e));
-                SheetKind::ALL.into_iter().flat_map(of).map(|(k, e)| path(folder, stem, k, e)).collect::<Vec<_>>()
+                let of = |kind: &SheetKind| {
+                    kind.extensions().iter().map(|e| path(folder, stem, *kind, e)).collect::<Vec<_>>()
+                };
+                SheetKind::VARIANTS.iter().flat_map(of).collect::<Vec<_>>()
             };
             let mut files: Vec<PathBuf> = stems.iter().flat_map(every).collect();
             files.extend([TEXT, JSON].map(|name| folder.join(name)));
@@ -75,11 +76,10 @@ pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<
                 let failed = |reason: String| write_error(&at("png"), io::Error::other(reason));
                 match inspection.sheet(i, kind).map_err(failed)? {
                     None => Ok(Vec::new()),
-                    Some(Sheet::Bitmap(_, png)) => Ok(vec![(at("png"), png)]),
-                    Some(Sheet::Drawing(_, drawing)) => {
-                        let svg = drawing.to_svg();
-                        let png = rasterise(&svg).and_then(|pixels| png_rgb(&pixels)).map_err(failed)?;
-                        Ok(vec![(at("svg"), svg.into_bytes()), (at("png"), png)])
+                    Some(Sheet::Bitmap(png)) => Ok(vec![(at("png"), png)]),
+                    Some(Sheet::Drawing(drawing)) => {
+                        let png = drawing.to_png().map_err(failed)?;
+                        Ok(vec![(at("svg"), drawing.to_svg().into_bytes()), (at("png"), png)])
                     }
                 }
             })
@@ -106,7 +106,8 @@ fn stem(image: &Path) -> String {
 }
 
 fn path(folder: &Path, stem: &str, kind: SheetKind, extension: &str) -> PathBuf {
-    folder.join(format!("{stem}.{}.{extension}", kind.word()))
+    let kind: &str = kind.into();
+    folder.join(format!("{stem}.{kind}.{extension}"))
 }
 
 fn write_error(path: &Path, source: io::Error) -> Error {

@@ -5,31 +5,26 @@
 //! for. Cost: bitmaps and features of all frames, some tenths of a second each, whatever the alignment needed itself; and the same again to
 //! draw. Source: the thesis's chapter 4, its tables and figures, for any bracket.
 
-mod curves;
-pub mod drawing;
-mod edges;
 pub mod files;
-mod keypoints;
-pub(crate) mod lettering;
-mod matches;
-pub mod overlay;
-mod page;
-mod picture;
-pub mod response_plot;
+pub mod sheets;
 pub mod tables;
 pub(crate) mod text;
 
 use crate::align::diagnostics::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
 use crate::align::{AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
+use crate::draw::image::png_bits;
+use crate::draw::markup::file_name;
+use crate::draw::svg::Drawing;
 use crate::error::{Result, Warning};
 use crate::plane::{Plane, map_at_once};
 use crate::report::{Report, WarningReport};
-use drawing::Drawing;
-use edges::Couple;
-use overlay::Overlay;
-use picture::Photograph;
-use tables::{Found, Tables};
+use sheets::overlay::{self, Overlay};
+use sheets::photograph::Photograph;
+use sheets::views::{self, Couple};
+use sheets::{curves, keypoints, matches};
+use strum::VariantArray;
+use tables::Tables;
 
 /// Long side of a drawn photograph, in pixels, at the most.
 const DRAWN: (usize, usize) = (1600, 1600);
@@ -67,13 +62,14 @@ pub struct Inspection<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sheet {
     /// A bitmap, one bit a pixel, as a PNG file.
-    Bitmap(SheetKind, Vec<u8>),
+    Bitmap(Vec<u8>),
     /// A drawing, for SVG and PNG.
-    Drawing(SheetKind, Drawing),
+    Drawing(Drawing),
 }
 
-/// What a sheet shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What a sheet shows; of the reference there are only the first three kinds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "lowercase")]
 pub enum SheetKind {
     /// The median threshold bitmap.
     Threshold,
@@ -90,28 +86,6 @@ pub enum SheetKind {
 }
 
 impl SheetKind {
-    /// All kinds; of the reference there are only the first three.
-    pub const ALL: [SheetKind; 6] = [
-        SheetKind::Threshold,
-        SheetKind::Exclusion,
-        SheetKind::Keypoints,
-        SheetKind::Matches,
-        SheetKind::Xor,
-        SheetKind::Edges,
-    ];
-
-    /// The word for it in the names of files.
-    pub fn word(self) -> &'static str {
-        match self {
-            SheetKind::Threshold => "threshold",
-            SheetKind::Exclusion => "exclusion",
-            SheetKind::Keypoints => "keypoints",
-            SheetKind::Matches => "matches",
-            SheetKind::Xor => "xor",
-            SheetKind::Edges => "edges",
-        }
-    }
-
     /// The extensions under which it is written.
     pub fn extensions(self) -> &'static [&'static str] {
         match self {
@@ -179,20 +153,9 @@ fn gathered<'a>(
             against,
         })
         .collect();
-    let found: Vec<Found> = evidence
-        .iter()
-        .zip(&alignment.placements)
-        .map(|(evidence, placement)| Found {
-            bitmaps: &evidence.bitmaps,
-            features: &evidence.features,
-            xor: evidence.against.as_ref().map(|a| &a.xor),
-            matchings: evidence.against.as_ref().map(|a| &a.matchings),
-            warp: placement.transform(),
-        })
-        .collect();
     let mut report = Report::new(bracket, alignment, alignment.overlap);
     report.warnings = warnings.iter().map(WarningReport::from).collect();
-    let tables = Tables::new(report, &found);
+    let tables = Tables::new(report, &evidence, alignment);
     Ok(Inspection { bracket, alignment, pyramids, evidence, tables })
 }
 
@@ -204,7 +167,8 @@ impl Inspection<'_> {
 
     /// The kinds of sheets that there are of frame `i`.
     pub fn kinds(&self, i: usize) -> &'static [SheetKind] {
-        if self.evidence[i].against.is_some() { &SheetKind::ALL } else { SheetKind::ALL.split_at(3).0 }
+        let all = SheetKind::VARIANTS;
+        if self.evidence[i].against.is_some() { all } else { &all[..3] }
     }
 
     /// Draws one sheet of frame `i`; none where the frame has no such sheet.
@@ -214,12 +178,13 @@ impl Inspection<'_> {
     pub fn sheet(&self, i: usize, kind: SheetKind) -> std::result::Result<Option<Sheet>, String> {
         let evidence = &self.evidence[i];
         let against = evidence.against.as_ref();
-        let drawn = |drawing| Ok(Some(Sheet::Drawing(kind, drawing)));
+        let drawn = |drawing| Ok(Some(Sheet::Drawing(drawing)));
         match (kind, against) {
             (SheetKind::Threshold | SheetKind::Exclusion, _) => {
                 let bitmaps = &evidence.bitmaps.bitmaps;
                 let bitmap = if kind == SheetKind::Threshold { &bitmaps.threshold } else { &bitmaps.exclusion };
-                Ok(Some(Sheet::Bitmap(kind, picture::png_bitmap(bitmap)?)))
+                let size = (bitmap.width(), bitmap.height());
+                Ok(Some(Sheet::Bitmap(png_bits(size, |x, y| bitmap.get(x, y))?)))
             }
             (SheetKind::Keypoints, _) => {
                 let photograph = Photograph::new(self.pyramids[i].largest(), DRAWN);
@@ -236,7 +201,7 @@ impl Inspection<'_> {
                 let placed = self.alignment.placements[i].transform().is_some();
                 drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
             }
-            (SheetKind::Edges, Some(_)) => drawn(edges::draw(&self.title(i, "edges"), &self.couple(i))?),
+            (SheetKind::Edges, Some(_)) => drawn(views::draw(&self.title(i, "edges"), &self.couple(i))?),
             (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
         }
     }
@@ -298,7 +263,7 @@ impl Inspection<'_> {
     }
 
     fn name(&self, i: usize) -> String {
-        self.frame(i).path().file_name().unwrap_or_default().to_string_lossy().into_owned()
+        file_name(&self.frame(i).path().to_string_lossy())
     }
 
     /// What is seen, of which frame, and how it was exposed and placed.

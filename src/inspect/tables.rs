@@ -2,9 +2,10 @@
 //!
 //! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
 
-use crate::align::diagnostics::{Curve, FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, distance_px};
+use super::{Against, Evidence};
+use crate::align::diagnostics::{Curve, FeatureKind, distance_px};
 use crate::align::grey::Percentile;
-use crate::align::{Status, Transform};
+use crate::align::{Alignment, Status, Transform};
 use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -147,26 +148,18 @@ const NEAR_PX: f64 = 1.0;
 /// Fewer inliers are chance: four are always right.
 const LEAST_INLIERS: usize = 10;
 
-/// What was found for one frame beside its report; the last two are none for the reference.
-pub(super) struct Found<'a> {
-    pub(super) bitmaps: &'a FrameBitmaps,
-    pub(super) features: &'a FrameFeatures,
-    pub(super) xor: Option<&'a XorCurves>,
-    pub(super) matchings: Option<&'a [Matching; 3]>,
-    pub(super) warp: Option<Transform>,
-}
-
 impl Tables {
-    /// The tables of the frames of `report`, of which each has its `found`.
-    pub(super) fn new(report: Report, found: &[Found]) -> Self {
+    /// The tables of the frames of `report`, of which each has its `evidence` and its place.
+    pub(super) fn new(report: Report, evidence: &[Evidence], alignment: &Alignment) -> Self {
         let size = (report.width_px, report.height_px);
         let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
         let exposure = reference.map_or(1.0, |f| f.relative_exposure);
-        let level = found.first().map_or(size, |f| f.features.size());
-        let frames = report.frames.into_iter().zip(found).map(|(report, found)| FrameTable {
+        let level = evidence.first().map_or(size, |f| f.features.size());
+        let found = evidence.iter().zip(&alignment.placements);
+        let frames = report.frames.into_iter().zip(found).map(|(report, (evidence, placement))| FrameTable {
             relative_ev: libm::log2(report.relative_exposure / exposure),
-            mtb: bitmap_table(found),
-            features: feature_table(found, size),
+            mtb: bitmap_table(evidence),
+            features: feature_table(evidence, placement.transform().as_ref(), size),
             report,
         });
         Tables {
@@ -200,12 +193,12 @@ impl Tables {
     }
 }
 
-fn bitmap_table(found: &Found) -> BitmapTable {
+fn bitmap_table(evidence: &Evidence) -> BitmapTable {
     BitmapTable {
-        percentile: found.bitmaps.percentile,
-        threshold_level: found.bitmaps.zone.threshold,
-        excluded_share: found.bitmaps.excluded_share(),
-        xor: found.xor.map(|xor| XorTable {
+        percentile: evidence.bitmaps.percentile,
+        threshold_level: evidence.bitmaps.zone.threshold,
+        excluded_share: evidence.bitmaps.excluded_share(),
+        xor: evidence.against.as_ref().map(|Against { xor, .. }| XorTable {
             before_share: xor.before,
             after_share: xor.after,
             by_angle_deg: (&xor.by_angle).into(),
@@ -215,15 +208,15 @@ fn bitmap_table(found: &Found) -> BitmapTable {
     }
 }
 
-fn feature_table(found: &Found, size: (usize, usize)) -> FeatureTable {
-    let counts = found.features.counts();
+fn feature_table(evidence: &Evidence, warp: Option<&Transform>, size: (usize, usize)) -> FeatureTable {
+    let counts = evidence.features.counts();
     let of = |kind: FeatureKind, keypoints| {
         let blank = KindTable { keypoints, matches: None, inliers: None, off_px: None, verdict: None };
-        let Some(matchings) = found.matchings else { return blank };
-        let matching = &matchings[kind as usize];
+        let Some(against) = &evidence.against else { return blank };
+        let matching = &against.matchings[kind as usize];
         let inliers = matching.inliers();
         let motion = matching.transform.filter(|_| inliers >= LEAST_INLIERS);
-        let off_px = motion.zip(found.warp).map(|(own, place)| distance_px(&own, &place, size));
+        let off_px = motion.zip(warp).map(|(own, place)| distance_px(&own, place, size));
         let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
         let verdict = match (motion, off_px) {
             (None, _) => KindVerdict::NoMotion,

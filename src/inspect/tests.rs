@@ -34,7 +34,7 @@ fn with_inspection(check: impl FnOnce(Inspection)) {
 
 fn drawn(sheet: Option<Sheet>) -> Drawing {
     match sheet {
-        Some(Sheet::Drawing(_, drawing)) => drawing,
+        Some(Sheet::Drawing(drawing)) => drawing,
         other => panic!("no drawing: {other:?}"),
     }
 }
@@ -93,7 +93,7 @@ fn every_sheet_is_well_formed_and_as_large_as_it_says() {
             assert_eq!(inspection.kinds(i).len(), expected);
             for &kind in inspection.kinds(i) {
                 match inspection.sheet(i, kind).unwrap() {
-                    Some(Sheet::Bitmap(_, png)) => {
+                    Some(Sheet::Bitmap(png)) => {
                         let reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
                         assert_eq!((reader.info().width, reader.info().height), (SIZE.0 as u32, SIZE.1 as u32));
                     }
@@ -104,7 +104,7 @@ fn every_sheet_is_well_formed_and_as_large_as_it_says() {
                         // But for the pictures, in whose letters anything may occur.
                         let marks = svg.lines().filter(|l| !l.starts_with("<image"));
                         assert!(marks.clone().all(|l| !l.contains("NaN") && !l.contains("inf")), "{kind:?}");
-                        let pixels = drawing::rasterise(&svg).unwrap();
+                        let pixels = drawing.to_pixels().unwrap();
                         assert_eq!((pixels.width(), pixels.height()), (drawing.width(), drawing.height()));
                         // Something is drawn: not all of it is paper.
                         let marked = pixels.as_slice().iter().filter(|p| **p != [255; 3]).count();

@@ -7,7 +7,7 @@ use super::tables::{FrameTable, KindTable, KindVerdict, Tables};
 use crate::align::grey::Percentile;
 use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
-use std::path::Path;
+use crate::draw::markup::file_name;
 
 /// Bitmaps speak against a motion under which they differ so many times more, and by such a share more, than unmoved: little enough that
 /// a wrong motion is seen, more than the rounding to whole pixels does.
@@ -27,45 +27,41 @@ impl Tables {
             self.level_height_px,
         );
         let mut add = |title: &str, note: &str, header: &[&str], row: &dyn Fn(&FrameTable) -> Vec<String>| {
-            text += &format!("\n{title}\n{}", columns(header, self.frames.iter().map(row)));
+            let rows = self.frames.iter().map(|frame| [vec![file_name(&frame.report.path)], row(frame)].concat());
+            text += &format!("\n{title}\n{}", columns(&[&["photograph"], header].concat(), rows));
             if !note.is_empty() {
                 text += &format!("{note}\n");
             }
         };
-        add(
-            "Table 1. Exposures",
-            "",
-            &["photograph", "time", "f", "ISO", "EV to reference", "known from"],
-            &exposure_row,
-        );
+        add("Table 1. Exposures", "", &["time", "f", "ISO", "EV to reference", "known from"], &exposure_row);
         add(
             "Table 2. Keypoints: plain SIFT, SIFT on the MTB, both merged",
             "Merged counts a point that was found in both only once. gain: merged over plain.",
-            &["photograph", "EV", "plain", "MTB", "merged", "gain"],
+            &["EV", "plain", "MTB", "merged", "gain"],
             &keypoint_row,
         );
         add(
             "Table 3. Matches with the reference, and of these inliers",
             "Matched by the ratio test and mutually, without a guide; alignment itself goes further.",
-            &["photograph", "EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
+            &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
             &match_row,
         );
         add(
             "Table 4. What each kind of keypoint by itself would have led to, held against the alignment",
             "px: root mean square distance over the picture between its motion and the alignment's.",
-            &["photograph", "EV", "plain", "px", "MTB", "px", "merged", "px"],
+            &["EV", "plain", "px", "MTB", "px", "merged", "px"],
             &verdict_row,
         );
         add(
             "Table 5. Alignment",
             "Shift of the picture's centre and rotation, reference to frame: right, down, right towards down.",
-            &["photograph", "status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
+            &["status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
             &place_row,
         );
         add(
             "Table 6. Median threshold bitmaps",
             "XOR: share of the pixels counting in both bitmaps that differ, unmoved and as aligned.",
-            &["photograph", "percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
+            &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );
         for frame in &self.frames {
@@ -108,11 +104,6 @@ fn or_nothing<T>(value: Option<T>, show: impl Fn(T) -> String) -> String {
     value.map_or_else(|| NOTHING.to_owned(), show)
 }
 
-/// The name of the photograph, without its folder.
-pub(crate) fn file_name(path: &str) -> String {
-    Path::new(path).file_name().map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned())
-}
-
 /// A shutter time as photographers write it.
 pub(crate) fn shutter(seconds: f64) -> String {
     if seconds < 0.3 { format!("1/{:.0} s", 1.0 / seconds) } else { format!("{} s", (seconds * 10.0).round() / 10.0) }
@@ -132,7 +123,6 @@ fn exposure_row(frame: &FrameTable) -> Vec<String> {
         ExposureSource::Estimated => "the pixels",
     };
     vec![
-        file_name(&report.path),
         or_nothing(report.time_s, shutter),
         or_nothing(report.f_number, |n| format!("{}", (n * 10.0).round() / 10.0)),
         or_nothing(report.iso, |s| format!("{s:.0}")),
@@ -144,14 +134,13 @@ fn exposure_row(frame: &FrameTable) -> Vec<String> {
 fn keypoint_row(frame: &FrameTable) -> Vec<String> {
     let [plain, mtb, merged] = frame.features.kinds().map(|k| k.keypoints);
     let gain = if plain == 0 { NOTHING.to_owned() } else { format!("{:.1}", merged as f64 / plain as f64) };
-    let counts = [plain, mtb, merged].map(|n| n.to_string());
-    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(counts).chain([gain]).collect()
+    vec![stops(frame.relative_ev), plain.to_string(), mtb.to_string(), merged.to_string(), gain]
 }
 
 fn match_row(frame: &FrameTable) -> Vec<String> {
     let count = |n: Option<usize>| or_nothing(n, |n| n.to_string());
     let cells = frame.features.kinds().into_iter().flat_map(|k| [count(k.matches), count(k.inliers)]);
-    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(cells).collect()
+    [stops(frame.relative_ev)].into_iter().chain(cells).collect()
 }
 
 fn verdict_row(frame: &FrameTable) -> Vec<String> {
@@ -162,8 +151,7 @@ fn verdict_row(frame: &FrameTable) -> Vec<String> {
         KindVerdict::NoPlace => "no place".to_owned(),
     };
     let cells = |k: &KindTable| [or_nothing(k.verdict, word), or_nothing(k.off_px, |d| format!("{d:.2}"))];
-    let kinds = frame.features.kinds().into_iter().flat_map(cells);
-    [file_name(&frame.report.path), stops(frame.relative_ev)].into_iter().chain(kinds).collect()
+    [stops(frame.relative_ev)].into_iter().chain(frame.features.kinds().into_iter().flat_map(cells)).collect()
 }
 
 /// What became of a frame, in words.
@@ -188,7 +176,6 @@ fn place_row(frame: &FrameTable) -> Vec<String> {
     });
     let shift = |axis: usize| or_nothing(place.shift_px, |s| format!("{:.2}", s[axis] + 0.0));
     vec![
-        file_name(&frame.report.path),
         status_word(place.status).to_owned(),
         or_nothing(model, str::to_owned),
         shift(0),
@@ -214,7 +201,6 @@ fn bitmap_row(frame: &FrameTable) -> Vec<String> {
     let mtb = &frame.mtb;
     let percent = |share: f64| format!("{:.2}", 100.0 * share);
     vec![
-        file_name(&frame.report.path),
         percentile_word(mtb.percentile),
         mtb.threshold_level.to_string(),
         percent(mtb.excluded_share),

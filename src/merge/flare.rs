@@ -16,6 +16,7 @@ use super::statistics::{BT709, luminance};
 use super::{FLOOR, RadianceMap};
 use crate::plane::Plane;
 use crate::pyramid::cells::between_cells;
+use crate::statistics::of_rank;
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -200,11 +201,9 @@ fn witness(dark: &Plane<f32>, veil: &Plane<f64>) -> Witness {
     let n = cells.len();
     let bins: Vec<(f64, f64)> = (0..BINS)
         .map(|b| &cells[b * n / BINS..(b + 1) * n / BINS])
-        .filter(|bin| !bin.is_empty())
-        .map(|bin| {
-            let mut shares: Vec<f64> = bin.iter().map(|(veil, dark)| dark / veil).collect();
-            shares.sort_by(f64::total_cmp);
-            (bin[bin.len() / 2].0, shares[(DARKER.0 * bin.len() as f64) as usize])
+        .filter_map(|bin| {
+            let shares = bin.iter().map(|(veil, dark)| dark / veil);
+            Some((bin.get(bin.len() / 2)?.0, of_rank(shares, (DARKER.0 * bin.len() as f64) as usize)?))
         })
         .collect();
     let share = bins.iter().map(|bin| bin.1).fold(f64::INFINITY, f64::min);

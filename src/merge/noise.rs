@@ -12,6 +12,7 @@
 use crate::bracket::{Codes, Frame};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
+use crate::statistics::of_rank;
 
 /// Side of a block: that of JPEG's, and on the same grid.
 const BLOCK: usize = 8;
@@ -134,16 +135,14 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
 }
 
 /// The lower quartile of each step, at least `least`; steps with too few blocks have what lies between their neighbours.
-fn filled(mut seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
-    let known: Vec<(usize, f64)> = seen
-        .iter_mut()
-        .enumerate()
-        .filter(|(_, values)| values.len() >= FEWEST)
-        .map(|(step, values)| {
-            values.sort_by(f64::total_cmp);
-            (step, values[(values.len() as f64 * QUANTILE) as usize].max(least))
-        })
-        .collect();
+fn filled(seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
+    let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
+    let quartile = |values: Vec<f64>| {
+        let rank = (values.len() as f64 * QUANTILE) as usize;
+        of_rank(values, rank)
+    };
+    let known: Vec<(usize, f64)> =
+        seen.filter_map(|(step, values)| Some((step, quartile(values)?.max(least)))).collect();
     std::array::from_fn(|step| {
         let above = known.iter().find(|(s, _)| *s >= step);
         let below = known.iter().rev().find(|(s, _)| *s <= step);

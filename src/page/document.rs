@@ -2,10 +2,11 @@
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
-use super::encoded::Picture;
+use super::Page;
 use super::markup::escape;
-use super::{Page, advice, light, photographs, scene, summary, viewer, words};
-use crate::inspect::text::file_name;
+use super::sections::{advice, light, photographs, scene, summary, viewer, words};
+use crate::draw::image::Picture;
+use crate::draw::markup::file_name;
 use crate::report::Report;
 
 const STYLE: [&str; 2] = [include_str!("style.css"), include_str!("viewer.css")];

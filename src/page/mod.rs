@@ -1,31 +1,22 @@
-//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script
-//! or style from elsewhere.
+//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script or style from elsewhere.
 //!
-//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the
-//! [`Report`]. Out: HTML. Cost: that of
-//! an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2
-//! MB whatever the size of
-//! the frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser refuses
-//! whatever a file name might smuggle in.
+//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the [`Report`]. Out: HTML. Cost:
+//! that of an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2 MB whatever the
+//! size of the frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser
+//! refuses whatever a file name might smuggle in.
 
-mod advice;
 mod document;
-mod encoded;
-mod evidence;
-mod light;
 mod markup;
-mod overlays;
-mod photographs;
+mod pictures;
 mod plot;
-mod reduced;
-mod scene;
-mod summary;
-mod viewer;
-mod words;
+mod sections;
 
 use crate::align::{AlignOptions, Alignment, Placement, Rect, Status, Transform};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
+use crate::draw::image::{Photograph, Picture, grey_jpeg, jpeg, jpegs_within};
+use crate::draw::scale::{Reduced, within, within_pixels};
+use crate::draw::svg::Colour;
 use crate::error::{Error, Result, Warning};
 use crate::inspect;
 use crate::merge::deghost::Ghosts;
@@ -35,10 +26,9 @@ use crate::merge::{MergeOptions, Merging};
 use crate::plane::Plane;
 use crate::report::Report;
 use crate::response::ResponseCurve;
-use encoded::{Photograph, Picture, grey_jpeg, jpeg, jpegs_within};
-use evidence::Evidence;
-use overlays::Local;
-use reduced::{Reduced, within, within_pixels};
+use pictures::evidence::{self, Evidence};
+use pictures::frames;
+use pictures::overlays::{self, Local};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -68,7 +58,7 @@ pub struct Page {
     /// What the codes of the picture are of; none for sRGB.
     icc: Option<Vec<u8>>,
     frames: Vec<FramePage>,
-    result: Option<Reduced>,
+    result: Option<Reduced<3>>,
     /// Luminance by steps of a quarter of a stop: the first step, and the pixels of each.
     luminance: Option<(i64, Vec<u64>)>,
     curve: Option<ResponseCurve>,
@@ -204,7 +194,7 @@ impl Page {
     /// # Errors
     /// [`Error::Write`], where the picture cannot be encoded.
     pub fn to_html(&self, report: &Report) -> Result<String> {
-        let photograph = |result: &Reduced| [Photograph { pixels: result.finish(), icc: self.icc.clone() }];
+        let photograph = |result: &Reduced<3>| [Photograph { pixels: result.finish(), icc: self.icc.clone() }];
         let result = self.result.as_ref().map(photograph);
         let result = result.map(|picture| self.encoded(jpegs_within(RESULT_BYTES, &picture))).transpose()?;
         Ok(document::html(self, report, result.as_ref().and_then(|pictures| pictures.first())))
@@ -220,7 +210,7 @@ fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
     let of = |(frame, warp): (&Frame, Option<Transform>)| {
-        let pixels = reduced::frame(frame, &warp.unwrap_or(Transform::Identity), region, size)?;
+        let pixels = frames::frame(frame, &warp.unwrap_or(Transform::Identity), region, size)?;
         Ok(Photograph { pixels, icc: icc(frame) })
     };
     bracket.frames().iter().zip(alignment.placements.iter().map(Placement::transform)).map(of).collect()
@@ -232,17 +222,13 @@ fn icc(frame: &Frame) -> Option<Vec<u8>> {
 }
 
 /// The colour of frame `i` of `count`, from the shortest exposure.
-fn frame_colour(i: usize, count: usize) -> [u8; 3] {
-    let at = if count > 1 { i as f64 / (count - 1) as f64 } else { 0.5 } * (SCALE.len() - 1) as f64;
-    let below = (at as usize).min(SCALE.len() - 2);
-    let part = at - below as f64;
-    std::array::from_fn(|c| (SCALE[below][c] + part * (SCALE[below + 1][c] - SCALE[below][c])).round() as u8)
+fn frame_colour(i: usize, count: usize) -> Colour {
+    Colour::between(&SCALE, if count > 1 { i as f64 / (count - 1) as f64 } else { 0.5 })
 }
 
 /// The same as CSS has it.
 fn frame_css(i: usize, count: usize) -> String {
-    let [r, g, b] = frame_colour(i, count);
-    format!("#{r:02x}{g:02x}{b:02x}")
+    frame_colour(i, count).hex()
 }
 
 /// The frames' colours, mixed by their shares; dark where no frame reaches.
@@ -251,7 +237,7 @@ fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
     Plane::from_rows(first.cells.width(), first.cells.height(), |y, row: &mut [[u8; 3]]| {
         for (x, pixel) in row.iter_mut().enumerate() {
             let channel = |c: usize| -> f32 {
-                shares.iter().map(|s| s.cells.at(x, y) * f32::from(frame_colour(s.frame, count)[c])).sum()
+                shares.iter().map(|s| s.cells.at(x, y) * f32::from(frame_colour(s.frame, count).rgb()[c])).sum()
             };
             *pixel = [0, 1, 2].map(|c| (channel(c) + 0.5).min(255.0) as u8);
         }

@@ -13,7 +13,7 @@ use super::threads::in_pool;
 use super::{Prepared, Watch};
 use crate::bracket::ReferenceChoice;
 use crate::error::{Error, Result};
-use crate::inspect::response_plot;
+use crate::inspect::sheets::response as response_plot;
 use crate::report::{FrameReport, WarningReport};
 use crate::response::file::{Format, SavedResponse};
 use crate::response::samples::{self, Places};
@@ -193,7 +193,7 @@ fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
 /// Whether everything asked for can be written, before any work is done.
 fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
     options.curves.iter().try_for_each(|path| Format::of(path).map(|_| ()))?;
-    options.plots.iter().try_for_each(|path| response_plot::Format::of(path).map(|_| ()))?;
+    options.plots.iter().try_for_each(|path| response_plot::format(path).map(|_| ()))?;
     write::check_targets(&options.named(), photographs, options.pipeline.write.overwrite)
 }
 

@@ -7,6 +7,7 @@
 use super::samples::{Sample, View};
 use super::{CODES, Fit, MID, hat, monotone, stops};
 use crate::error::{Error, Result};
+use crate::statistics::{self, MEDIAN_DEVIATION, median};
 use std::f64::consts::LN_2;
 
 /// The least rise of g from one code to the next: far below what matters, and enough that g can be inverted.
@@ -178,12 +179,9 @@ pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
 
 /// Tukey's biweight of each misfit, 0 or more, with 4.685 robust standard deviations as its reach: 1 for none, 0 beyond.
 pub fn tukey(misfits: &[f64]) -> Vec<f64> {
-    let mut sorted = misfits.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    let reach = 4.685 * median / 0.6745 + f64::MIN_POSITIVE;
-    let trust = |m: f64| (1.0 - (m / reach) * (m / reach)).max(0.0);
-    misfits.iter().map(|&m| trust(m) * trust(m)).collect()
+    let median = median(misfits.iter().copied()).unwrap_or(0.0);
+    let reach = 4.685 * median / MEDIAN_DEVIATION + f64::MIN_POSITIVE;
+    misfits.iter().map(|&m| statistics::biweight(m / reach)).collect()
 }
 
 /// Made-up cameras, for the tests of all models.

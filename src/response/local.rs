@@ -15,6 +15,7 @@
 use super::ResponseCurve;
 use super::samples::{Places, Step};
 use super::{CODES, fit, stops};
+use crate::statistics::{MEDIAN_DEVIATION, median};
 
 /// Exposures that differ by less, in stops, tell little.
 const STEP: f64 = 0.9;
@@ -85,8 +86,7 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
         most_step_fraction = levels.iter().fold(most_step_fraction, |most, level| most.max(level.1 / exposed));
         variations.extend(variation(&ratios, longer_side.div_ceil(NEIGHBOURHOODS).max(1)));
     }
-    fractions.sort_by(f64::total_cmp);
-    let step_fraction = *fractions.get(fractions.len() / 2)?;
+    let step_fraction = median(fractions)?;
     let variation_stops = variations.into_iter().fold(0.0, f64::max);
     Some(Evidence {
         step_fraction,
@@ -120,9 +120,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     residuals.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut places: Vec<((usize, usize), f64)> =
         residuals.chunk_by(|a, b| a.0 == b.0).map(|all| (all[0].0, all[all.len() / 2].1)).collect();
-    let mut sizes: Vec<f64> = places.iter().map(|(_, v)| v.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let reach = REACH * sizes.get(sizes.len() / 2)? / 0.6745;
+    let reach = REACH * median(places.iter().map(|(_, v)| v.abs()))? / MEDIAN_DEVIATION;
     places.retain(|(_, v)| v.abs() <= reach);
     if places.len() < FEWEST {
         return None;
@@ -152,12 +150,8 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
 /// Level and median ratio of so many `blocks` of places, by rising level.
 fn medians(sorted: &[&Ratio], blocks: usize) -> Vec<(f64, f64)> {
     let size = sorted.len().div_ceil(blocks).max(1);
-    let of = |block: &[&Ratio]| {
-        let mut stops: Vec<f64> = block.iter().map(|ratio| ratio.stops).collect();
-        stops.sort_by(f64::total_cmp);
-        (block[block.len() / 2].level, stops[stops.len() / 2])
-    };
-    sorted.chunks(size).map(of).collect()
+    let of = |block: &[&Ratio]| Some((block[block.len() / 2].level, median(block.iter().map(|ratio| ratio.stops))?));
+    sorted.chunks(size).filter_map(of).collect()
 }
 
 /// The ratio at `level`, linear between the blocks and beyond the last.

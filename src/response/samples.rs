@@ -10,6 +10,7 @@ use crate::align::resampling::nearest::{Strip, placed};
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes};
 use crate::error::Result;
+use crate::statistics::of_rank;
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::f64::consts::LN_2;
@@ -235,12 +236,9 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     }
     let end = parting(underexposed.iter().map(|patch| patch.mean), exposed);
     let noisy = underexposed.iter().filter(|patch| patch.mean <= end).map(|patch| patch.mean + 2.0 * patch.deviation);
-    let mut codes: Vec<f64> = noisy.filter(|&code| code < DARK).collect();
-    codes.sort_by(f64::total_cmp);
-    match codes.len() {
-        few if few < BLACK.0 => 0.0,
-        many => codes[((many as f64 * BLACK.1) as usize).min(many - 1)],
-    }
+    let codes: Vec<f64> = noisy.filter(|&code| code < DARK).collect();
+    let rank = ((codes.len() as f64 * BLACK.1) as usize).min(codes.len().saturating_sub(1));
+    if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
 /// The code that best parts what is `below` from what is `above`: the fewest lie on the wrong side. The least code of all where none is below.

@@ -22,6 +22,9 @@ What `cargo build --release --locked` compiles into `hdralign` on 64-bit Linux, 
 (MIT or Apache-2.0) and, in the static binary, that of musl (MIT) come to it. hdralign itself: MIT or Apache-2.0. Written by
 `HDRALIGN_BLESS=1 cargo test --test library licences`, which otherwise fails when it is out of date, or when a licence is not one of those in deny.toml.
 
+The program also holds a part of the font DejaVu Sans Condensed 2.37, for the text of drawings: its licence (Bitstream Vera) is in
+[src/draw/font/README.md](../src/draw/font/README.md).
+
 | crate | version | licence |
 |---|---|---|
 ";

@@ -14,6 +14,7 @@ use crate::align::agreement::tile::{Tile, check_tile};
 use crate::align::photometric::CommonExposure;
 use crate::align::transform::map;
 use crate::plane::Plane;
+use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
@@ -131,8 +132,7 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
         }
     }
     sum.parts = parts.iter().filter(|&&p| p).count();
-    offsets.sort_by(f32::total_cmp);
-    sum.offset = offsets.get(offsets.len() / 2).copied().map_or(0.0, f64::from);
+    sum.offset = median(offsets).map_or(0.0, f64::from);
     sum.correlation = correlations / (sum.agreeing + sum.disagreeing).max(1) as f64;
     TileCheck { agreement: sum, correlations: each, displacements }
 }

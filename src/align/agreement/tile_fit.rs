@@ -10,6 +10,7 @@
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
+use crate::statistics::{biweight, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Fewest tiles for a fit.
@@ -49,14 +50,10 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
     let mut normal = DMatrix::identity(n, n);
     for _ in 0..ROUNDS {
         let misfits: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| misfit(t, j, &step)).collect();
-        let mut sorted = misfits.clone();
-        sorted.sort_by(f64::total_cmp);
-        let variance = (sorted[sorted.len() / 2] / MEDIAN_SQUARE).max(1e-12);
+        let variance = (median(misfits.iter().copied())? / MEDIAN_SQUARE).max(1e-12);
         let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for ((tile, j), misfit) in tiles.iter().zip(&places).zip(&misfits) {
-            let t = (misfit / variance).sqrt() / TUKEY;
-            let inside = (1.0 - t * t).max(0.0);
-            let weight = inside * inside / variance;
+            let weight = biweight((misfit / variance).sqrt() / TUKEY) / variance;
             for p in 0..n {
                 // Displacements are in the reference's pixels: a tile found to the right moves the transform that way.
                 b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);

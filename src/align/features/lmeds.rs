@@ -11,6 +11,7 @@
 use crate::align::features::consensus::{guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions, distance_squared};
+use crate::statistics::median;
 use nalgebra::Matrix3;
 
 /// Standard deviations, by the median, within which a pair is right.
@@ -69,9 +70,7 @@ fn scale(median: f64, pairs: usize) -> f64 {
 }
 
 fn median_of_squares(pairs: &[PointPair], h: &Matrix3<f64>) -> f64 {
-    let mut squares: Vec<f64> = pairs.iter().map(|p| distance_squared(h, p)).collect();
-    let middle = squares.len() / 2;
-    *squares.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(pairs.iter().map(|p| distance_squared(h, p))).unwrap_or(f64::INFINITY)
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@
 //! bracket. Cost: nothing to speak of. Source: EXIF 2.32 leaves open whether DateTimeOriginal is the begin or the end of an exposure;
 //! most cameras write the begin, some the end, and long exposures tell which.
 
+use crate::statistics::of_rank;
+
 /// One exposure.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Beat {
@@ -80,12 +82,9 @@ const JITTER_S: f64 = 0.5;
 
 /// What the pauses of a bracket cost: each for its length, and for being another than the middle one of them.
 pub(super) fn cost(beats: &[Beat], gaps: &[Option<f64>]) -> f64 {
-    let mut known: Vec<f64> = gaps.iter().flatten().copied().collect();
-    if known.is_empty() {
-        return 0.0;
-    }
-    known.sort_by(f64::total_cmp);
-    let middle = known[(known.len() - 1) / 2];
+    let known: Vec<f64> = gaps.iter().flatten().copied().collect();
+    let rank = known.len().saturating_sub(1) / 2;
+    let Some(middle) = of_rank(known, rank) else { return 0.0 };
     let mut sum = 0.0;
     for (gap, pair) in gaps.iter().zip(beats.windows(2)) {
         let Some(gap) = gap else { continue };

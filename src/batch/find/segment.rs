@@ -10,6 +10,7 @@
 //! optimal partitioning of data on an interval", for the scheme; the costs are our own, set on habits of photographers made up in the tests.
 
 use super::rhythm::{self, Beat, Clock, Mode};
+use crate::statistics::median;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -214,9 +215,8 @@ fn of_twice(evs: &[f64]) -> f64 {
 
 /// Steps from one of the `sorted` exposures to the next that are not as the middle one of them.
 fn of_steps(sorted: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|&step| step >= SAME_STOPS).collect();
-    steps.sort_by(f64::total_cmp);
-    let middle = steps[steps.len() / 2];
+    let steps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|&step| step >= SAME_STOPS).collect();
+    let Some(middle) = median(steps.iter().copied()) else { return 0.0 };
     let odd = steps.iter().filter(|&&step| (step - middle).abs() > SAME_STOPS + 0.1 * middle).count();
     (ODD_STEP * odd as f64).min(ODD_STEPS)
 }

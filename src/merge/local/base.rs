@@ -11,6 +11,7 @@
 
 use crate::plane::Plane;
 use crate::pyramid::cells::gathered;
+use crate::statistics::{MEDIAN_DEVIATION, biweight, median};
 use nalgebra::{SMatrix, SVector};
 
 /// The filter's radius as a share of the longer side: a neighbourhood of a twelfth.
@@ -158,13 +159,8 @@ fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
         values = normal.cholesky()?.solve(&right);
         let error = |pair: &Pair| row(pair).iter().map(|(p, u)| u * values[*p]).sum::<f64>() - f64::from(pair.stops);
         let errors: Vec<f64> = pairs.iter().map(error).collect();
-        let mut sizes: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let reach = REACH * (sizes[sizes.len() / 2] / 0.6745).max(LEAST);
-        for (weight, e) in weights.iter_mut().zip(&errors) {
-            let part = (1.0 - e / reach * (e / reach)).max(0.0);
-            *weight = part * part;
-        }
+        let reach = REACH * (median(errors.iter().map(|e| e.abs()))? / MEDIAN_DEVIATION).max(LEAST);
+        weights.iter_mut().zip(&errors).for_each(|(weight, e)| *weight = biweight(e / reach));
     }
     Some(values)
 }

@@ -6,13 +6,14 @@ use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A module uses only those before it.
-const LAYERS: [&str; 24] = [
+const LAYERS: [&str; 26] = [
     "error",
     "limits",
     "intake",
     "tiff_file",
     "simd",
     "plane",
+    "statistics",
     "scratch",
     "budget",
     "pyramid",
@@ -25,6 +26,7 @@ const LAYERS: [&str; 24] = [
     "write",
     "read",
     "report",
+    "draw",
     "inspect",
     "compare",
     "page",

@@ -4,15 +4,18 @@
 //! Source: Ward 2003, section 2
 //! (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
 
-use super::encoded::{Picture, grey_jpeg, jpeg, paletted};
-use super::is_sought;
-use super::markup::escape;
-use super::plot::{Axis, Plot};
-use super::{COARSE, DRAWING};
 use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
+use crate::align::features::Keypoint;
 use crate::align::{Alignment, Placement};
 use crate::bracket::Bracket;
+use crate::draw::image::{Picture, grey_jpeg, jpeg, paletted};
+use crate::draw::plot::Axis;
+use crate::draw::scale::within;
 use crate::inspect::Inspection;
+use crate::inspect::sheets::keypoints::layers;
+use crate::page::markup::{escape, signed};
+use crate::page::plot::Figure;
+use crate::page::{COARSE, DRAWING, is_sought};
 use crate::plane::Plane;
 use std::fmt::Write;
 
@@ -31,7 +34,7 @@ const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142
 
 /// What a frame's place rests on.
 #[derive(Debug, Clone)]
-pub(super) struct Evidence {
+pub(in crate::page) struct Evidence {
     pub bitmap: Picture,
     /// The threshold's percentile and level, and the share that does not count.
     pub threshold: (u8, u8, f64),
@@ -48,7 +51,7 @@ pub(super) struct Evidence {
 
 /// Shares of differing pixels.
 #[derive(Debug, Clone)]
-pub(super) struct Xor {
+pub(in crate::page) struct Xor {
     pub before: f64,
     pub after: f64,
     pub plots: [String; 3],
@@ -56,14 +59,14 @@ pub(super) struct Xor {
 
 /// The edges of a frame over the reference's.
 #[derive(Debug, Clone)]
-pub(super) struct Overlay {
+pub(in crate::page) struct Overlay {
     pub before: Picture,
     pub after: Option<Picture>,
     pub has_details: bool,
 }
 
 /// Whether features were needed to place frame `i`, or another on it.
-pub(super) fn needs_features(alignment: &Alignment, i: usize) -> bool {
+pub(in crate::page) fn needs_features(alignment: &Alignment, i: usize) -> bool {
     match alignment.placements[i] {
         Placement::Reference => alignment.features.iter().any(|found| found.keypoints.is_some()),
         _ => alignment.features[i].keypoints.is_some(),
@@ -71,7 +74,7 @@ pub(super) fn needs_features(alignment: &Alignment, i: usize) -> bool {
 }
 
 /// The evidence of all frames.
-pub(super) fn gather(
+pub(in crate::page) fn gather(
     inspection: &Inspection,
     alignment: &Alignment,
     bracket: &Bracket,
@@ -88,7 +91,9 @@ pub(super) fn gather(
         let (grey, brightened) = inspection.photograph(i, (DRAWING, DRAWING));
         let scale = grey.width() as f64 / bracket.width() as f64;
         let photograph = || grey_jpeg(&grey, COARSE);
-        let keypoints = needed(i).then(|| keypoints(inspection, i, &photograph()?, scale)).transpose()?;
+        let layers = || layers(inspection.features(i));
+        let keypoints =
+            needed(i).then(|| photograph().map(|behind| keypoints(&layers(), &behind, scale))).transpose()?;
         let matches = match inspection.matching(i).filter(|_| needed(i)) {
             None => None,
             Some(matching) => {
@@ -127,7 +132,7 @@ pub(super) fn gather(
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());
-    let (across, down) = super::within(full, DRAWING);
+    let (across, down) = within(full, DRAWING);
     Plane::from_rows(across, down, |y, row: &mut [u8]| {
         for (x, v) in row.iter_mut().enumerate() {
             let (x, y) = ((2 * x + 1) * full.0 / (2 * across), (2 * y + 1) * full.1 / (2 * down));
@@ -144,9 +149,9 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     let up = Axis::round(0.0, 100.0 * most, 5, "differing pixels, %");
     let plot = |curve: &Curve, name: &str, at: f64, unit: &str, decimals: usize| {
         let (first, last) = (curve.at.first().copied().unwrap_or(0.0), curve.at.last().copied().unwrap_or(1.0));
-        let mut plot = Plot::new((380.0, 250.0), 0.0, Axis::within(first, last, 5, name), up.clone());
+        let mut plot = Figure::new((380.0, 250.0), 0.0, Axis::within(first, last, 5, name), up.clone());
         plot.curve("accent", curve.at.iter().zip(&curve.share).map(|(&at, &share)| (at, 100.0 * share)));
-        let found = super::markup::signed(at, decimals);
+        let found = signed(at, decimals);
         plot.mark(at, &format!("{found}{unit}"));
         let what = if is_placed { "the alignment" } else { "the bitmaps' own best" };
         plot.finish("", &format!("Share of differing bitmap pixels against {name}; {what} is at {found}{unit}."))
@@ -185,39 +190,25 @@ fn behind(photograph: &Picture, left: usize) -> String {
     format!(r#"<image href="{}" x="{left}" width="{w}" height="{h}" preserveAspectRatio="none"/>"#, photograph.address)
 }
 
-/// The keypoints of frame `i`, of which a pixel takes `scale` of the photograph.
-fn keypoints(
-    inspection: &Inspection,
-    i: usize,
-    photograph: &Picture,
-    scale: f64,
-) -> Result<(String, [usize; 3]), String> {
-    let features = inspection.features(i);
-    let [plain, mtb] = features.keypoints();
-    let [in_mtb, in_plain] = features.found_twice();
-    let place = |x: f32, y: f32| {
-        let at = |v: f32| (f64::from(v) + 0.5) * scale * UNITS as f64;
-        (at(x), at(y))
-    };
-    let some = |points: &[crate::align::features::Keypoint], twice: &[bool], wanted: bool| {
-        let chosen: Vec<(f64, f64)> =
-            points.iter().zip(twice).filter(|(_, t)| **t == wanted).map(|(k, _)| place(k.x, k.y)).collect();
-        (dots(chosen.iter().copied()), chosen.len())
-    };
-    let layers = [some(&plain, &in_mtb, false), some(&mtb, &in_plain, false), some(&mtb, &in_plain, true)];
-    let counts = [layers[0].1, layers[1].1, layers[2].1];
-    let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
+/// Keypoints in `layers` on a photograph, of which a pixel of the frame takes `scale`; and how many in each.
+fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (String, [usize; 3]) {
+    let counts = layers.each_ref().map(Vec::len);
     let words = format!(
         "{} keypoints of the plain picture alone, {} of its bitmaps alone, {} in both.",
         counts[0], counts[1], counts[2]
     );
-    let mut svg = opened((w, h), &words);
+    let mut svg = opened((UNITS * photograph.width, UNITS * photograph.height), &words);
     svg += &behind(photograph, 0);
-    for (class, (path, _)) in ["plain", "bitmap", "both"].iter().zip(&layers) {
+    for (class, points) in ["plain", "bitmap", "both"].iter().zip(layers) {
+        let path = dots(points.iter().map(|k| (units(k.x.into(), scale), units(k.y.into(), scale))));
         let _ = write!(svg, r#"<path class="dots {class}" d="{path}"/>"#);
     }
-    svg += "</svg>\n";
-    Ok((svg, counts))
+    (svg + "</svg>\n", counts)
+}
+
+/// Units of a drawing from the left or the top to the middle of the frame's pixel `at`.
+fn units(at: f64, scale: f64) -> f64 {
+    (at + 0.5) * scale * UNITS as f64
 }
 
 /// The matches between two photographs side by side, of which a frame's pixel takes `scale`; the reference on the left.
@@ -231,10 +222,7 @@ fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -
     let mut svg = opened((all, h), &words);
     svg += &behind(reference, 0);
     svg += &behind(frame, right);
-    let place = |p: [f64; 2], left: f64| {
-        let at = |v: f64| (v + 0.5) * scale * UNITS as f64;
-        (left + at(p[0]), at(p[1]))
-    };
+    let place = |p: [f64; 2], left: f64| (left + units(p[0], scale), units(p[1], scale));
     let stride = matching.pairs.len().div_ceil(LINES).max(1);
     // What is wrong lies below, so that it does not hide what is right.
     for (wanted, class) in [(false, "outlier"), (true, "inlier")] {

@@ -2,10 +2,11 @@
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
-use super::markup::{escape, figure, file_name, percent, signed};
 use super::photographs::stops_over_reference;
-use super::plot::{Axis, Plot};
-use super::{Page, frame_css};
+use crate::draw::plot::Axis;
+use crate::page::markup::{escape, figure, file_name, percent, signed};
+use crate::page::plot::Figure;
+use crate::page::{Page, frame_css};
 use crate::report::Report;
 use crate::response::{CODES, ResponseCurve};
 use std::f64::consts::LN_2;
@@ -21,7 +22,7 @@ const RANGE: f64 = 20.0;
 const TAIL: f64 = 2e-5;
 
 /// The histogram and the response; none where frames were only aligned.
-pub(super) fn scene(page: &Page, report: &Report) -> Option<String> {
+pub(in crate::page) fn scene(page: &Page, report: &Report) -> Option<String> {
     let curve = page.curve.as_ref()?;
     let histogram = histogram(page, report, curve).unwrap_or_default();
     Some(format!("{histogram}{}", response(report, curve)))
@@ -50,12 +51,12 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
         placed.iter().map(|&i| (i, tells(TELLING.0, stops[i]), tells(TELLING.1, stops[i]))).collect();
     let (low, high) = (step(from) - 0.5, step(to + 1) + 0.5);
     let x = match report.calibration {
-        Some(_) => decades(low, high),
+        Some(_) => Axis::decades(low, high, "luminance, cd/m²"),
         None => Axis::within(low, high, 9, middle),
     };
     let most = counts.iter().max().copied().unwrap_or(1) as f64 / all as f64 * 100.0;
     let more = RANGE * ranges.len() as f64 + 12.0;
-    let mut plot = Plot::new((760.0, 260.0 + more), more, x, Axis::round(0.0, most, 4, "pixels, %"));
+    let mut plot = Figure::new((760.0, 260.0 + more), more, x, Axis::round(0.0, most, 4, "pixels, %"));
     for (i, n) in counts.iter().enumerate().take(to + 1).skip(from) {
         plot.bar("column", (step(i), 1.0 / per_stop), *n as f64 / all as f64 * 100.0);
     }
@@ -90,27 +91,14 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
         )
     });
     Some(format!(
-        "<figure class=\"plots wide\">\n{}<figcaption><b>What the scene holds, and which frame covers it.</b> Above, how many \
-         pixels have which luminance, in \
-         quarters of a stop. Below, for each frame (EV over the reference) from where to where its codes {} to {} tell light. \
-         Every column should have \
-         a bar under it; one without is noise or a guess. Between the bars there should be no gap.{bounds}</figcaption>\n</figure>\n",
+        "<figure class=\"plots wide\">\n{}<figcaption><b>What the scene holds, and which frame covers it.</b> Above, \
+         how many pixels have which luminance, in quarters of a stop. Below, for each frame (EV over the reference) \
+         from where to where its codes {} to {} tell light. Every column should have a bar under it; one without is \
+         noise or a guess. Between the bars there should be no gap.{bounds}</figcaption>\n</figure>\n",
         plot.finish("big", &words),
         TELLING.0,
         TELLING.1
     ))
-}
-
-/// An axis of stops over 1 cd/m2, with its ticks at powers of ten.
-fn decades(low: f64, high: f64) -> Axis {
-    let per_decade = std::f64::consts::LOG2_10;
-    let (first, last) = ((low / per_decade).ceil() as i64, (high / per_decade).floor() as i64);
-    let word = |d: i64| match d {
-        -3..=5 => format!("{}", libm::exp10(d as f64)),
-        _ => format!("1e{d}"),
-    };
-    let ticks = (first..=last).map(|d| (d as f64 * per_decade, word(d))).collect();
-    Axis { from: low, to: high, ticks, name: "luminance, cd/m²".into() }
 }
 
 /// What codes mean.
@@ -120,10 +108,9 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
     let all = || (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
     let low = all().map(|g| stops(g[1])).fold(f64::MAX, f64::min).max(-DEEPEST);
     let high = all().map(|g| stops(g[CODES - 1])).fold(f64::MIN, f64::max);
-    let mut x = Axis::within(0.0, 255.0, 8, "code value");
-    x.ticks = [0, 64, 128, 192, 255].map(|code| (f64::from(code), code.to_string())).to_vec();
+    let x = Axis::at(0.0, 255.0, [0, 64, 128, 192, 255], "code value");
     let mut plot =
-        Plot::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops over that of code 128"));
+        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops over that of code 128"));
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;
         (0..CODES).filter(deep).map(|z| (z as f64, stops(g[z]))).collect::<Vec<_>>()
@@ -141,19 +128,17 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
         "The camera's response: exposure in stops against code, for red, green and blue, with the sRGB curve.",
     );
     format!(
-        "<figure class=\"plots beside\">\n{svg}<figcaption><b>What a code means</b> to this camera, by <code>{}</code>: <span \
-         class=\"key red\"></span> red \
-         <span class=\"key green\"></span> green <span class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for \
-         comparison. The three should rise \
-         smoothly and lie near each other; steps or crossings in the middle are the mark of a scene that does not tell, and of \
-         exposures that are not \
-         what the files say.{fallback}</figcaption>\n</figure>\n",
+        "<figure class=\"plots beside\">\n{svg}<figcaption><b>What a code means</b> to this camera, by \
+         <code>{}</code>: <span class=\"key red\"></span> red <span class=\"key green\"></span> green <span \
+         class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for comparison. The three should rise \
+         smoothly and lie near each other; steps or crossings in the middle are the mark of a scene that does not \
+         tell, and of exposures that are not what the files say.{fallback}</figcaption>\n</figure>\n",
         escape(model)
     )
 }
 
 /// Which frame gives what; none where frames were only aligned.
-pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
+pub(in crate::page) fn shares(page: &Page, report: &Report) -> Option<String> {
     let map = page.shares.as_ref()?;
     let count = page.frames.len();
     let mut legend = String::new();
@@ -172,10 +157,9 @@ pub(super) fn shares(page: &Page, report: &Report) -> Option<String> {
         let caption = format!("<b>{name}</b> gives {}", percent(*share));
         each += &figure(picture, &format!("Where {} contributes.", frame.path), &caption);
     }
-    let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made of several. \
-     Bright places should be of \
-                   short exposures, dark ones of long ones. Sharp borders across a smooth surface mean exposures or a response \
-                   that do not fit.";
+    let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made \
+                   of several. Bright places should be of short exposures, dark ones of long ones. Sharp borders \
+                   across a smooth surface mean exposures or a response that do not fit.";
     Some(format!(
         "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n\
          <details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n\

@@ -4,12 +4,12 @@
 //! can be switched on all the same. Cost:
 //! none: the frames are those of the cards, which the script puts over the result.
 
-use super::encoded::Picture;
-use super::markup::{escape, file_name, img, percent, signed};
 use super::photographs::stops_over_reference;
-use super::{Page, frame_css};
 use crate::align::Status;
-use crate::inspect::text;
+use crate::draw::image::Picture;
+use crate::draw::markup;
+use crate::page::markup::{escape, file_name, img, percent, signed};
+use crate::page::{Page, frame_css};
 use crate::report::Report;
 use std::fmt::Write;
 
@@ -17,7 +17,7 @@ use std::fmt::Write;
 const REGIONS: usize = 5;
 
 /// The viewer of the `result`, or of the frames where there is none.
-pub(super) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> String {
+pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let ratio = crop.width_px as f64 / crop.height_px.max(1) as f64;
     let (hidden, picture, to_result) = match result {
@@ -61,9 +61,8 @@ fn choices(report: &Report, has_result: bool) -> String {
         let checked = if !has_result && frame.alignment.status == Status::Reference { " checked" } else { "" };
         let _ = writeln!(
             out,
-            "<label title=\"{name}\" style=\"--own:{colour}\"><input type=\"radio\" name=\"shown\" value=\"{i}\"{checked} \
-             aria-label=\"{name}, {ev} EV\">\
-             <span>{ev}</span></label>",
+            "<label title=\"{name}\" style=\"--own:{colour}\"><input type=\"radio\" name=\"shown\" \
+             value=\"{i}\"{checked} aria-label=\"{name}, {ev} EV\"><span>{ev}</span></label>",
             ev = short(stops[i])
         );
     }
@@ -113,9 +112,8 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     if let Some((local, (frame, picture))) = page.local.as_ref().and_then(|l| Some((l, l.frames.get(l.strongest)?))) {
         layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
-            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> darkened, against \
-             the reference, by up to \
-             {:.1} stops; over the result that of {}.",
+            "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> \
+             darkened, against the reference, by up to {:.1} stops; over the result that of {}.",
             local.most_stops,
             report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
         );
@@ -137,7 +135,7 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     if let Some(result) = result {
         let file = |path: &&String| [".png", ".jpg", ".jpeg"].iter().any(|end| path.to_lowercase().ends_with(end));
         let open = report.outputs.iter().find(file).map_or_else(String::new, |path| {
-            format!(" Open <code>{}</code> to judge sharpness.", escape(&text::file_name(path)))
+            format!(" Open <code>{}</code> to judge sharpness.", escape(&markup::file_name(path)))
         });
         words += &match result.width == crop.width_px {
             true => format!(

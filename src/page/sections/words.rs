@@ -2,10 +2,10 @@
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
-use super::markup::{escape, file_name, percent, signed};
 use crate::align::Status;
 use crate::bracket::exposure::ExposureSource;
 use crate::merge::local::LocalReport;
+use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
 /// An error of an alignment, in pixels, that cannot be seen, and one that may blur fine detail.
@@ -17,7 +17,7 @@ const WORTH: f64 = 0.005;
 const CORRECTED: f64 = 0.15;
 
 /// What was done, one thing after the other.
-pub(super) fn done(report: &Report) -> String {
+pub(in crate::page) fn done(report: &Report) -> String {
     let mut items = vec![("Frames", frames(report))];
     items.push(("Alignment", alignment(report)));
     items.extend(crop(report).map(|words| ("Edges", words)));

@@ -1,16 +1,14 @@
-//! Pictures in the page: JPEG and PNG files as `data:` addresses.
+//! Pictures of a report: PNG and JPEG files in memory, and as `data:` addresses.
 //!
-//! In: pixels. Out: [`Picture`]s. Cost: some 30 ns a pixel, for JPEG as often as a quality is tried. Source: ITU-T
-//! T.81 (JPEG), by the `jpeg-encoder`
-//! crate: colours at half the resolution and Huffman tables of its own for each picture, by which it takes a fourth
-//! less; RFC 2397 (data URLs),
-//! RFC 4648 section 4 (base64).
+//! In: pixels. Out: files, and [`Picture`]s of a page. Cost: some 30 ns a pixel, for JPEG as often as a quality is tried. Source: ITU-T T.81
+//! (JPEG), by the `jpeg-encoder` crate: colours at half the resolution and Huffman tables of its own for each picture, by which it takes a
+//! fourth less; RFC 2397 (data URLs), RFC 4648 section 4 (base64).
 
 use crate::plane::Plane;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use jpeg_encoder::{ColorType as JpegColour, Encoder as Jpeg, SamplingFactor};
-use png::{BitDepth, ColorType, Compression, Encoder};
+use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
 use rayon::prelude::*;
 
 /// Qualities of JPEG that are tried for pictures that are looked at closely, the best first.
@@ -18,32 +16,37 @@ const QUALITIES: [u8; 6] = [86, 80, 74, 66, 58, 48];
 
 /// A picture that a page can show without asking anybody.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Picture {
+pub struct Picture {
+    /// The file as a `data:` address.
     pub address: String,
+    /// Width in pixels.
     pub width: usize,
+    /// Height in pixels.
     pub height: usize,
 }
 
 /// A photograph that is to be encoded, with the profile of its colours; sRGB where there is none.
-pub(super) struct Photograph {
+pub struct Photograph {
+    /// Its pixels.
     pub pixels: Plane<[u8; 3]>,
+    /// Its profile.
     pub icc: Option<Vec<u8>>,
 }
 
 /// `pixels` as JPEG of `quality` 1..=100, in the colours of the profile `icc`; of sRGB where there is none.
-pub(super) fn jpeg(pixels: &Plane<[u8; 3]>, quality: u8, icc: Option<&[u8]>) -> Result<Picture, String> {
+pub fn jpeg(pixels: &Plane<[u8; 3]>, quality: u8, icc: Option<&[u8]>) -> Result<Picture, String> {
     let bytes = pixels.as_slice().as_flattened();
     encode((pixels.width(), pixels.height()), bytes, JpegColour::Rgb, quality, icc)
 }
 
 /// `grey` as JPEG of `quality` 1..=100.
-pub(super) fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String> {
+pub fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String> {
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
 /// `photographs` as JPEG, of the best quality at which they take no more than `most` bytes of the page together; of the
 /// least where none does.
-pub(super) fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
+pub fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
     let mut encoded = Vec::new();
     for quality in QUALITIES {
         let all = photographs.par_iter().map(|one| jpeg(&one.pixels, quality, one.icc.as_deref()));
@@ -75,34 +78,81 @@ fn encode(
 }
 
 /// A picture in the colours of `palette`, red, green, blue and opacity, as PNG: two bits a pixel for up to four colours, four for up to 16.
-pub(super) fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, String> {
-    let (width, height) = (indices.width(), indices.height());
+pub fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, String> {
+    let size = (indices.width(), indices.height());
     let (depth, bits) = if palette.len() <= 4 { (BitDepth::Two, 2) } else { (BitDepth::Four, 4) };
-    let in_byte = 8 / bits;
-    let mut packed = vec![0u8; width.div_ceil(in_byte) * height];
-    for (y, row) in packed.chunks_exact_mut(width.div_ceil(in_byte)).enumerate() {
-        for (x, &index) in indices.row(y).iter().enumerate() {
-            row[x / in_byte] |= index << (8 - bits - bits * (x % in_byte));
+    let rows = (0..size.1).map(|y| indices.row(y).iter().copied());
+    let file = png(size, ColorType::Indexed, depth, &packed(rows, bits), |encoder| {
+        encoder.set_palette(palette.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect::<Vec<u8>>());
+        if palette.iter().any(|colour| colour[3] < u8::MAX) {
+            encoder.set_trns(palette.iter().map(|colour| colour[3]).collect::<Vec<u8>>());
         }
-    }
-    let side = |pixels: usize| u32::try_from(pixels).map_err(|e| e.to_string());
+        encoder.set_compression(Compression::High);
+        Ok(())
+    })?;
+    Ok(picture("png", size, &file))
+}
+
+/// `plane` as a PNG file.
+pub fn png_grey(plane: &Plane<u8>) -> Result<Vec<u8>, String> {
+    png((plane.width(), plane.height()), ColorType::Grayscale, BitDepth::Eight, plane.as_slice(), drawn)
+}
+
+/// `plane` as a PNG file.
+pub fn png_rgb(plane: &Plane<[u8; 3]>) -> Result<Vec<u8>, String> {
+    png((plane.width(), plane.height()), ColorType::Rgb, BitDepth::Eight, plane.as_slice().as_flattened(), drawn)
+}
+
+/// The bits of a picture of `size` pixels as a PNG file with one bit a pixel: white where `is_set`.
+pub fn png_bits(size: (usize, usize), is_set: impl Fn(usize, usize) -> bool) -> Result<Vec<u8>, String> {
+    let rows = (0..size.1).map(|y| (0..size.0).map(move |x| (x, y)).map(|(x, y)| u8::from(is_set(x, y))));
+    png(size, ColorType::Grayscale, BitDepth::One, &packed(rows, 1), drawn)
+}
+
+/// Rows of values of `bits` each, from the left, every row from a byte of its own.
+fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) -> Vec<u8> {
+    let byte = |values: &[u8]| {
+        values.iter().zip((0..8).step_by(bits)).fold(0, |byte, (value, from)| byte | value << (8 - bits - from))
+    };
+    rows.flat_map(|row| row.collect::<Vec<u8>>().chunks(8 / bits).map(byte).collect::<Vec<u8>>()).collect()
+}
+
+/// Drawings are encoded fast, and name their maker, so that they are not taken for photographs.
+fn drawn(encoder: &mut Encoder<&mut Vec<u8>>) -> Result<(), EncodingError> {
+    encoder.set_compression(Compression::Fast);
+    encoder.add_text_chunk("Software".into(), concat!("hdralign ", env!("CARGO_PKG_VERSION")).into())
+}
+
+fn png(
+    size: (usize, usize),
+    colour: ColorType,
+    depth: BitDepth,
+    data: &[u8],
+    set: impl FnOnce(&mut Encoder<&mut Vec<u8>>) -> Result<(), EncodingError>,
+) -> Result<Vec<u8>, String> {
+    let side = |n: usize| u32::try_from(n).map_err(|e| e.to_string());
+    let (width, height) = (side(size.0)?, side(size.1)?);
     let mut file = Vec::new();
-    let mut encoder = Encoder::new(&mut file, side(width)?, side(height)?);
-    encoder.set_color(ColorType::Indexed);
-    encoder.set_depth(depth);
-    encoder.set_palette(palette.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect::<Vec<u8>>());
-    if palette.iter().any(|colour| colour[3] < u8::MAX) {
-        encoder.set_trns(palette.iter().map(|colour| colour[3]).collect::<Vec<u8>>());
-    }
-    encoder.set_compression(Compression::High);
-    let mut writer = encoder.write_header().map_err(|e| e.to_string())?;
-    writer.write_image_data(&packed).map_err(|e| e.to_string())?;
-    writer.finish().map_err(|e| e.to_string())?;
-    Ok(picture("png", (width, height), &file))
+    let encode = |file| -> Result<(), EncodingError> {
+        let mut encoder = Encoder::new(file, width, height);
+        encoder.set_color(colour);
+        encoder.set_depth(depth);
+        set(&mut encoder)?;
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(data)?;
+        writer.finish()
+    };
+    encode(&mut file).map_err(|e| e.to_string())?;
+    Ok(file)
 }
 
 fn picture(format: &str, (width, height): (usize, usize), file: &[u8]) -> Picture {
-    Picture { address: format!("data:image/{format};base64,{}", STANDARD.encode(file)), width, height }
+    Picture { address: data_url(format, file), width, height }
+}
+
+/// A file of the image `format` as a `data:` address.
+pub(super) fn data_url(format: &str, file: &[u8]) -> String {
+    format!("data:image/{format};base64,{}", STANDARD.encode(file))
 }
 
 #[cfg(test)]
@@ -162,5 +212,16 @@ mod tests {
             let wanted: Vec<u8> = indices.as_slice().iter().flat_map(|&i| palette[usize::from(i)]).collect();
             assert_eq!(back.as_raw(), &wanted);
         }
+    }
+
+    #[test]
+    fn bits_are_packed_from_the_left() {
+        let is_set = |x: usize, y: usize| (x + y).is_multiple_of(3);
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(png_bits((11, 3), is_set).unwrap()));
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().unwrap();
+        let mut back = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut back).unwrap();
+        assert!(back.iter().enumerate().all(|(i, b)| *b == 255 * u8::from(is_set(i % 11, i / 11))));
     }
 }

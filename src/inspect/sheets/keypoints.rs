@@ -3,11 +3,11 @@
 //! In: a frame and its features. Out: a drawing with a circle for each keypoint, its radius the scale, and a tick in its direction. Cost:
 //! some 70 bytes a keypoint. Source: the thesis's figures of chapter 4, in colours that the colour-blind tell apart (after Okabe & Ito 2008).
 
-use super::drawing::{Colour, Drawing, Path, Pen};
-use super::page::{Entry, Mark, Page};
-use super::picture::Photograph;
+use super::layout::{Entry, Mark, Page};
+use super::photograph::Photograph;
 use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
+use crate::draw::svg::{Colour, Drawing, Path, Pen};
 
 /// Keypoints of the plain picture alone: vermilion, lightened.
 const PLAIN: Colour = Colour(255, 122, 46);
@@ -19,17 +19,29 @@ const BOTH: Colour = Colour(250, 236, 60);
 /// A smaller circle would be a dot without a direction, in pixels of the page.
 const LEAST_RADIUS: f64 = 2.5;
 
+/// Keypoints of the plain picture alone, of its bitmaps alone, and of both.
+pub(crate) fn layers(features: &FrameFeatures) -> [Vec<Keypoint>; 3] {
+    let ([plain, mtb], [in_mtb, in_plain]) = (features.keypoints(), features.found_twice());
+    let some = |points: &[Keypoint], twice: &[bool], wanted: bool| {
+        points.iter().zip(twice).filter(|(_, t)| **t == wanted).map(|(k, _)| *k).collect()
+    };
+    [some(&plain, &in_mtb, false), some(&mtb, &in_plain, false), some(&mtb, &in_plain, true)]
+}
+
 /// The keypoints of `features` on `photograph`.
-pub(super) fn draw(title: &str, photograph: &Photograph, features: &FrameFeatures) -> Result<Drawing, String> {
-    let [plain, mtb] = features.keypoints();
-    let [in_mtb, in_plain] = features.found_twice();
+pub(in crate::inspect) fn draw(
+    title: &str,
+    photograph: &Photograph,
+    features: &FrameFeatures,
+) -> Result<Drawing, String> {
+    let layers = layers(features);
+    let [plain, mtb, both] = layers.each_ref().map(Vec::len);
     let counts = features.counts();
     let entry = |colour, words: String| Entry { mark: Mark::Keypoint, colour, words };
-    let twice = in_plain.iter().filter(|t| **t).count();
     let legend = [
-        entry(PLAIN, format!("plain picture only: {}", in_mtb.iter().filter(|t| !**t).count())),
-        entry(MTB, format!("bitmap (MTB) only: {}", counts.mtb - twice)),
-        entry(BOTH, format!("in both: {twice}")),
+        entry(PLAIN, format!("plain picture only: {plain}")),
+        entry(MTB, format!("bitmap (MTB) only: {mtb}")),
+        entry(BOTH, format!("in both: {both}")),
     ];
     let (width, height) = features.size();
     let mut notes = format!(
@@ -42,9 +54,9 @@ pub(super) fn draw(title: &str, photograph: &Photograph, features: &FrameFeature
     let mut page = Page::new(title, &legend, photograph.size(), &notes);
     let corner = page.corner;
     let area = photograph.put(&mut page.drawing, corner)?;
-    let marks = |points: &[Keypoint], wanted: &dyn Fn(usize) -> bool| {
+    let marks = |points: &[Keypoint]| {
         let mut path = Path::default();
-        for (_, k) in points.iter().enumerate().filter(|(i, _)| wanted(*i)) {
+        for k in points {
             let centre = photograph.place(corner, k.x.into(), k.y.into());
             let radius = (f64::from(k.scale) * photograph.scale()).max(LEAST_RADIUS);
             path.circle(centre, radius);
@@ -53,16 +65,12 @@ pub(super) fn draw(title: &str, photograph: &Photograph, features: &FrameFeature
         }
         path
     };
-    let layers = [
-        (PLAIN, marks(&plain, &|i| !in_mtb[i])),
-        (MTB, marks(&mtb, &|i| !in_plain[i])),
-        (BOTH, marks(&mtb, &|i| in_plain[i])),
-    ];
     page.drawing.clipped(area, |inside| {
-        for (colour, path) in &layers {
+        for (colour, points) in [PLAIN, MTB, BOTH].into_iter().zip(&layers) {
+            let path = marks(points);
             // A dark edge, so that the colours are seen on what is bright.
-            inside.stroke(path, Pen { colour: Colour::INK, width: 2.6, opacity: 0.45 });
-            inside.stroke(path, Pen { colour: *colour, width: 1.2, opacity: 1.0 });
+            inside.stroke(&path, Pen { colour: Colour::INK, width: 2.6, opacity: 0.45 });
+            inside.stroke(&path, Pen { colour, width: 1.2, opacity: 1.0 });
         }
     });
     Ok(page.drawing)

@@ -2,28 +2,28 @@
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
-use super::evidence::{Evidence, Overlay, Xor};
-use super::markup::{escape, figure, file_name, img, percent, signed};
-use super::{FramePage, Page, frame_css, is_sought, summary};
+use super::summary;
 use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
 use crate::inspect::text::{shutter, status_word};
+use crate::page::markup::{escape, figure, file_name, img, percent, signed};
+use crate::page::pictures::evidence::{Evidence, Overlay, Xor};
+use crate::page::{FramePage, Page, frame_css, is_sought};
 use crate::report::{FrameReport, Report};
 use std::fmt::Write;
 
 /// The stops of each frame over the reference.
-pub(super) fn stops_over_reference(report: &Report) -> Vec<f64> {
+pub(in crate::page) fn stops_over_reference(report: &Report) -> Vec<f64> {
     let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
     let unit = reference.map_or(1.0, |f| f.relative_exposure);
     report.frames.iter().map(|f| libm::log2(f.relative_exposure / unit)).collect()
 }
 
 /// The frames as cards.
-pub(super) fn frames(page: &Page, report: &Report) -> String {
+pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the result \
-         is. The colour of a \
-         frame is its own throughout the page. EV counts from the reference.</p>\n",
+        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the \
+         result is. The colour of a frame is its own throughout the page. EV counts from the reference.</p>\n",
     );
     let ratio = report.crop.width_px as f64 / report.crop.height_px.max(1) as f64;
     let _ = writeln!(out, "<ul class=\"cards\" style=\"--ratio:{ratio:.4}\">");
@@ -79,18 +79,16 @@ fn exposure(frame: &FrameReport) -> String {
 }
 
 /// Every frame that was sought, with what its place rests on.
-pub(super) fn moved(page: &Page, report: &Report) -> String {
+pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
     let mut out = String::new();
     if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
         out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
     } else {
-        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on each other \
-         they are white. Move the \
-                slider: to its left the frame is as it was photographed, to its right as it was aligned. Right of the slider \
-                nearly all should be \
-                white. A blue or an orange edge alone is one that the other frame cannot show, because it is clipped or black \
-                there, or something \
+        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on \
+                each other they are white. Move the slider: to its left the frame is as it was photographed, to its \
+                right as it was aligned. Right of the slider nearly all should be white. A blue or an orange edge \
+                alone is one that the other frame cannot show, because it is clipped or black there, or something \
                 that moved in the scene.</p>\n";
     }
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
@@ -202,11 +200,9 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
     };
     format!(
         "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and \
-         shift.</b> Of the pixels that count in \
-         both bitmaps {} differ unmoved, {} under {about}, which is the dashed line. Each curve varies one number and keeps the \
-         two others. \
-         A sharp valley at the line is a place that is sure; a flat curve, or a valley elsewhere, is one to look \
-         at.</figcaption>\n</figure>\n",
+         shift.</b> Of the pixels that count in both bitmaps {} differ unmoved, {} under {about}, which is the dashed \
+         line. Each curve varies one number and keeps the two others. A sharp valley at the line is a place that is \
+         sure; a flat curve, or a valley elsewhere, is one to look at.</figcaption>\n</figure>\n",
         percent(xor.before),
         percent(xor.after)
     )
@@ -228,30 +224,27 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
     if let Some((svg, all, inliers)) = &evidence.matches {
         let _ = write!(
             out,
-            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which <span \
-             class=\"key inlier\"></span> {inliers} agree \
-             on one motion and <span class=\"key outlier\"></span> {} do not. Lines that agree run side by side; as many orange \
-             ones as blue ones mean that \
-             the motion rests on little.</figcaption>\n</figure>\n",
+            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which \
+             <span class=\"key inlier\"></span> {inliers} agree on one motion and <span class=\"key outlier\"></span> \
+             {} do not. Lines that agree run side by side; as many orange ones as blue ones mean that the motion \
+             rests on little.</figcaption>\n</figure>\n",
             all - inliers
         );
     }
     if out.is_empty() && is_sought(frame.alignment.status) {
-        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. <code>hdralign \
-         inspect</code> draws them all \
-                the same.</p>\n";
+        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. \
+                <code>hdralign inspect</code> draws them all the same.</p>\n";
     }
     out
 }
 
 /// The bitmaps of all frames.
-pub(super) fn bitmaps(page: &Page, report: &Report) -> String {
+pub(in crate::page) fn bitmaps(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is brighter than \
-         the frame's threshold, black \
-         darker, and ochre is too near it to count (the exclusion bitmap). They should look alike from frame to frame. Where \
-         they do not, exposures \
-         are too far apart, or the picture has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
+        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is \
+         brighter than the frame's threshold, black darker, and ochre is too near it to count (the exclusion bitmap). \
+         They should look alike from frame to frame. Where they do not, exposures are too far apart, or the picture \
+         has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
     );
     for (frame, shown) in report.frames.iter().zip(&page.frames) {
         let (percentile, level, excluded) = shown.evidence.threshold;

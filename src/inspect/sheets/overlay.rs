@@ -4,11 +4,7 @@
 //! In: two frames and a warp. Out: an [`Overlay`]: above the whole picture, below it, where the photographs are large enough, a row of places at
 //! twice their size, where half a pixel is seen. Cost: that of the drawing of `edges`, in whose colours it is.
 
-use super::edges::{
-    BOX, Couple, DETAIL_GAP, Detail, FAINT_DETAIL, Grey, LEAST_FULL, MAGNIFIED, details, laid, two_colours,
-};
-use super::picture::reduce;
-use crate::align::Transform;
+use super::views::{BOX, Couple, DETAIL_GAP, Detail, MAGNIFIED, Views, two_colours};
 use crate::plane::Plane;
 
 /// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.
@@ -28,32 +24,24 @@ pub struct Overlay {
 }
 
 /// The couple's overlay, on pictures of at most `most` pixels across.
-pub(super) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
-    let side = (most, most);
-    let reference = Grey::whole(reduce(couple.reference_grey, side)).edges(LEAST_FULL);
-    let moving = reduce(couple.frame_grey, side);
-    let aligned = couple.warp.map(|warp| (warp, laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
-    let photographed = (Transform::Identity, Grey::whole(moving).edges(LEAST_FULL));
-    let (width, height) = (reference.strength.width(), reference.strength.height());
-    let last = &aligned.as_ref().unwrap_or(&photographed).1;
-    let places = details(&reference.strength, &last.strength, (width as f64, height as f64), couple);
-    let picture = |(warp, view): &(Transform, super::edges::Edges)| -> Result<Plane<[u8; 3]>, String> {
+pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
+    let views = Views::new(couple, (most, most), false);
+    let (width, height) = (views.reference.strength.width(), views.reference.strength.height());
+    let picture = |k: usize| -> Result<Plane<[u8; 3]>, String> {
         let gap = DETAIL_GAP as usize;
-        let below = places.first().map_or(0, |p| gap + p.height * MAGNIFIED);
+        let below = views.details.first().map_or(0, |p| gap + p.height * MAGNIFIED);
         let mut sheet = Plane::filled(width, height + below, [0u8; 3]);
-        put(&mut sheet, (0, 0), 1, &two_colours(&plain(&reference.strength), &plain(&view.strength)));
-        for (k, place) in places.iter().enumerate() {
+        let coloured = |[still, moved]: [&Plane<u8>; 2]| two_colours(&plain(still), &plain(moved));
+        put(&mut sheet, (0, 0), 1, &coloured([&views.reference.strength, &views.frame[k].1.strength]));
+        for (i, place) in views.details.iter().enumerate() {
             frame_place(&mut sheet, place, (width, height), (couple.reference.width(), couple.reference.height()));
-            let still =
-                place.grey(couple.reference, &Transform::Identity)?.edges(FAINT_DETAIL * reference.full).strength;
-            let moved = place.grey(couple.frame, warp)?.edges(FAINT_DETAIL * view.full).strength;
-            let corner = (k * (place.width * MAGNIFIED + gap), height + gap);
-            put(&mut sheet, corner, MAGNIFIED, &two_colours(&plain(&still), &plain(&moved)));
+            let corner = (i * (place.width * MAGNIFIED + gap), height + gap);
+            put(&mut sheet, corner, MAGNIFIED, &coloured(views.strengths(place, k)?.each_ref()));
         }
         Ok(sheet)
     };
-    let after = aligned.as_ref().map(&picture).transpose()?;
-    Ok(Overlay { before: picture(&photographed)?, after, whole_rows: height })
+    let after = couple.warp.map(|_| picture(1)).transpose()?;
+    Ok(Overlay { before: picture(0)?, after, whole_rows: height })
 }
 
 /// `strength` without what is noise; what is strongest stays as strong.
@@ -86,7 +74,7 @@ fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize),
         for (x, pixel) in row.iter_mut().enumerate() {
             let is_edge = x < PEN || x + PEN > last || y < top + PEN || y + PEN > bottom;
             if is_edge {
-                *pixel = [BOX.0, BOX.1, BOX.2];
+                *pixel = BOX.rgb();
             }
         }
     }
@@ -95,6 +83,7 @@ fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize),
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::Transform;
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{Frame, Samples};

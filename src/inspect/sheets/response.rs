@@ -3,16 +3,16 @@
 //! In: a [`ResponseCurve`] and the samples that it was made of. Out: a drawing; its bytes as SVG or PNG by extension. Cost: some thousand dots;
 //! 0.1 s as PNG. Source: the figure of Debevec & Malik 1997 (figure 7), its axes exchanged for the way a code is read.
 
-use super::curves::{label, step, ticks};
-use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen, rasterise};
-use super::page::{Entry, Mark, Page, TEXT};
-use super::picture::png_rgb;
+use super::layout::{Entry, Mark, Page};
+use crate::draw::plot::{Axis, Plot};
+use crate::draw::svg::{Area, Colour, Drawing, Path, Pen};
 use crate::error::{Error, Result};
 use crate::response::fit::at;
 use crate::response::samples::{Drawn, Sample};
 use crate::response::{CODES, MID, ResponseCurve, hat};
 use std::f64::consts::LN_2;
 use std::io;
+use std::path::Path as FilePath;
 
 /// Colours that are told apart by those who do not see red and green, too: Okabe & Ito's vermilion, green and blue.
 const CHANNELS: [(Colour, &str); 3] =
@@ -25,7 +25,6 @@ const HEIGHT: f64 = 560.0;
 const LEFT: f64 = 70.0;
 const BELOW: f64 = 60.0;
 const ABOVE: f64 = 10.0;
-const SMALL: f64 = 15.0;
 /// Places of each channel that are drawn, at most.
 const DOTS: usize = 600;
 /// Stops below code 128 that are drawn at the most: code 0 is anybody's guess.
@@ -44,25 +43,19 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
     // From code 1 on, and not deeper than is worth it.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
-    let up = ticks(stops(low).max(-DEEPEST), stops(high), 10);
-    let (Some(&bottom), Some(&top)) = (up.first(), up.last()) else { return page.drawing };
-    let x = |code: f64| area.x + code / 255.0 * area.width;
-    let y = |stops: f64| area.y + area.height * (top - stops) / (top - bottom);
-    axes(&mut page.drawing, area, &up, x, y);
+    let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure, stops over that of code 128");
+    let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
+    let plot = Plot { area, x, y: up };
+    plot.draw_axes(&mut page.drawing);
 
-    let curve_path = |g: &[f64; CODES]| {
-        let points: Vec<(f64, f64)> = (0..CODES).map(|z| (x(z as f64), y(stops(g[z])))).collect();
-        let mut path = Path::default();
-        path.points(&points);
-        path
-    };
+    let curve_path = |g: &[f64; CODES]| plot.curve((0..CODES).map(|z| (z as f64, stops(g[z]))));
     page.drawing.clipped(area, |inside| {
         for (c, (colour, _)) in CHANNELS.iter().enumerate() {
             let mut dots = Path::default();
             let every = samples.channels[c].len().div_ceil(DOTS).max(1);
             for sample in samples.channels[c].iter().step_by(every) {
                 for (code, ln_exposure) in placed(sample, curve.ln_exposure(c)) {
-                    dots.circle((x(code), y(stops(ln_exposure))), 1.6);
+                    dots.circle((plot.x(code), plot.y(stops(ln_exposure))), 1.6);
                 }
             }
             inside.fill(&dots, *colour, 0.3);
@@ -82,44 +75,18 @@ fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (
     sample.views.iter().map(move |v| (v.code, sum / weight + v.ln_time))
 }
 
-fn axes(page: &mut Drawing, area: Area, up: &[f64], x: impl Fn(f64) -> f64, y: impl Fn(f64) -> f64) {
-    let (bottom, right) = (area.y + area.height, area.x + area.width);
-    let mut grid = Path::default();
-    for code in [0.0, 32.0, 64.0, 96.0, MID as f64, 160.0, 192.0, 224.0, 255.0] {
-        grid.line((x(code), area.y), (x(code), bottom));
-        page.text((x(code), bottom + 20.0), SMALL, Anchor::Middle, Colour::INK, &format!("{code:.0}"));
-    }
-    for &stops in up {
-        grid.line((area.x, y(stops)), (right, y(stops)));
-        page.text((area.x - 8.0, y(stops) + 5.0), SMALL, Anchor::End, Colour::INK, &label(stops, step(up)));
-    }
-    page.stroke(&grid, Pen { colour: Colour::GRID, width: 1.0, opacity: 1.0 });
-    page.outline(area, Pen { colour: Colour::FAINT, width: 1.0, opacity: 1.0 });
-    page.text((area.x + area.width / 2.0, bottom + 46.0), TEXT, Anchor::Middle, Colour::INK, "code value");
-    let words = "exposure, stops over that of code 128";
-    page.text_upwards((area.x - 50.0, area.y + area.height / 2.0), TEXT, Colour::INK, words);
-}
+/// A drawing as the content of a file, or why it cannot be drawn.
+pub type Encode = fn(&Drawing) -> std::result::Result<Vec<u8>, String>;
 
-/// The formats of a plot, told by the extension.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// `.svg`.
-    Svg,
-    /// `.png`.
-    Png,
-}
-
-impl Format {
-    /// The format that `path` asks for by its extension, in any case.
-    ///
-    /// # Errors
-    /// [`Error::UnknownExtension`].
-    pub fn of(path: &std::path::Path) -> Result<Format> {
-        match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
-            "svg" => Ok(Format::Svg),
-            "png" => Ok(Format::Png),
-            _ => Err(Error::UnknownExtension { path: path.to_owned(), known: ".svg, .png" }),
-        }
+/// How a plot is encoded for the file `path`, by its extension in any case.
+///
+/// # Errors
+/// [`Error::UnknownExtension`].
+pub fn format(path: &FilePath) -> Result<Encode> {
+    match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
+        "svg" => Ok(|drawing| Ok(drawing.to_svg().into_bytes())),
+        "png" => Ok(Drawing::to_png),
+        _ => Err(Error::UnknownExtension { path: path.to_owned(), known: ".svg, .png" }),
     }
 }
 
@@ -127,14 +94,9 @@ impl Format {
 ///
 /// # Errors
 /// [`Error::UnknownExtension`]; [`Error::Write`] where it cannot be drawn.
-pub fn encode(drawing: &Drawing, path: &std::path::Path) -> Result<Vec<u8>> {
-    let svg = drawing.to_svg();
-    match Format::of(path)? {
-        Format::Svg => Ok(svg.into_bytes()),
-        Format::Png => rasterise(&svg)
-            .and_then(|pixels| png_rgb(&pixels))
-            .map_err(|reason| Error::Write { path: path.to_owned(), source: io::Error::other(reason) }),
-    }
+pub fn encode(drawing: &Drawing, path: &FilePath) -> Result<Vec<u8>> {
+    let failed = |reason: String| Error::Write { path: path.to_owned(), source: io::Error::other(reason) };
+    format(path)?(drawing).map_err(failed)
 }
 
 #[cfg(test)]
@@ -156,11 +118,11 @@ mod tests {
         for words in ["Acme &lt;One&gt;", "code value", "exposure, stops over that of code 128", "sRGB", "a note"] {
             assert!(svg.contains(words), "{words}");
         }
-        let png = encode(&drawing, std::path::Path::new("a.PNG")).unwrap();
+        let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();
         let picture = image::load_from_memory(&png).unwrap().to_rgb8();
         assert_eq!((picture.width() as usize, picture.height() as usize), (drawing.width(), drawing.height()));
         // All three channels are drawn, one on the other: blue is the last.
         assert!(picture.pixels().filter(|p| p.0[2] > 130 && p.0[0] < 90).count() > 500);
-        assert!(encode(&drawing, std::path::Path::new("a.pdf")).is_err());
+        assert!(encode(&drawing, FilePath::new("a.pdf")).is_err());
     }
 }

@@ -2,10 +2,10 @@
 //!
 //! In: two frames and their matches. Out: a drawing, inliers of the robust fit and outliers in two colours. Cost: some 50 bytes a match.
 
-use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
-use super::page::{Entry, Mark, Page, TEXT};
-use super::picture::Photograph;
+use super::layout::{Entry, Mark, Page, TEXT};
+use super::photograph::Photograph;
 use crate::align::diagnostics::Matching;
+use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);
@@ -23,7 +23,7 @@ fn stride(matches: usize) -> usize {
 }
 
 /// `matching` between two frames, given with their names, the reference on the left.
-pub(super) fn draw(
+pub(in crate::inspect) fn draw(
     title: &str,
     [reference, frame]: [(&str, &Photograph); 2],
     matching: &Matching,

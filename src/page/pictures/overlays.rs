@@ -3,8 +3,8 @@
 //! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns
 //! a pixel of the picture.
 
-use super::encoded::{Picture, paletted};
-use super::reduced::{Reduced, within};
+use crate::draw::image::{Picture, paletted};
+use crate::draw::scale::{reduce_to, within};
 use crate::merge::local::LocalGain;
 use crate::plane::Plane;
 
@@ -27,7 +27,7 @@ const STEPS: i32 = 7;
 
 /// By what frames were multiplied, place by place.
 #[derive(Debug, Clone)]
-pub(super) struct Local {
+pub(in crate::page) struct Local {
     /// What the strongest colours stand for, in stops.
     pub most_stops: f64,
     /// Which of `frames` the greatest gain is of.
@@ -37,27 +37,25 @@ pub(super) struct Local {
 }
 
 /// Where something moved, by the `mask` of what was left out.
-pub(super) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
+pub(in crate::page) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
     let full = (mask.width(), mask.height());
-    let mut small = Reduced::new(full, within(full, MOVEMENT));
-    let mut row = vec![[0u8; 3]; full.0];
-    for y in 0..full.1 {
-        row.iter_mut().zip(mask.row(y)).for_each(|(pixel, &v)| *pixel = [v; 3]);
-        small.push(&row);
-    }
-    let small = small.finish();
+    let small = reduce_to(mask, within(full, MOVEMENT));
     let level = |v: u8| match v {
         0..FEW => 0,
         FEW..HALF => 1,
         HALF..NEARLY_ALL => 2,
         NEARLY_ALL.. => 3,
     };
-    let levels = small.as_slice().iter().map(|pixel| level(pixel[0])).collect();
+    let levels = small.as_slice().iter().map(|&v| level(v)).collect();
     paletted(&Plane::from_vec(small.width(), small.height(), levels), &MOVED)
 }
 
 /// The gains of the frames `placed`, by their indices in the bracket, over a picture of `size` pixels; none where nothing was multiplied.
-pub(super) fn local(gain: &LocalGain, placed: &[usize], size: (usize, usize)) -> Result<Option<Local>, String> {
+pub(in crate::page) fn local(
+    gain: &LocalGain,
+    placed: &[usize],
+    size: (usize, usize),
+) -> Result<Option<Local>, String> {
     let (across, down) = within(size, GAIN);
     let stops = |layer: usize| -> Option<Plane<f32>> {
         let mut all = Vec::with_capacity(across * down);

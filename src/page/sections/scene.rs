@@ -2,12 +2,13 @@
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
-use super::Page;
-use super::markup::{file_name, img, percent, signed};
+use crate::draw::image::Picture;
+use crate::page::Page;
+use crate::page::markup::{file_name, img, percent, signed};
 use crate::report::Report;
 
 /// What was left out of each frame; none where movement was not sought.
-pub(super) fn moved(report: &Report) -> Option<String> {
+pub(in crate::page) fn moved(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let row = |frame: &crate::merge::deghost::GhostFrame| {
         let (name, share) = (file_name(&frame.path), percent(frame.ghost_fraction));
@@ -15,20 +16,19 @@ pub(super) fn moved(report: &Report) -> Option<String> {
     };
     let rows: String = ghosts.frames.iter().map(row).collect();
     Some(format!(
-        "<p class=\"intro\">The share of the picture in which each frame was left out in favour of the reference, because it \
-         shows something else there; \
-         strength {}. Switched on in the viewer, the places should have the shapes of people, leaves and water. Large smooth \
-         ones mean frames that do not \
-         fit.</p>\n<table class=\"narrow\">\n{rows}</table>\n",
+        "<p class=\"intro\">The share of the picture in which each frame was left out in favour of the reference, \
+         because it shows something else there; strength {}. Switched on in the viewer, the places should have the \
+         shapes of people, leaves and water. Large smooth ones mean frames that do not fit.</p>\n<table \
+         class=\"narrow\">\n{rows}</table>\n",
         ghosts.strength
     ))
 }
 
 /// What the phone did to each frame; none where it did nothing.
-pub(super) fn processed(page: &Page, report: &Report) -> Option<String> {
+pub(in crate::page) fn processed(page: &Page, report: &Report) -> Option<String> {
     let local = page.local.as_ref()?;
     let found = report.local_processing.as_ref()?;
-    let card = |(i, picture): &(usize, super::encoded::Picture)| {
+    let card = |(i, picture): &(usize, Picture)| {
         let path = report.frames.get(*i).map_or("", |frame| frame.path.as_str());
         let range = found.frames.iter().find(|frame| frame.path == path).map_or_else(String::new, |frame| {
             format!(" by {} to {} stops", signed(frame.gain_stops.0, 1), signed(frame.gain_stops.1, 1))

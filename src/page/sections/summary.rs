@@ -2,16 +2,16 @@
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
-use super::markup::{escape, percent, signed};
 use crate::align::{Model, Status};
-use crate::inspect::text::file_name;
+use crate::draw::markup::file_name;
 use crate::merge::local::LocalReport;
+use crate::page::markup::{escape, percent, signed};
 use crate::report::Report;
 use serde_json::Value;
 use std::fmt::Write;
 
 /// The numbers that matter.
-pub(super) fn facts(report: &Report) -> String {
+pub(in crate::page) fn facts(report: &Report) -> String {
     let count = |status| report.frames.iter().filter(|f| f.alignment.status == status).count();
     let aligned = count(Status::Aligned);
     let words = [
@@ -52,7 +52,7 @@ pub(super) fn facts(report: &Report) -> String {
 }
 
 /// The files written, and the settings.
-pub(super) fn settings(report: &Report) -> String {
+pub(in crate::page) fn settings(report: &Report) -> String {
     let mut out = String::new();
     if !report.outputs.is_empty() {
         let item = |path: &String| format!("<li><code>{}</code></li>\n", escape(path));
@@ -110,7 +110,7 @@ fn named(name: &str) -> (usize, String, &'static str) {
 }
 
 /// The time of each stage.
-pub(super) fn times(report: &Report, page_s: f64) -> String {
+pub(in crate::page) fn times(report: &Report, page_s: f64) -> String {
     let mut out = String::from("<table class=\"times\">\n");
     let times = &report.time_s;
     let stages = [
@@ -169,7 +169,7 @@ fn flatten(name: &str, value: &Value, rows: &mut Vec<(String, String)>) {
 }
 
 /// How a frame lies, in a few words.
-pub(super) fn motion(frame: &crate::report::FrameReport) -> String {
+pub(in crate::page) fn motion(frame: &crate::report::FrameReport) -> String {
     let place = &frame.alignment;
     match (place.status, place.shift_px, place.rotation_deg) {
         (Status::Reference, ..) => "the others are fitted to it".into(),

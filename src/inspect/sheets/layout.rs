@@ -2,8 +2,8 @@
 //!
 //! In: words. Out: a [`Drawing`] and the corner from which its content goes. Cost: none.
 
-use super::drawing::{Anchor, Area, Colour, Drawing, Path, Pen};
-use super::lettering;
+use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
+use crate::draw::text;
 
 /// Sizes of text, in pixels.
 pub(super) const TITLE: f64 = 22.0;
@@ -49,7 +49,7 @@ impl Page {
     /// A page around content of `size` pixels.
     pub(super) fn new(title: &str, legend: &[Entry], size: (f64, f64), notes: &str) -> Self {
         let inner = size.0.max(LEAST_WIDTH - 2.0 * MARGIN);
-        let lines = if notes.is_empty() { Vec::new() } else { lettering::wrap(notes, TEXT, inner) };
+        let lines = if notes.is_empty() { Vec::new() } else { text::wrap(notes, TEXT, inner) };
         let rows = rows(legend, inner);
         let line = TEXT * LEADING;
         let first = MARGIN + TITLE;
@@ -59,7 +59,7 @@ impl Page {
         let below = content_from + size.1 + 0.4 * line;
         let height = below + lines.len() as f64 * line + MARGIN * 0.6;
         let mut drawing = Drawing::new((inner + 2.0 * MARGIN).ceil() as usize, height.ceil() as usize, title);
-        let title = lettering::shorten(title, TITLE, inner);
+        let title = text::shorten(title, TITLE, inner);
         drawing.text((MARGIN, first - 3.0), TITLE, Anchor::Start, Colour::INK, &title);
         for (i, row) in rows.iter().enumerate() {
             let mut x = MARGIN;
@@ -95,7 +95,7 @@ fn rows(legend: &[Entry], most: f64) -> Vec<Vec<&Entry>> {
 }
 
 fn entry_width(entry: &Entry) -> f64 {
-    SAMPLE + 9.0 + lettering::width(&entry.words, TEXT) + GAP
+    SAMPLE + 9.0 + text::width(&entry.words, TEXT) + GAP
 }
 
 fn sample(drawing: &mut Drawing, (x, y): (f64, f64), entry: &Entry) {

@@ -2,9 +2,8 @@
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
-use super::markup::escape;
+use crate::draw::markup::{escape, file_name};
 use crate::report::{Report, WarningReport};
-use std::path::Path;
 
 /// A warning, of frames that have the same one.
 struct Advice {
@@ -18,7 +17,7 @@ struct Advice {
 impl Advice {
     fn of(warning: &WarningReport, report: &Report) -> Self {
         let message = without_folders(&warning.message, report);
-        let is_frame = |name: &str| report.frames.iter().any(|frame| name == own_name(&frame.path));
+        let is_frame = |name: &str| report.frames.iter().any(|frame| name == file_name(&frame.path));
         let (names, text) = match message.split_once(": ") {
             Some((names, text)) if names.split(", ").all(is_frame) => {
                 (names.split(", ").map(str::to_owned).collect(), text)
@@ -68,7 +67,7 @@ fn common(a: &str, b: &str) -> usize {
 }
 
 /// What the user should know, each with what to do about it.
-pub(super) fn warnings(report: &Report) -> String {
+pub(in crate::page) fn warnings(report: &Report) -> String {
     if report.warnings.is_empty() {
         return "<p class=\"calm\"><b>No warnings.</b> Every frame has its place, the exposures are known, and nothing had to be guessed.</p>\n"
             .into();
@@ -84,14 +83,9 @@ pub(super) fn warnings(report: &Report) -> String {
     format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
 }
 
-/// The name of a file without its folder.
-fn own_name(path: &str) -> String {
-    Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
-}
-
 /// `text` in which frames are named without their folders.
 fn without_folders(text: &str, report: &Report) -> String {
-    report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &own_name(&frame.path)))
+    report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &file_name(&frame.path)))
 }
 
 /// Escaped `text` with options set as code.

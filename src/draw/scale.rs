@@ -1,0 +1,251 @@
+//! Scale: pictures in fewer pixels, as averages over cells, taken as rows come by.
+//!
+//! In: rows of a picture of any number of channels, from the first to the last, in parts of any number. Out: the same picture in fewer
+//! pixels. Cost: some ns a pixel, and a byte for each value of what comes out. Every pixel counts for the part of it that lies in a cell, in
+//! whole numbers, so that fine patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
+
+use crate::plane::Plane;
+use std::ops::Range;
+
+/// A picture of `N` channels that is being reduced.
+#[derive(Debug, Clone)]
+pub struct Reduced<const N: usize> {
+    full: (usize, usize),
+    size: (usize, usize),
+    /// The cell of each column, and how much of the column lies in it, of the cells' number; the rest lies in the next.
+    columns: Vec<(usize, u32)>,
+    /// Rows that have come.
+    rows: usize,
+    /// The last row of these, by cells.
+    line: Vec<[u32; N]>,
+    /// The row of cells that is being summed.
+    sums: Vec<[u64; N]>,
+    done: Vec<[u8; N]>,
+}
+
+/// The size of a picture of `full` pixels that has at most `most` on its long side.
+pub fn within(full: (usize, usize), most: usize) -> (usize, usize) {
+    let long = full.0.max(full.1);
+    if long <= most {
+        return full;
+    }
+    let side = |n: usize| ((n * most + long / 2) / long).max(1);
+    (side(full.0), side(full.1))
+}
+
+/// The size of a picture of `full` pixels that has at most about `most` altogether; what is larger by less than a fourth keeps its size, for so small
+/// a reduction would only make it softer.
+pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
+    let all = full.0 * full.1;
+    if all <= most * 5 / 4 {
+        return full;
+    }
+    let scale = (most as f64 / all as f64).sqrt();
+    within(full, ((full.0.max(full.1) as f64 * scale) as usize).max(1))
+}
+
+/// Cells of a picture by whole numbers: `by` x `by` pixels are one, or one pixel is `times` x `times` of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cells {
+    /// Pixels of a side that become one.
+    pub by: usize,
+    /// Pixels of a side that one becomes.
+    pub times: usize,
+}
+
+impl Cells {
+    /// For a picture of `size` pixels whose long side is to have `least` to `most`, as nearly as whole numbers allow.
+    pub fn within((width, height): (usize, usize), least: usize, most: usize) -> Cells {
+        let side = width.max(height).max(1);
+        Cells { by: side.div_ceil(most), times: (least / side).max(1) }
+    }
+
+    /// The size of what becomes of a picture of `width` x `height` pixels.
+    pub fn size(self, (width, height): (usize, usize)) -> (usize, usize) {
+        (width.div_ceil(self.by) * self.times, height.div_ceil(self.by) * self.times)
+    }
+
+    /// What becomes of a picture of `size` pixels, where `cell` gives the colour of columns and rows.
+    pub fn picture(
+        self,
+        size: (usize, usize),
+        cell: impl Fn(Range<usize>, Range<usize>) -> [u8; 3] + Sync,
+    ) -> Plane<[u8; 3]> {
+        let (across, down) = self.size(size);
+        Plane::from_rows(across, down, |y, row| {
+            let pixels = |i: usize, n: usize| {
+                let first = i / self.times * self.by;
+                first..(first + self.by).min(n)
+            };
+            let rows = pixels(y, size.1);
+            row.iter_mut().enumerate().for_each(|(x, v)| *v = cell(pixels(x, size.0), rows.clone()));
+        })
+    }
+}
+
+/// The cell in which part `i` of `full` begins, of `cells`, and how much of it lies there, of `cells`.
+fn share(i: usize, full: usize, cells: usize) -> (usize, usize) {
+    let cell = i * cells / full;
+    (cell, ((i + 1) * cells).min((cell + 1) * full) - i * cells)
+}
+
+impl<const N: usize> Reduced<N> {
+    /// Of a picture of `full` pixels, to `size`, which is no larger.
+    pub fn new(full: (usize, usize), size: (usize, usize)) -> Self {
+        let column = |x| {
+            let (cell, part) = share(x, full.0, size.0);
+            (cell, part as u32)
+        };
+        let columns = (0..full.0).map(column).collect();
+        let (line, sums) = (vec![[0; N]; size.0 + 1], vec![[0; N]; size.0]);
+        Reduced { full, size, columns, rows: 0, line, sums, done: Vec::with_capacity(size.0 * size.1) }
+    }
+
+    /// Takes the next rows, which are whole.
+    pub fn push(&mut self, pixels: &[[u8; N]]) {
+        for row in pixels.chunks_exact(self.full.0).take(self.full.1 - self.rows) {
+            self.line.fill([0; N]);
+            let whole = self.size.0 as u32;
+            for (pixel, &(cell, part)) in row.iter().zip(&self.columns) {
+                for c in 0..N {
+                    self.line[cell][c] += part * u32::from(pixel[c]);
+                    self.line[cell + 1][c] += (whole - part) * u32::from(pixel[c]);
+                }
+            }
+            let (cell, part) = share(self.rows, self.full.1, self.size.1);
+            self.add(part as u64);
+            self.rows += 1;
+            if self.rows * self.size.1 >= (cell + 1) * self.full.1 {
+                let all = (self.full.0 * self.full.1) as u64;
+                self.done.extend(self.sums.iter().map(|sum| sum.map(|v| ((v + all / 2) / all) as u8)));
+                self.sums.fill([0; N]);
+                self.add((self.size.1 - part) as u64);
+            }
+        }
+    }
+
+    /// Adds the last row to the row of cells, so many times.
+    fn add(&mut self, times: u64) {
+        for (sum, v) in self.sums.iter_mut().zip(&self.line) {
+            (0..N).for_each(|c| sum[c] += times * u64::from(v[c]));
+        }
+    }
+
+    /// The reduced picture; what was not seen is black.
+    pub fn finish(&self) -> Plane<[u8; N]> {
+        let mut done = self.done.clone();
+        done.resize(self.size.0 * self.size.1, [0; N]);
+        Plane::from_vec(self.size.0, self.size.1, done)
+    }
+}
+
+/// A plane averaged over areas to fit into `most` pixels across and down; one that fits already is as it was. Its sums are of floats: an exact
+/// half is rounded to either side, where [`reduce_to`] rounds it up.
+pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
+    let (w, h) = (plane.width(), plane.height());
+    let share = (most.0 as f64 / w as f64).min(most.1 as f64 / h as f64);
+    if share >= 1.0 {
+        return plane.clone();
+    }
+    let size = |n: usize| ((n as f64 * share).round() as usize).max(1);
+    let (width, height) = (size(w), size(h));
+    let (step_x, step_y) = (w as f64 / width as f64, h as f64 / height as f64);
+    Plane::from_rows(width, height, |y, row| {
+        let rows = parts(y, step_y, h);
+        for (x, v) in row.iter_mut().enumerate() {
+            let columns = parts(x, step_x, w);
+            let mut sum = 0.0;
+            for &(j, wy) in &rows {
+                let line = plane.row(j);
+                sum += wy * columns.iter().map(|&(i, wx)| wx * f64::from(line[i])).sum::<f64>();
+            }
+            *v = (sum / (step_x * step_y)).round() as u8;
+        }
+    })
+}
+
+/// The pixels that cell `i` of `step` pixels covers, of `n`, and how much of each.
+fn parts(i: usize, step: f64, n: usize) -> Vec<(usize, f64)> {
+    let (from, to) = (i as f64 * step, (i + 1) as f64 * step);
+    let last = (to.ceil() as usize).min(n);
+    (from as usize..last).map(|k| (k, (to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0))).collect()
+}
+
+/// A grey picture in `size` pixels, which is no larger.
+pub fn reduce_to(plane: &Plane<u8>, size: (usize, usize)) -> Plane<u8> {
+    let mut reduced = Reduced::new((plane.width(), plane.height()), size);
+    reduced.push(plane.as_slice().as_chunks::<1>().0);
+    Plane::from_vec(size.0, size.1, reduced.finish().into_vec().into_flattened())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_means_in_whatever_parts_the_rows_come() {
+        let (width, height) = (23, 17);
+        let pixel = |i: usize| [(i % width * 10) as u8, (i / width * 12) as u8, 77];
+        let pixels: Vec<[u8; 3]> = (0..width * height).map(pixel).collect();
+        for size in [(7, 5), (16, 17), (1, 1)] {
+            let mut reduced = Reduced::new((width, height), size);
+            for part in pixels.chunks(5 * width) {
+                reduced.push(part);
+            }
+            let small = reduced.finish();
+            // The textbook: every pixel by the area of it that lies in the cell.
+            let overlap = |i: usize, full: usize, cell: usize, cells: usize| {
+                let (from, to) = (i as f64 / full as f64, (i + 1) as f64 / full as f64);
+                let (left, right) = (cell as f64 / cells as f64, (cell + 1) as f64 / cells as f64);
+                (to.min(right) - from.max(left)).max(0.0)
+            };
+            for (y, x) in (0..size.1).flat_map(|y| (0..size.0).map(move |x| (y, x))) {
+                let area = |i: usize| overlap(i % width, width, x, size.0) * overlap(i / width, height, y, size.1);
+                let all: f64 = (0..width * height).map(area).sum();
+                for c in 0..3 {
+                    let sum: f64 = (0..width * height).map(|i| area(i) * f64::from(pixels[i][c])).sum();
+                    let off = (f64::from(small.at(x, y)[c]) - sum / all).abs();
+                    assert!(off < 0.5 + 1e-6, "{size:?} {x} {y} {c}: {off}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn small_pictures_stay_as_they_are() {
+        let mut reduced = Reduced::new((3, 2), within((3, 2), 400));
+        let pixels: Vec<[u8; 3]> = (0..6).map(|i| [i, 2 * i, 255 - i]).collect();
+        reduced.push(&pixels);
+        assert_eq!(reduced.finish().as_slice(), pixels);
+        assert_eq!((within((4000, 3000), 1400), within((3, 9000), 100)), ((1400, 1050), (1, 100)));
+        assert_eq!((within_pixels((4000, 3000), 3_000_000), within_pixels((30, 20), 500)), ((2000, 1500), (30, 20)));
+    }
+
+    #[test]
+    fn areas_keep_their_mean() {
+        let plane = Plane::from_rows(30, 20, |y, row| (0..30).for_each(|x| row[x] = (7 * x + 3 * y) as u8));
+        let small = reduce(&plane, (11, 100));
+        assert_eq!((small.width(), small.height()), (11, 7));
+        let mean = |p: &Plane<u8>| p.as_slice().iter().map(|&v| f64::from(v)).sum::<f64>() / p.as_slice().len() as f64;
+        // Each value is rounded by at most a half, by chance to either side.
+        assert!((mean(&plane) - mean(&small)).abs() < 0.2);
+        assert_eq!(reduce(&plane, (30, 20)), plane);
+        // Linear pictures stay linear: the mean of a cell is the value at its centre, (x + 1/2) 30/11 - 1/2.
+        let expected = 7.0 * (5.5 * 30.0 / 11.0 - 0.5) + 3.0 * (3.5 * 20.0 / 7.0 - 0.5);
+        assert!((f64::from(small.at(5, 3)) - expected).abs() <= 0.51);
+    }
+
+    #[test]
+    fn panels_fit_and_lose_no_pixel() {
+        assert_eq!(Cells::within((4000, 3000), 360, 1200), Cells { by: 4, times: 1 });
+        assert_eq!(Cells::within((4000, 3000), 360, 1200).size((4000, 2999)), (1000, 750));
+        assert_eq!(Cells::within((60, 100), 360, 1200).size((60, 100)), (180, 300));
+        // One pixel of 16 in a cell is seen.
+        let fit = Cells { by: 4, times: 1 };
+        let panel = fit.picture((9, 8), |columns, rows| {
+            [u8::from(columns.contains(&8) && rows.contains(&3)), columns.len() as u8, rows.len() as u8]
+        });
+        assert_eq!((panel.width(), panel.height()), (3, 2));
+        assert_eq!((panel.at(2, 0), panel.at(0, 1)), ([1, 1, 4], [0, 4, 4]));
+    }
+}

@@ -1,0 +1,97 @@
+//! Curves: the share of pixels that differ between two bitmaps against rotation and shift.
+//!
+//! In: [`XorCurves`]. Out: a drawing of three plots with one scale, the motion found marked in each. Cost: some hundred numbers. Source:
+//! the thesis's plot of the XOR count against the angle, made a share of what can be compared.
+
+use super::layout::{Entry, Mark, Page, TEXT};
+use crate::align::diagnostics::{Curve, XorCurves};
+use crate::draw::plot::{Axis, Plot};
+use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
+
+const CURVE: Colour = Colour(0, 114, 178);
+const FOUND: Colour = Colour(213, 94, 0);
+
+/// A plot, and the room for its axes, in pixels.
+const WIDTH: f64 = 400.0;
+const HEIGHT: f64 = 330.0;
+const LEFT: f64 = 76.0;
+const BELOW: f64 = 62.0;
+const ABOVE: f64 = 30.0;
+const GAP: f64 = 26.0;
+
+/// `curves`; `placed` says whether they are about the alignment's motion, or about the bitmaps' own.
+pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) -> Drawing {
+    let [dx, dy, angle] = curves.centre.map(|v| v + 0.0);
+    let plots = [
+        (&curves.by_angle, "rotation, degrees", angle, format!("{angle:.3}°")),
+        (&curves.by_dx, "shift to the right, px", dx, format!("{dx:.2} px")),
+        (&curves.by_dy, "shift down, px", dy, format!("{dy:.2} px")),
+    ];
+    let found = if placed { "the alignment" } else { "the bitmaps' own best; the frame was left out" };
+    let legend = [
+        Entry { mark: Mark::Patch, colour: CURVE, words: "differing pixels".into() },
+        Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },
+    ];
+    let notes = format!(
+        "Unmoved {:.2} % of the pixels that count in both bitmaps differ, under the motion {:.2} %. Each curve varies one number and keeps \
+         the two others. To the nearest pixel of the level.",
+        100.0 * curves.before,
+        100.0 * curves.after
+    );
+    let size = (3.0 * (LEFT + WIDTH) + 2.0 * GAP, ABOVE + HEIGHT + BELOW);
+    let mut page = Page::new(title, &legend, size, &notes);
+    let shares = plots.iter().flat_map(|(curve, ..)| &curve.share).copied().chain([curves.before]);
+    let up = Axis::round(0.0, 100.0 * shares.fold(0.005, f64::max), 6, "differing pixels, %");
+    for (i, (curve, name, at, found)) in plots.iter().enumerate() {
+        let x = page.corner.0 + i as f64 * (LEFT + WIDTH + GAP) + LEFT;
+        let area = Area { x, y: page.corner.1 + ABOVE, width: WIDTH, height: HEIGHT };
+        draw_plot(&mut page.drawing, area, curve, (name, &up), (*at, found));
+    }
+    page.drawing
+}
+
+/// `curve` against what `name` says, and where the motion was found.
+fn draw_plot(page: &mut Drawing, area: Area, curve: &Curve, (name, up): (&str, &Axis), (at, found): (f64, &str)) {
+    let (Some(first), Some(last)) = (curve.at.first(), curve.at.last()) else { return };
+    let plot = Plot { area, x: Axis::within(*first, *last, 6, name), y: up.clone() };
+    plot.draw_axes(page);
+    let mut line = Path::default();
+    line.line((plot.x(at), area.y), (plot.x(at), plot.bottom()));
+    page.stroke_dashed(&line, Pen { colour: FOUND, width: 1.8, opacity: 1.0 });
+    page.text((plot.x(at), area.y - 9.0), TEXT, Anchor::Middle, FOUND, found);
+    let points = curve.at.iter().zip(&curve.share).map(|(&at, &share)| (at, 100.0 * share));
+    let curve = plot.curve(points);
+    page.clipped(area, |inside| inside.stroke(&curve, Pen { colour: CURVE, width: 2.0, opacity: 1.0 }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_axes_have_units_and_the_found_motion_is_named() {
+        let curve = |at: &[f64]| Curve { at: at.to_vec(), share: at.iter().map(|t| 0.01 + 0.02 * t.abs()).collect() };
+        let curves = XorCurves {
+            centre: [3.25, -1.5, 0.123],
+            before: 0.2,
+            after: 0.01,
+            by_angle: curve(&[-5.0, -1.0, 0.0, 1.0, 5.0]),
+            by_dx: curve(&[-7.0, 3.25, 13.0]),
+            by_dy: curve(&[-11.0, -1.5, 8.0]),
+        };
+        let svg = draw("t", &curves, true).to_svg();
+        for words in [
+            "rotation, degrees",
+            "px",
+            "differing pixels, %",
+            "0.123°",
+            "3.25 px",
+            "-1.50 px",
+            "20.00 %",
+            "the alignment",
+        ] {
+            assert!(svg.contains(words), "{words}");
+        }
+        assert!(draw("t", &curves, false).to_svg().contains("left out"));
+    }
+}

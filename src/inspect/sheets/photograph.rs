@@ -1,0 +1,119 @@
+//! Photographs on a drawing: a frame's grey at the size it is drawn, bright enough to see.
+//!
+//! In: grey planes of any size. Out: [`Photograph`]s. Cost: a pass over the plane.
+
+use crate::draw::image::png_grey;
+use crate::draw::scale::reduce;
+use crate::draw::svg::{Area, Drawing};
+use crate::plane::Plane;
+
+/// A frame as it is drawn: grey, within the range in which coloured marks stand out.
+pub(in crate::inspect) struct Photograph {
+    /// The grey levels as shown.
+    pub(in crate::inspect) grey: Plane<u8>,
+    /// Width of the whole frame, in pixels.
+    full: (usize, usize),
+    /// How many pixels of the page one of `grey` takes.
+    magnified: f64,
+    /// Whether it is shown brighter than it is.
+    pub(in crate::inspect) brightened: bool,
+}
+
+/// Grey levels that a photograph is shown in: marks in full colours are seen on all of them.
+const DARKEST: f64 = 12.0;
+const BRIGHTEST: f64 = 184.0;
+/// The median is shown at this share of the range at least.
+const LEAST_MEDIAN: f64 = 0.25;
+
+impl Photograph {
+    /// `frame` in no more than `most` pixels; a small one is magnified by a whole number.
+    pub(in crate::inspect) fn new(frame: &Plane<u8>, most: (usize, usize)) -> Self {
+        let small = reduce(frame, most);
+        let fits = (most.0 / small.width()).min(most.1 / small.height()).max(1);
+        let (curve, brightened) = shown(&small);
+        let grey = Plane::from_rows(small.width(), small.height(), |y, row| {
+            for (v, g) in row.iter_mut().zip(small.row(y)) {
+                *v = curve[usize::from(*g)];
+            }
+        });
+        Photograph { grey, full: (frame.width(), frame.height()), magnified: fits as f64, brightened }
+    }
+
+    /// Width and height on the page, in pixels.
+    pub(in crate::inspect) fn size(&self) -> (f64, f64) {
+        (self.grey.width() as f64 * self.magnified, self.grey.height() as f64 * self.magnified)
+    }
+
+    /// How many pixels of the page one of the frame takes.
+    pub(in crate::inspect) fn scale(&self) -> f64 {
+        self.size().0 / self.full.0 as f64
+    }
+
+    /// Where the frame's pixel (x, y) lies on a page on which the photograph's upper left corner is at `corner`.
+    pub(in crate::inspect) fn place(&self, corner: (f64, f64), x: f64, y: f64) -> (f64, f64) {
+        let (w, h) = self.size();
+        (corner.0 + (x + 0.5) * w / self.full.0 as f64, corner.1 + (y + 0.5) * h / self.full.1 as f64)
+    }
+
+    /// Puts it on `page`, and gives the area that it takes.
+    pub(in crate::inspect) fn put(&self, page: &mut Drawing, corner: (f64, f64)) -> Result<Area, String> {
+        let (width, height) = self.size();
+        let area = Area { x: corner.0, y: corner.1, width, height };
+        page.picture(area, &png_grey(&self.grey)?);
+        Ok(area)
+    }
+}
+
+/// What each grey level is shown as: white where the frame's brightest few pixels in a thousand begin, its median not too dark to see, and in
+/// a dark frame the camera's black level black.
+fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
+    let mut counts = [0usize; 256];
+    for &v in grey.as_slice() {
+        counts[usize::from(v)] += 1;
+    }
+    let total = grey.as_slice().len();
+    let quantile = |share: f64| {
+        let mut below = 0;
+        let found = counts.iter().position(|n| {
+            below += n;
+            below as f64 >= share * total as f64
+        });
+        found.unwrap_or(255) as f64
+    };
+    let white = quantile(0.998).max(4.0);
+    let black = if white < 128.0 { quantile(0.01).min(white - 2.0) } else { 0.0 };
+    let median = ((quantile(0.5) - black) / (white - black)).clamp(0.02, 1.0);
+    let power = (libm::log(LEAST_MEDIAN) / libm::log(median)).clamp(0.45, 1.0);
+    let power = if median >= LEAST_MEDIAN { 1.0 } else { power };
+    let level = |v: usize| {
+        let share = libm::pow(((v as f64 - black) / (white - black)).clamp(0.0, 1.0), power);
+        (DARKEST + (BRIGHTEST - DARKEST) * share).round() as u8
+    };
+    (std::array::from_fn(level), white < 200.0 || power < 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_the_same_at_every_scale() {
+        let frame = Plane::filled(400, 200, 90u8);
+        let photograph = Photograph::new(&frame, (100, 100));
+        assert_eq!((photograph.size(), photograph.scale()), ((100.0, 50.0), 0.25));
+        assert_eq!(photograph.place((10.0, 20.0), 199.5, 99.5), (60.0, 45.0));
+        let small = Photograph::new(&Plane::filled(30, 20, 90u8), (100, 100));
+        assert_eq!(small.size(), (90.0, 60.0));
+        assert_eq!(small.place((0.0, 0.0), 14.5, 9.5), (45.0, 30.0));
+    }
+
+    #[test]
+    fn dark_frames_are_brightened_and_others_only_dimmed() {
+        let ramp =
+            |most: usize| Plane::from_rows(256, 4, |_, row| (0..256).for_each(|x| row[x] = (x * most / 255) as u8));
+        let (dark, brightened) = shown(&ramp(20));
+        assert!(brightened && dark[20] == BRIGHTEST as u8 && dark[10] > 60);
+        let (light, brightened) = shown(&ramp(255));
+        assert!(!brightened && light.windows(2).all(|w| w[0] <= w[1]));
+    }
+}

@@ -1,0 +1,219 @@
+//! Views: the edges of the reference and those of a frame in two colours that add up to white, before and after alignment.
+//!
+//! In: two frames and a warp. Out: [`Views`], the whole picture and places with edges at twice their size, where half a pixel is seen; as
+//! a drawing for a file. Cost: two passes over the pictures at the size they are drawn.
+
+use super::edges::{Edges, Grey, laid};
+use super::layout::{Entry, Mark, Page, TEXT};
+use crate::align::Transform;
+use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
+use crate::bracket::Frame;
+use crate::draw::image::png_rgb;
+use crate::draw::scale::reduce;
+use crate::draw::svg::{Anchor, Area, Colour, Drawing, Pen};
+use crate::plane::Plane;
+
+/// The two colours add up to white.
+const REFERENCE: Colour = Colour(255, 140, 0);
+const FRAME: Colour = Colour(0, 115, 255);
+
+/// Around what is shown larger.
+pub(super) const BOX: Colour = Colour(255, 240, 0);
+
+/// One side, in pixels of the page at the most.
+const SIDE: (usize, usize) = (780, 780);
+/// Paper between the sides and the details.
+const GAP: f64 = 16.0;
+pub(super) const DETAIL_GAP: f64 = 8.0;
+/// Room for the words above each side.
+const NAMES: f64 = 26.0;
+/// Details in a row below each side, and how many pixels of the page one of theirs takes.
+const DETAILS: usize = 3;
+pub(super) const MAGNIFIED: usize = 2;
+/// Details this share of the diagonal apart are as far apart as need be.
+const APART: f64 = 0.35;
+/// In a picture without contrast noise stays faint: so much is shown in full at the least.
+pub(super) const LEAST_FULL: f32 = 0.05;
+/// In a detail the same, as a share of what is shown in full in the whole.
+const FAINT_DETAIL: f32 = 0.6;
+
+/// Two frames, and where the one lies in the other.
+pub(in crate::inspect) struct Couple<'a> {
+    pub(in crate::inspect) reference: &'a Frame,
+    pub(in crate::inspect) frame: &'a Frame,
+    pub(in crate::inspect) reference_grey: &'a Plane<u8>,
+    pub(in crate::inspect) frame_grey: &'a Plane<u8>,
+    /// Reference pixel -> frame pixel; none where the frame was rejected.
+    pub(in crate::inspect) warp: Option<Transform>,
+}
+
+/// The edges of a couple.
+pub(super) struct Views<'a> {
+    couple: &'a Couple<'a>,
+    pub(super) reference: Edges,
+    /// Those of the frame as it was photographed; then, unless it was left out, as it was aligned.
+    pub(super) frame: Vec<(Transform, Edges)>,
+    /// Pixels of the page that the whole picture takes.
+    pub(super) size: (f64, f64),
+    /// What is shown larger.
+    pub(super) details: Vec<Detail>,
+}
+
+impl<'a> Views<'a> {
+    /// The edges of `couple` on pictures of at most `most` pixels; a small one takes a whole number of times as many of the page if
+    /// it `may_grow`.
+    pub(super) fn new(couple: &'a Couple, most: (usize, usize), may_grow: bool) -> Self {
+        let whole = reduce(couple.reference_grey, most);
+        let times = (most.0 / whole.width()).min(most.1 / whole.height()).max(1);
+        let times = if may_grow { times as f64 } else { 1.0 };
+        let size = (whole.width() as f64 * times, whole.height() as f64 * times);
+        let reference = Grey::whole(whole).edges(LEAST_FULL);
+        let moving = reduce(couple.frame_grey, most);
+        let after = couple.warp.map(|warp| (warp, laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
+        let before = (Transform::Identity, Grey::whole(moving).edges(LEAST_FULL));
+        let frame: Vec<_> = [Some(before), after].into_iter().flatten().collect();
+        let last = frame.last().map(|(_, edges)| &edges.strength);
+        let details = last.map_or_else(Vec::new, |last| details(&reference.strength, last, size, couple));
+        Views { couple, reference, frame, size, details }
+    }
+
+    /// How strong the edges in `detail` are: those of the reference, and those of the frame in the view `k`.
+    pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
+        let (warp, view) = &self.frame[k];
+        let still = detail.grey(self.couple.reference, &Transform::Identity)?;
+        let moved = detail.grey(self.couple.frame, warp)?;
+        let ends = [(still, self.reference.full), (moved, view.full)];
+        Ok(ends.map(|(grey, full)| grey.edges(FAINT_DETAIL * full).strength))
+    }
+}
+
+/// The edges of the couple.
+pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
+    let views = Views::new(couple, SIDE, true);
+    let (size, boxes) = (views.size, &views.details);
+    let entry = |colour, words: &str| Entry { mark: Mark::Patch, colour, words: words.into() };
+    let legend =
+        [entry(REFERENCE, "edges of the reference"), entry(FRAME, "edges of the frame"), entry(Colour::WHITE, "both")];
+    let below = boxes.first().map_or(0.0, |b| DETAIL_GAP + (b.height * MAGNIFIED) as f64);
+    let sides = views.frame.len() as f64;
+    let room = (sides * size.0 + (sides - 1.0) * GAP, NAMES + size.1 + below);
+    let mut notes =
+        "An edge in one colour alone: the other frame is burnt out or black there, or something moved.".to_owned();
+    if !boxes.is_empty() {
+        notes += &format!(" Below, the places that are boxed: {MAGNIFIED} px for one of the photograph's.");
+    }
+    if couple.warp.is_none() {
+        notes += " The frame was left out: there is no after.";
+    }
+    let mut page = Page::new(title, &legend, room, &notes);
+    for (k, ((_, view), words)) in views.frame.iter().zip(["before: as photographed", "after: aligned"]).enumerate() {
+        let corner = (page.corner.0 + k as f64 * (size.0 + GAP), page.corner.1 + NAMES);
+        page.drawing.text((corner.0, corner.1 - 8.0), TEXT, Anchor::Start, Colour::INK, words);
+        let area = Area { x: corner.0, y: corner.1, width: size.0, height: size.1 };
+        page.drawing.picture(area, &png_rgb(&two_colours(&views.reference.strength, &view.strength))?);
+        for (i, detail) in boxes.iter().enumerate() {
+            let place = detail.on_page(corner, size, couple.reference);
+            page.drawing.outline(place, Pen { colour: BOX, width: 1.6, opacity: 1.0 });
+            let (width, height) = ((detail.width * MAGNIFIED) as f64, (detail.height * MAGNIFIED) as f64);
+            let (x, y) = (corner.0 + i as f64 * (width + DETAIL_GAP), corner.1 + size.1 + DETAIL_GAP);
+            let [still, moved] = views.strengths(detail, k)?;
+            page.drawing.picture(Area { x, y, width, height }, &png_rgb(&two_colours(&still, &moved))?);
+        }
+    }
+    Ok(page.drawing)
+}
+
+/// A part of the reference, in its pixels.
+pub(super) struct Detail {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl Detail {
+    fn on_page(&self, corner: (f64, f64), size: (f64, f64), reference: &Frame) -> Area {
+        let (sx, sy) = (size.0 / reference.width() as f64, size.1 / reference.height() as f64);
+        Area {
+            x: corner.0 + self.x as f64 * sx,
+            y: corner.1 + self.y as f64 * sy,
+            width: self.width as f64 * sx,
+            height: self.height as f64 * sy,
+        }
+    }
+
+    /// Grey levels of `frame` there, resampled as merging does.
+    fn grey(&self, frame: &Frame, warp: &Transform) -> Result<Grey, String> {
+        let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
+        let mut codes = vec![[0.0f32; 3]; self.width * self.height];
+        let under = rows_under(warp, (frame.width(), frame.height()), &columns, &rows);
+        let window = frame.window(under).map_err(|e| e.to_string())?;
+        resample_rows(&window, warp, columns, rows, &mut codes);
+        let grey = |p: &[f32; 3]| ((54.0 * p[0] + 183.0 * p[1] + 19.0 * p[2]) / 256.0).clamp(0.0, 255.0) as u8;
+        let outside: Vec<bool> = codes.iter().map(|p| p[0] == OUTSIDE).collect();
+        let levels = codes.iter().map(grey).collect();
+        let plane = |values| Plane::from_vec(self.width, self.height, values);
+        Ok(Grey { levels: plane(levels), outside: Some(Plane::from_vec(self.width, self.height, outside)) })
+    }
+}
+
+/// Places with many edges in both, far from each other, from left to right; none where the photograph is hardly larger than they are.
+fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
+    let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
+    let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
+    let height = width * 4 / 5;
+    if width < 16 || full_w < DETAILS * width || full_h < 2 * height {
+        return Vec::new();
+    }
+    let (across, down) = (reference.width(), reference.height());
+    let scale = across as f64 / full_w as f64;
+    let (w, h) = (((width as f64 * scale) as usize).max(1), ((height as f64 * scale) as usize).max(1));
+    let common = |x: usize, y: usize| -> u64 {
+        let inside = (y..(y + h).min(down)).flat_map(|v| (x..(x + w).min(across)).map(move |u| (u, v)));
+        inside.map(|(u, v)| u64::from(reference.at(u, v).min(view.at(u, v)))).sum()
+    };
+    let columns = (0..=across.saturating_sub(w)).step_by((w / 3).max(1));
+    let places = columns.flat_map(|x| (0..=down.saturating_sub(h)).step_by((h / 3).max(1)).map(move |y| (x, y)));
+    let rated: Vec<(f64, (usize, usize))> = places.map(|(x, y)| (common(x, y) as f64, (x, y))).collect();
+    // Beyond this, distance is no merit.
+    let far = APART * ((across * across + down * down) as f64).sqrt();
+    let mut chosen: Vec<(usize, usize)> = Vec::new();
+    while chosen.len() < DETAILS {
+        let apart = |a: (usize, usize), b: (usize, usize)| {
+            let (dx, dy) = (a.0 as f64 - b.0 as f64, a.1 as f64 - b.1 as f64);
+            ((dx * dx + dy * dy).sqrt() / far).min(1.0)
+        };
+        let merit = |(edges, at): (f64, (usize, usize))| chosen.iter().fold(edges, |m, c| m * apart(at, *c));
+        // Of equals the first.
+        let best = rated.iter().copied().reduce(|a, b| if merit(b) > merit(a) { b } else { a });
+        chosen.push(best.map_or((0, 0), |b| b.1));
+    }
+    chosen.sort_unstable();
+    let at = |v: usize, most: usize| ((v as f64 / scale) as usize).min(most);
+    let detail = |(x, y)| Detail { x: at(x, full_w - width), y: at(y, full_h - height), width, height };
+    chosen.into_iter().map(detail).collect()
+}
+
+/// The edges of the reference and of the frame, each in its colour, added.
+pub(super) fn two_colours(reference: &Plane<u8>, frame: &Plane<u8>) -> Plane<[u8; 3]> {
+    let (a, b) = (REFERENCE.rgb(), FRAME.rgb());
+    Plane::from_rows(reference.width(), reference.height(), |y, row| {
+        for ((p, &r), &f) in row.iter_mut().zip(reference.row(y)).zip(frame.row(y)) {
+            let share = |c: usize| (u32::from(r) * u32::from(a[c]) + u32::from(f) * u32::from(b[c])) / 255;
+            *p = [0, 1, 2].map(|c| share(c).min(255) as u8);
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_colours_add_up_to_white() {
+        let (none, full) = (Plane::filled(1, 1, 0u8), Plane::filled(1, 1, 255u8));
+        assert_eq!(two_colours(&full, &full).at(0, 0), [255; 3]);
+        assert_eq!(two_colours(&full, &none).at(0, 0), [255, 140, 0]);
+        assert_eq!(two_colours(&none, &full).at(0, 0), [0, 115, 255]);
+    }
+}

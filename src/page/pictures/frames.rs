@@ -1,0 +1,42 @@
+//! Frames: the part of each frame that the results show, in few pixels.
+//!
+//! In: a frame and how it lies. Out: its pixels on the grid of the results, reduced. Cost: that of resampling.
+
+use crate::align::resampling::{resample_rows, rows_under};
+use crate::align::{Rect, Transform};
+use crate::bracket::Frame;
+use crate::draw::scale::Reduced;
+use crate::error::Result;
+use crate::plane::{BAND_ROWS, Plane};
+use rayon::prelude::*;
+
+/// Bands that are resampled at once.
+const AT_ONCE: usize = 8;
+
+/// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it does not reach. Read in
+/// bands, so that a frame on disk need not fit into memory.
+pub(in crate::page) fn frame(
+    frame: &Frame,
+    warp: &Transform,
+    region: Rect,
+    size: (usize, usize),
+) -> Result<Plane<[u8; 3]>> {
+    let (width, height) = (region.width(), region.height());
+    let mut reduced = Reduced::new((width, height), size);
+    let mut rows = vec![[0u8; 3]; width * height.min(AT_ONCE * BAND_ROWS)];
+    for first in (0..height).step_by(AT_ONCE * BAND_ROWS) {
+        let rows = &mut rows[..width * (height - first).min(AT_ONCE * BAND_ROWS)];
+        let bands = rows.par_chunks_mut(BAND_ROWS * width).enumerate();
+        bands.try_for_each_init(Vec::new, |codes, (band, to)| -> Result<()> {
+            let y = region.y0 + first + band * BAND_ROWS;
+            let (across, down) = (region.x0..region.x1, y..y + to.len() / width);
+            let window = frame.window(rows_under(warp, (frame.width(), frame.height()), &across, &down))?;
+            codes.resize(to.len(), [0.0f32; 3]);
+            resample_rows(&window, warp, across, down, codes);
+            to.iter_mut().zip(codes.iter()).for_each(|(to, p)| *to = p.map(|v| (v + 0.5).clamp(0.0, 255.0) as u8));
+            Ok(())
+        })?;
+        reduced.push(rows);
+    }
+    Ok(reduced.finish())
+}
