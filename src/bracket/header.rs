@@ -5,11 +5,11 @@
 //! says which frame of an automatic bracket it is and the number of the body, P. Harvey's ExifTool, "Canon Tags".
 
 use super::Capture;
-use super::capture::ascii;
 use super::decode;
 use super::exposure::{ExposureTags, first_number};
-pub use super::moment::Moment;
-use super::moment::taken;
+use crate::bracket::metadata::capture::ascii;
+pub use crate::bracket::metadata::moment::Moment;
+use crate::bracket::metadata::moment::taken;
 use crate::error::Result;
 use crate::intake;
 use crate::limits::Limits;

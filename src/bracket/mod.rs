@@ -4,19 +4,14 @@
 //! camera-encoded, orientation applied): three values a pixel, never floats; in memory, or on disk where memory is limited. Cost: that of the
 //! decoders, one frame per thread.
 
-mod brightness;
-mod capture;
-mod carried;
 pub mod colour;
-mod copies;
 mod decode;
 pub mod exposure;
 mod from_image;
 mod grey;
 pub mod header;
 mod load;
-mod moment;
-mod nominal;
+mod metadata;
 mod photograph;
 mod reference;
 mod window;

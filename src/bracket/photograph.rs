@@ -5,7 +5,8 @@
 use super::colour::Profile;
 use super::exposure::ExposureTags;
 use super::load::{content, profile};
-use super::{Capture, Samples, capture, decode};
+use super::{Capture, Samples, decode};
+use crate::bracket::metadata::capture;
 use crate::error::{Result, Warning};
 use crate::limits::Limits;
 use std::path::Path;

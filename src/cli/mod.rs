@@ -2,38 +2,18 @@
 //!
 //! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
-mod adjust;
-mod align;
-mod allocator;
-mod batch;
-mod cgroup;
-mod choice;
-mod compare;
-mod completions;
-mod input;
-mod inspect;
-mod interrupt;
-mod leftovers;
-mod man;
-mod memory;
-mod merge;
-mod merging;
-mod panics;
-mod picture;
+mod arguments;
+mod commands;
+mod process;
 mod progress;
-mod radiance;
-mod recovery;
-mod response;
 mod summary;
 mod terminal;
-mod tone;
-mod tonemap;
 mod usage;
 
+use arguments::input::Common;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use hdralign::error::Error;
 use hdralign::report::Report;
-use input::Common;
 use std::ffi::OsStr;
 use std::io::Write;
 use std::process::ExitCode;
@@ -60,23 +40,23 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Align, calibrate, merge, tone-map and write
-    Merge(Box<merge::Args>),
+    Merge(Box<commands::merge::Args>),
     /// Find the brackets in folders, and merge them all
-    Batch(Box<batch::Args>),
+    Batch(Box<commands::batch::Args>),
     /// Align only: transforms as JSON, aligned frames as TIFF
-    Align(align::Args),
+    Align(commands::align::Args),
     /// Recover a camera's response from one or many brackets, save and draw it
-    Response(response::Args),
+    Response(commands::response::Args),
     /// Tables and drawings of what the alignment rests on: look before, or find out why
-    Inspect(inspect::Args),
+    Inspect(commands::inspect::Args),
     /// Tone-map a radiance map again, without merging again
-    Tonemap(tonemap::Args),
+    Tonemap(commands::tonemap::Args),
     /// Are two radiance maps, or two pictures, the same within a tolerance? The exit code says
-    Compare(compare::Args),
+    Compare(commands::compare::Args),
     /// Print what a shell needs to complete commands and options
-    Completions(completions::Args),
+    Completions(commands::completions::Args),
     /// Print the man page, or write those of all commands
-    Man(man::Args),
+    Man(commands::man::Args),
 }
 
 const AFTER_HELP: &str = "\
@@ -118,11 +98,11 @@ impl Command {
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    panics::guarded(run_command)
+    process::panics::guarded(run_command)
 }
 
 fn run_command() -> ExitCode {
-    if let Some(settings) = tone::settings_asked(Cli::command()) {
+    if let Some(settings) = arguments::tone::settings_asked(Cli::command()) {
         return ended("", tell(&settings).map(|()| ExitCode::SUCCESS));
     }
     let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
@@ -134,19 +114,19 @@ fn run_command() -> ExitCode {
             return answer(&usage::told(asked, &mut Cli::command(), command));
         }
     };
-    allocator::give_back_soon(&matches);
+    process::allocator::give_back_soon(&matches);
     let name = command.name();
-    interrupt::listen();
+    process::interrupt::listen();
     let outcome = match command {
-        Command::Merge(args) => merge::run(&args),
-        Command::Batch(args) => batch::run(&args, matches.subcommand().map(|(_, matches)| matches)),
-        Command::Align(args) => align::run(&args),
-        Command::Response(args) => response::run(&args),
-        Command::Inspect(args) => inspect::run(&args),
-        Command::Tonemap(args) => tonemap::run(&args),
-        Command::Compare(args) => compare::run(&args),
-        Command::Completions(args) => completions::run(&args),
-        Command::Man(args) => man::run(&args),
+        Command::Merge(args) => commands::merge::run(&args),
+        Command::Batch(args) => commands::batch::run(&args, matches.subcommand().map(|(_, matches)| matches)),
+        Command::Align(args) => commands::align::run(&args),
+        Command::Response(args) => commands::response::run(&args),
+        Command::Inspect(args) => commands::inspect::run(&args),
+        Command::Tonemap(args) => commands::tonemap::run(&args),
+        Command::Compare(args) => commands::compare::run(&args),
+        Command::Completions(args) => commands::completions::run(&args),
+        Command::Man(args) => commands::man::run(&args),
     };
     ended(name, outcome)
 }
@@ -156,7 +136,7 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            interrupt::give_way();
+            process::interrupt::give_way();
             // The library knows of no commands.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),

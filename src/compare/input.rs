@@ -9,7 +9,7 @@ use crate::error::{Error, Result, Warning};
 use crate::intake::Stamp;
 use crate::limits::Limits;
 use crate::merge::RadianceMap;
-use crate::merge::calibration::Factor;
+use crate::merge::radiance::calibration::Factor;
 use crate::read;
 use crate::write::Metadata;
 use std::fmt::{self, Display, Formatter};

@@ -14,7 +14,7 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path as Line, Pen};
 use crate::draw::text::{shorten, width};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::write::{self, Format, Metadata, Pending, Target, png};
 use std::path::{Path, PathBuf};
 

@@ -6,13 +6,13 @@
 //! Two curves that are nearly the same at most codes may give different radiance: dark codes weigh little but are many, and where all frames
 //! clip or are black one code decides. So pixels at even distances are merged with both.
 
-use super::gamut::weights;
 use super::weight::Weight;
 use super::{MergeOptions, merge};
 use crate::align::resampling::nearest::{Placed, placed};
 use crate::align::{Alignment, Rect};
 use crate::bracket::{Bracket, Codes, Frame, ReferenceChoice, Samples};
 use crate::error::Result;
+use crate::merge::radiance::gamut::weights;
 use crate::response::ResponseCurve;
 use crate::response::file::Loss;
 use rayon::prelude::*;

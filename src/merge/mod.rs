@@ -27,36 +27,30 @@
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
 //! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure, or have
-//! them [normalised](normalisation).
+//! them [normalised](radiance::normalisation).
 
-pub mod calibration;
 pub mod deghost;
 mod fill;
-pub mod flare;
-pub mod gamut;
 mod layer;
 pub mod local;
 mod mean;
 mod merging;
 pub mod miniature;
 mod noise;
-pub mod normalisation;
-mod photographed;
-pub mod range;
+pub mod radiance;
 mod rows;
 pub mod share;
-pub mod statistics;
 pub mod weight;
 
 use crate::align::Rect;
 use crate::bracket::colour::Primaries;
 use crate::plane::Plane;
-use calibration::Unit;
 pub use merging::{Merging, Slab, merge};
-pub use photographed::Photographed;
-use range::Limits;
+use radiance::calibration::Unit;
+pub use radiance::photographed::Photographed;
+use radiance::range::Limits;
+use radiance::statistics::Statistics;
 use serde::Serialize;
-use statistics::Statistics;
 use weight::Weight;
 
 /// The least radiance: below what any curve and exposure give, so that no value is 0.
@@ -124,7 +118,7 @@ pub struct MergeReport {
     /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
     /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code: the reference's, or that which the radiance is
-    /// [normalised](normalisation) to. Null in cd/m2.
+    /// [normalised](radiance::normalisation) to. Null in cd/m2.
     pub unit_exposure_s: Option<f64>,
     /// The range between the darkest radiance that is there and above the noise, and the brightest that is there and does not clip, in stops. Null of
     /// frames that are locally processed.

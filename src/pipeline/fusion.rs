@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::merge::deghost::Ghosts;
 use crate::plane::{BAND_ROWS, Plane};
 use crate::response::ResponseCurve;
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::tonemap::fusion::{self, Channels};
 use rayon::prelude::*;
 use std::ops::Range;

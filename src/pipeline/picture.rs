@@ -10,7 +10,7 @@ use crate::plane::{BAND_ROWS, Plane};
 use crate::tonemap::Operator;
 use crate::tonemap::adjust::neutral::{self, BLACK_RADIANCE, Spot};
 use crate::tonemap::adjust::{Adjusted, CELLS, Light, WhiteBalance};
-use crate::tonemap::codes::{Code, Encoder};
+use crate::tonemap::display::codes::{Code, Encoder};
 use crate::tonemap::fusion::Channels;
 use crate::tonemap::overview::{Overview, Scene};
 use crate::tonemap::tones::Tones;

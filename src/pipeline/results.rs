@@ -7,7 +7,7 @@ use super::picture::{Each, Picture};
 use crate::bracket::colour::Primaries;
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
-use crate::tonemap::codes::{Depth, Encoder, encoded};
+use crate::tonemap::display::codes::{Depth, Encoder, encoded};
 use crate::tonemap::resize::Resizer;
 use crate::write::{self, Codes, Files, Metadata, Output, Settled, Written};
 use std::time::{Duration, Instant};

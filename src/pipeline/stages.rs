@@ -14,7 +14,7 @@ use crate::align::transforms_file::SavedAlignment;
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
 use crate::error::{Result, Warning};
-use crate::merge::calibration::{CalibrationReport, Factor};
+use crate::merge::radiance::calibration::{CalibrationReport, Factor};
 use crate::merge::{MergeOptions, Photographed};
 use crate::page::{Developed, Page};
 use crate::plane::Plane;

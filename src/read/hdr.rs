@@ -7,7 +7,7 @@ use super::Contents;
 use super::orientation::Turn;
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::limits::{self, Limits};
-use crate::merge::calibration::Factor;
+use crate::merge::radiance::calibration::Factor;
 use crate::pixel::rgbe::{self, Rgbe};
 use crate::plane::Plane;
 use crate::write::Metadata;

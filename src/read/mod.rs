@@ -18,7 +18,7 @@ use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::Limits;
 use crate::merge::RadianceMap;
-use crate::merge::calibration::Factor;
+use crate::merge::radiance::calibration::Factor;
 use crate::plane::Plane;
 use crate::write::Metadata;
 use rayon::prelude::*;

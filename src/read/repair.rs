@@ -3,7 +3,7 @@
 //! In: a radiance map of any floats. Out: the same with every value positive and finite, and counts of what was changed. Cost: two passes over the pixels.
 
 use crate::error::Warning;
-use crate::merge::gamut::{into_gamut, weights};
+use crate::merge::radiance::gamut::{into_gamut, weights};
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::BAND_ROWS;
 use rayon::prelude::*;

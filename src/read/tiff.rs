@@ -10,7 +10,7 @@ use crate::bracket::colour::{Found, NeutralXyz, Primaries, Profile};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::limits::{self, Limits};
-use crate::merge::calibration::Factor;
+use crate::merge::radiance::calibration::Factor;
 
 use crate::pixel::logluv;
 use crate::plane::Plane;

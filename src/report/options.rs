@@ -6,7 +6,7 @@ use crate::align::{AlignMode, RobustMethod};
 use crate::bracket::colour::Space;
 use crate::merge::weight::Weight;
 use crate::response::ratios::Exposures;
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::tonemap::{Rendering, adjust};
 use serde::Serialize;
 

@@ -4,9 +4,9 @@
 //! Cost: that of the statistics, one pass.
 
 use super::{ColourReport, Times, WarningReport};
-use crate::merge::calibration::{Factor, Unit};
-use crate::merge::gamut::weights;
-use crate::merge::statistics::Statistics;
+use crate::merge::radiance::calibration::{Factor, Unit};
+use crate::merge::radiance::gamut::weights;
+use crate::merge::radiance::statistics::Statistics;
 use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::Plane;
 use crate::tonemap::{Operator, adjust};

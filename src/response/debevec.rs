@@ -24,11 +24,11 @@
 //! - That difference is a cubic spline with 47 coefficients, not 256 values: the same curve, fifty times faster.
 
 use super::fit::{self, Found, Told, between};
-use super::least_squares::{LeastSquares, eliminate};
 use super::samples::Sample;
-use super::spline::Basis;
 use super::{CODES, MID, ResponseCurve, hat};
 use crate::error::{Error, Result};
+use crate::response::fit::least_squares::{LeastSquares, eliminate};
+use crate::response::fit::spline::Basis;
 
 /// How the curve is fitted.
 #[derive(Debug, Clone, PartialEq)]

@@ -20,10 +20,10 @@
 //!   R agrees best with the exposures as they were given.
 
 use super::fit::{self, Found, Told};
-use super::least_squares::LeastSquares;
 use super::samples::{Sample, View};
 use super::{CODES, MID, ResponseCurve, hat};
 use crate::error::{Error, Result};
+use crate::response::fit::least_squares::LeastSquares;
 use std::ops::RangeInclusive;
 
 /// Degrees among which the data choose.

@@ -8,19 +8,14 @@
 //! A curve that is recovered is then neutralised: the three channels are shifted against each other, never bent, so that equal codes
 //! mean equal exposures in the w-weighted mean over all codes. White balance was the camera's affair; grey stays grey.
 
-mod csv;
 pub mod debevec;
 pub mod file;
 pub(crate) mod fit;
-mod least_squares;
 pub mod local;
 pub mod mitsunaga_nayar;
-mod monotone;
 pub mod ratios;
 pub mod robertson;
-mod rsp;
 pub mod samples;
-mod spline;
 
 use crate::align::Alignment;
 use crate::bracket::Bracket;

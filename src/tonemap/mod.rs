@@ -1,32 +1,19 @@
 //! Tone mapping: from radiance to a picture.
 //!
-//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of [`codes`]. Each
+//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of [`codes`](display::codes). Each
 //! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
-//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`], [`display`] and [`codes`]. Cost: see each operator.
+//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`], [`display`] and [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
-mod bilateral;
-mod brightness;
-pub mod codes;
 pub mod display;
-pub mod drago;
-pub mod durand;
-mod eye;
-pub mod fattal;
 pub mod fusion;
 mod guide;
-mod log_range;
-pub mod mantiuk06;
-pub mod mantiuk08;
 pub mod natural;
-mod oklab;
+pub mod operators;
 pub mod overview;
-mod photograph;
-mod poisson;
-mod quadratic;
-pub mod reinhard;
 pub mod resize;
 pub mod settings;
+mod solvers;
 pub mod tones;
 
 use crate::error::Result;
@@ -53,19 +40,19 @@ pub enum Operator {
     /// Exposures made from the radiance and fused, with the colours of the photographs.
     Natural(natural::Options),
     /// Global, photographic curve: Reinhard et al. 2002.
-    Reinhard02(reinhard::Options),
+    Reinhard02(operators::reinhard::Options),
     /// Local, dodging and burning: Reinhard et al. 2002.
-    Reinhard02Local(reinhard::Options),
+    Reinhard02Local(operators::reinhard::Options),
     /// Global, adaptive logarithm: Drago et al. 2003.
-    Drago(drago::Options),
+    Drago(operators::drago::Options),
     /// Local, bilateral base and detail: Durand & Dorsey 2002.
-    Durand(durand::Options),
+    Durand(operators::durand::Options),
     /// Local, attenuated gradients: Fattal et al. 2002.
-    Fattal(fattal::Options),
+    Fattal(operators::fattal::Options),
     /// Local, contrasts as the eye perceives them: Mantiuk et al. 2006.
-    Mantiuk06(mantiuk06::Options),
+    Mantiuk06(operators::mantiuk06::Options),
     /// Global, curve with the most visible contrasts on a display: Mantiuk et al. 2008.
-    Mantiuk08(mantiuk08::Options),
+    Mantiuk08(operators::mantiuk08::Options),
 }
 
 impl Default for Operator {
@@ -109,13 +96,13 @@ impl Operator {
         }
         match self {
             Operator::Natural(options) => natural::natural(scene, options),
-            Operator::Reinhard02(options) => reinhard::global(scene, options),
-            Operator::Reinhard02Local(options) => reinhard::local(scene, options),
-            Operator::Drago(options) => drago::drago(scene, options),
-            Operator::Durand(options) => durand::durand(scene, options),
-            Operator::Fattal(options) => fattal::fattal(scene, options),
-            Operator::Mantiuk06(options) => mantiuk06::mantiuk06(scene, options),
-            Operator::Mantiuk08(options) => mantiuk08::mantiuk08(scene, options),
+            Operator::Reinhard02(options) => operators::reinhard::global(scene, options),
+            Operator::Reinhard02Local(options) => operators::reinhard::local(scene, options),
+            Operator::Drago(options) => operators::drago::drago(scene, options),
+            Operator::Durand(options) => operators::durand::durand(scene, options),
+            Operator::Fattal(options) => operators::fattal::fattal(scene, options),
+            Operator::Mantiuk06(options) => operators::mantiuk06::mantiuk06(scene, options),
+            Operator::Mantiuk08(options) => operators::mantiuk08::mantiuk08(scene, options),
         }
     }
 }
@@ -204,7 +191,8 @@ mod tests {
         assert!(Operator::iter().all(|operator| operator.validate().is_ok()));
         assert!(Rendering::Fused(fusion::Options::default()).validate().is_ok());
         for reach in [f64::NAN, -1.0, 1e9] {
-            let durand = Operator::Durand(durand::Options { reach, ..durand::Options::default() });
+            let durand =
+                Operator::Durand(operators::durand::Options { reach, ..operators::durand::Options::default() });
             let error = durand.validate().unwrap_err();
             assert!(error.is_usage() && error.to_string().contains("`reach` of `durand`"), "{error}");
         }

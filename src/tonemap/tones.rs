@@ -5,15 +5,15 @@
 //! that the display lacks are drawn to grey. Cost: 8 ns a pixel and core.
 //! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
 
-use super::codes::{Code, Encoder};
 use super::display::{ToSrgb, into_gamut, luminance};
 use super::guide::Guide;
-use super::oklab;
 use super::overview::Scene;
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
 use crate::pyramid::cells::Mix;
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised};
+use crate::tonemap::display::codes::{Code, Encoder};
+use crate::tonemap::display::oklab;
 
 /// Tones v that the curve has entries for: log2, so many to the octave, between which it is straight.
 const PER_OCTAVE: usize = 64;

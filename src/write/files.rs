@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::fold_bands;
 use crate::tonemap::DisplayImage;
-use crate::tonemap::codes::{Colours, Depth};
+use crate::tonemap::display::codes::{Colours, Depth};
 use rayon::prelude::*;
 use std::io;
 use std::path::{Path, PathBuf};

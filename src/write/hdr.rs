@@ -179,7 +179,7 @@ mod tests {
     use crate::error::Warning;
     use crate::limits::Limits;
     use crate::merge::RadianceMap;
-    use crate::merge::calibration::Factor;
+    use crate::merge::radiance::calibration::Factor;
     use crate::pixel::rgbe;
     use crate::plane::Plane;
     use crate::read::hdr;

@@ -4,7 +4,7 @@
 
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
-use crate::merge::calibration::Factor;
+use crate::merge::radiance::calibration::Factor;
 
 /// What headers are made of. Nothing in it depends on the clock.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,7 +6,7 @@ use super::format::{Format, Output};
 use super::jpeg::Resolution;
 use crate::error::{Error, Result, Warning};
 use crate::tonemap::adjust;
-use crate::tonemap::codes::{Colours, Depth};
+use crate::tonemap::display::codes::{Colours, Depth};
 use std::fmt;
 use std::str::FromStr;
 

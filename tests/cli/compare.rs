@@ -3,7 +3,7 @@
 use crate::support::{Folder, Run};
 use hdralign::bracket::colour::Primaries;
 use hdralign::merge::RadianceMap;
-use hdralign::merge::calibration::Factor;
+use hdralign::merge::radiance::calibration::Factor;
 use hdralign::plane::Plane;
 use hdralign::tonemap::DisplayImage;
 use hdralign::write::{self, Metadata, Options};

@@ -3,7 +3,7 @@
 use crate::support::{FRAMES, Folder, jpeg_with, ratio, small};
 use exif::{Tag, Value as Exif};
 use hdralign::bracket::colour::{Conversion, Primaries};
-use hdralign::merge::calibration::Factor;
+use hdralign::merge::radiance::calibration::Factor;
 use hdralign::read::read;
 use serde_json::Value;
 

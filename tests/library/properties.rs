@@ -8,8 +8,8 @@ use hdralign::bracket::LoadOptions;
 use hdralign::bracket::colour::{Primaries, Space};
 use hdralign::compare;
 use hdralign::merge::RadianceMap;
-use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
+use hdralign::merge::radiance::calibration::Calibration;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Crop, Options};
 use hdralign::plane::Plane;
@@ -18,7 +18,7 @@ use hdralign::report::Report;
 use hdralign::response::file::SavedResponse;
 use hdralign::response::ratios::Exposures;
 use hdralign::response::{CODES, ResponseCurve, ResponseModel};
-use hdralign::tonemap::codes::Colours;
+use hdralign::tonemap::display::codes::Colours;
 use hdralign::tonemap::{self, DisplayImage, Operator, Rendering};
 use hdralign::write::picture::{self, Size};
 use hdralign::write::{

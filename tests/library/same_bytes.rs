@@ -2,13 +2,13 @@
 
 use crate::support::{FRAMES, Folder, jpeg, shrink, window};
 use hdralign::bracket::colour::Space;
-use hdralign::merge::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
+use hdralign::merge::radiance::calibration::Calibration;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Options};
 use hdralign::simd::{self, Arm};
 use hdralign::tonemap::adjust::{self, WhiteBalance};
-use hdralign::tonemap::codes::{Colours, Depth};
+use hdralign::tonemap::display::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
 use hdralign::write::{
     self, exr, hdr,

@@ -4,7 +4,7 @@ use crate::support::{FRAMES, Folder, jpeg};
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
-use hdralign::merge::calibration::Calibration;
+use hdralign::merge::radiance::calibration::Calibration;
 use hdralign::pipeline::camera::{self, CameraReport};
 use hdralign::pipeline::{self, Options, Outcome};
 use hdralign::response::ResponseModel;

@@ -4,7 +4,7 @@
 //! [`In::PRIMARY`]. Cost: kamadak-exif's; a second time for blocks that have to be put in order.
 //! Source: EXIF 2.32, section 4.6; TIFF/EP, which puts the exposure into the picture's own directory.
 
-use crate::bracket::carried::DESCRIPTIVE;
+use crate::bracket::metadata::carried::DESCRIPTIVE;
 use exif::experimental::Writer;
 use exif::{Context, Exif, Field, In, Tag};
 use std::collections::BTreeMap;

@@ -5,10 +5,10 @@
 //! EXIF is judged frame by frame: where one contradicts the others, or is missing, those that agree with each other are believed, and what is
 //! left is estimated from the pixels, beside the nearest of them.
 
-use super::super::brightness::{self, Brightness, Estimate};
-use super::super::copies::{self, Copied};
 use super::super::exposure::{self, Exposure};
 use super::Picture;
+use crate::bracket::exposure::brightness::{self, Brightness, Estimate};
+use crate::bracket::load::copies::{self, Copied};
 use crate::error::{Error, Result, Warning};
 
 /// The exposures of `pictures`, in their order. Those that are excluded say nothing of the others.

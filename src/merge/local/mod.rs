@@ -32,7 +32,7 @@ use std::path::Path;
 /// Cells along the longer side, at most, that are compared.
 const CELLS: usize = 256;
 /// Rec. 709 luminance: the gain is one for all channels.
-const LUMINANCE: [f32; 3] = super::statistics::BT709;
+const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
 /// The greatest share of an exposure step that frames are taken to keep; what they seem to keep beyond is the steepness of the curve. Of 26 brackets of phones
 /// whose curve is about sRGB's (truth.py) all but three keep 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;

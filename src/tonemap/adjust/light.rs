@@ -9,9 +9,9 @@ use super::{Light, MOST, Options};
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, exp2, log2, vectorised};
-use crate::tonemap::codes::{Code, Colours, Encoder};
+use crate::tonemap::display::codes::{Code, Colours, Encoder};
+use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
-use crate::tonemap::oklab;
 
 /// Stops by which shadows and highlights are changed at [`MOST`], in the deepest dark and the brightest light: as far as the two may go
 /// against each other without a dark surface becoming brighter than a bright one (the slope left in the middle tones is 0.31).
@@ -155,7 +155,7 @@ impl<C: Code> Loops for Row<'_, C> {
 mod tests {
     use super::*;
     use crate::tonemap::adjust::WhiteBalance;
-    use crate::tonemap::codes::encoded;
+    use crate::tonemap::display::codes::encoded;
 
     /// The light of the adjusted picture; `display` is the luminance of its surroundings.
     fn adjusted(options: &Options, around: Option<f32>, light: &[[f32; 3]]) -> Vec<[f32; 3]> {

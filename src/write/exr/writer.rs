@@ -249,7 +249,7 @@ mod tests {
     use super::*;
     use crate::error::Warning;
     use crate::merge::RadianceMap;
-    use crate::merge::calibration::Factor;
+    use crate::merge::radiance::calibration::Factor;
     use crate::plane::Plane;
     use crate::read::read;
     use crate::write::commit;

@@ -13,7 +13,7 @@
 
 use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use crate::plane::BAND_ROWS;
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 
 /// What is added to both before the ratio is taken, so that black has one. The smaller, the nearer shadows come to the radiance,
 /// and the more of the map's range they take.

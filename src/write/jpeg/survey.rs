@@ -6,7 +6,7 @@
 use super::gain_map::{Base, GRAIN, MOST_FALL, MOST_STOPS, OFFSET, Rendition, ToBase, lit, shown};
 use crate::bracket::colour::Primaries;
 use crate::plane::Plane;
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::tonemap::display::luminance;
 use rayon::prelude::*;
 

@@ -8,7 +8,7 @@ use super::strips::{self, APP1, APP2, MOST_SIDE, Strip, Strips, put_segment};
 use super::ultra_hdr::{ISO, MPF, MPF_BYTES, MPF_HEADER, VERSION, index, iso_numbers, map_xmp, primary_xmp, put_xmp};
 use crate::bracket::colour::Profile;
 use crate::error::{Error, Result};
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::write::exif;
 use crate::write::metadata::{Metadata, one_line};
 use crate::write::staging::{Pending, Written};

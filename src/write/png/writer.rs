@@ -4,7 +4,7 @@
 
 use crate::error::Result;
 use crate::simd::{Loops, vectorised};
-use crate::tonemap::codes::Colours;
+use crate::tonemap::display::codes::Colours;
 use crate::write::bands::Bands;
 use crate::write::deflate::{Adler, deflate};
 use crate::write::exif;

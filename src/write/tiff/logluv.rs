@@ -9,9 +9,9 @@ use super::directory::tag;
 use super::strips::Strips;
 use crate::bracket::colour::NeutralXyz;
 use crate::error::Result;
-use crate::merge::calibration::Unit;
-use crate::merge::gamut::weights;
-use crate::merge::statistics::Statistics;
+use crate::merge::radiance::calibration::Unit;
+use crate::merge::radiance::gamut::weights;
+use crate::merge::radiance::statistics::Statistics;
 use crate::merge::{Photographed, RadianceMap};
 use crate::pixel::logluv::{self, Depth};
 use crate::write::bands::Bands;
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
     use crate::bracket::colour::{Conversion, Primaries};
     use crate::error::Warning;
-    use crate::merge::calibration::Factor;
+    use crate::merge::radiance::calibration::Factor;
     use crate::plane::Plane;
     use crate::write::{commit, push_all};
 

@@ -105,7 +105,7 @@ fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut
 mod tests {
     use super::*;
     use crate::bracket::colour::Profile;
-    use crate::merge::calibration::Factor;
+    use crate::merge::radiance::calibration::Factor;
     use crate::plane::{BAND_ROWS, Plane};
     use crate::write::{commit, push_all};
     use ::tiff::decoder::{Decoder, DecodingResult};

@@ -36,11 +36,12 @@ const LAYERS: [&str; 26] = [
 ];
 
 /// Ways to do one thing, which know nothing of each other.
-const RIVALS: [(&str, &[&str]); 4] = [
+const RIVALS: [(&str, &[&str]); 5] = [
     ("align", &["bitmaps", "features"]),
     ("align::features", &["ransac", "lmeds"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
-    ("tonemap", &["natural", "reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),
+    ("tonemap", &["natural", "operators"]),
+    ("tonemap::operators", &["reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),
 ];
 
 /// Most lines of a file.

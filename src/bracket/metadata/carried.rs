@@ -1,0 +1,142 @@
+//! The EXIF of a photograph that is still true of what is made of it.
+//!
+//! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost: nothing to speak of.
+//! Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or drop, annex E.
+//!
+//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer knows better; the id of the one image that it
+//! was; thumbnail
+//! and maker note, which show or address what is no longer there; places in the picture, which has been moved and cropped; and, unless
+//! it is asked for, where it was taken.
+
+use exif::experimental::Writer;
+use exif::{Context, Exif, Field, In, Tag, Value};
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+/// Of the first directory, those that speak of the photograph.
+pub(crate) const DESCRIPTIVE: [Tag; 9] = [
+    Tag::ImageDescription,
+    Tag::Make,
+    Tag::Model,
+    Tag::XResolution,
+    Tag::YResolution,
+    Tag::ResolutionUnit,
+    Tag::DateTime,
+    Tag::Artist,
+    Tag::Copyright,
+];
+
+/// Of the EXIF directory, those that speak of the stored pixels or of what was left behind.
+const OF_THE_FILE: [Tag; 12] = [
+    Tag::MakerNote,
+    Tag::PixelXDimension,
+    Tag::PixelYDimension,
+    Tag::ColorSpace,
+    Tag::Gamma,
+    Tag::ComponentsConfiguration,
+    Tag::CompressedBitsPerPixel,
+    Tag::SubjectArea,
+    Tag::SubjectLocation,
+    Tag::RelatedSoundFile,
+    Tag::CustomRendered,
+    Tag::ImageUniqueID,
+];
+
+/// From here on numbers of the EXIF directory are padding of one program and another's own.
+const PRIVATE: u16 = 0xC000;
+
+/// A field longer than this is no note of a camera.
+const LONGEST: usize = 4096;
+
+/// The block; with the place if `keep_gps`. `None` where nothing is left.
+pub(crate) fn carried(exif: &Exif, keep_gps: bool) -> Option<Vec<u8>> {
+    let mut fields: BTreeMap<(u8, u16), &Field> = BTreeMap::new();
+    for field in exif.fields().filter(|field| field.ifd_num == In::PRIMARY && is_writable(&field.value)) {
+        let tag = field.tag;
+        let (directory, is_kept) = match tag.context() {
+            Context::Tiff => (0, DESCRIPTIVE.contains(&tag)),
+            Context::Exif => (1, !OF_THE_FILE.contains(&tag) && tag.number() < PRIVATE),
+            Context::Gps => (2, keep_gps),
+            _ => (3, false),
+        };
+        if is_kept {
+            // Damaged files have a tag twice; the first counts.
+            fields.entry((directory, tag.number())).or_insert(field);
+        }
+    }
+    if fields.is_empty() {
+        return None;
+    }
+    let mut writer = Writer::new();
+    fields.values().for_each(|field| writer.push_field(field));
+    let mut block = Cursor::new(Vec::new());
+    writer.write(&mut block, false).ok()?;
+    Some(block.into_inner())
+}
+
+/// Whether the value is of a known type, not empty, and of a length that a note has.
+fn is_writable(value: &Value) -> bool {
+    let bytes = match value {
+        Value::Byte(v) => v.len(),
+        Value::Ascii(lines) => lines.iter().map(|line| line.len() + 1).sum(),
+        Value::Short(v) => 2 * v.len(),
+        Value::Long(v) => 4 * v.len(),
+        Value::Rational(v) => 8 * v.len(),
+        Value::SByte(v) => v.len(),
+        Value::Undefined(v, _) => v.len(),
+        Value::SShort(v) => 2 * v.len(),
+        Value::SLong(v) => 4 * v.len(),
+        Value::SRational(v) => 8 * v.len(),
+        Value::Float(v) => 4 * v.len(),
+        Value::Double(v) => 8 * v.len(),
+        Value::Unknown(..) => 0,
+    };
+    (1..=LONGEST).contains(&bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(tag: Tag, value: Value) -> Field {
+        Field { tag, ifd_num: In::PRIMARY, value }
+    }
+
+    fn read(block: Vec<u8>) -> Exif {
+        exif::Reader::new().read_raw(block).unwrap()
+    }
+
+    fn block(fields: &[Field]) -> Exif {
+        let mut writer = Writer::new();
+        fields.iter().for_each(|field| writer.push_field(field));
+        let mut bytes = Cursor::new(Vec::new());
+        writer.write(&mut bytes, true).unwrap();
+        read(bytes.into_inner())
+    }
+
+    #[test]
+    fn what_is_true_of_the_result_is_carried_and_the_place_only_if_asked() {
+        let original = block(&[
+            field(Tag::Make, Value::Ascii(vec![b"Maker".to_vec()])),
+            field(Tag::Orientation, Value::Short(vec![6])),
+            field(Tag::Software, Value::Ascii(vec![b"Firmware 1".to_vec()])),
+            field(Tag::FNumber, Value::Rational(vec![exif::Rational { num: 28, denom: 10 }])),
+            field(Tag::LensModel, Value::Ascii(vec![b"50 mm".to_vec()])),
+            field(Tag::ImageUniqueID, Value::Ascii(vec![b"0123456789abcdef0123456789abcdef".to_vec()])),
+            field(Tag::MakerNote, Value::Undefined(vec![1; 99], 0)),
+            field(Tag::PixelXDimension, Value::Long(vec![4000])),
+            field(Tag::UserComment, Value::Undefined(vec![65; LONGEST + 1], 0)),
+            field(Tag::GPSLatitudeRef, Value::Ascii(vec![b"N".to_vec()])),
+            Field { tag: Tag::Model, ifd_num: In::THUMBNAIL, value: Value::Ascii(vec![b"Thumb".to_vec()]) },
+        ]);
+        let tags = |keep| {
+            let carried = read(carried(&original, keep).unwrap());
+            carried.fields().map(|f| f.tag).collect::<Vec<_>>()
+        };
+        let mut expected = vec![Tag::Make, Tag::FNumber, Tag::LensModel];
+        assert_eq!(tags(false), expected);
+        expected.push(Tag::GPSLatitudeRef);
+        assert_eq!(tags(true), expected);
+        assert_eq!(carried(&block(&[field(Tag::Orientation, Value::Short(vec![6]))]), true), None);
+    }
+}

@@ -1,0 +1,90 @@
+//! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
+
+use crate::cli::arguments::choice::choice;
+use crate::cli::arguments::picture::Picture;
+use crate::cli::arguments::radiance::Radiance;
+use crate::cli::arguments::recovery::Recovery;
+use crate::cli::arguments::tone::Tone;
+use crate::cli::heading::{MERGE, OUTPUT};
+use clap::Args;
+use hdralign::bracket::LoadOptions;
+use hdralign::error::Error;
+use hdralign::merge::deghost::Deghost;
+use hdralign::merge::radiance::calibration::Calibration;
+use hdralign::merge::weight::Weight;
+use hdralign::pipeline::Options;
+use hdralign::write;
+
+/// How radiance and the picture come about.
+#[derive(Debug, Args)]
+#[command(next_help_heading = MERGE)]
+pub struct Merging {
+    #[command(flatten)]
+    recovery: Recovery,
+
+    /// Set the weighting function over the code values
+    #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
+    weight: Weight,
+
+    /// Remove ghosts: what moved is shown as in the reference frame
+    ///
+    /// A strength is 0 (only what differs plainly) to 1 (whatever may differ); auto is 0.5. off merges all frames everywhere
+    #[arg(
+        long,
+        value_name = "auto|off|STRENGTH",
+        num_args = 0..=1,
+        require_equals = true,
+        default_value_t,
+        default_missing_value = "auto"
+    )]
+    pub deghost: Deghost,
+
+    /// Subtract lens flare, where there is some
+    #[arg(long, hide_short_help = true)]
+    flare: bool,
+
+    #[command(flatten)]
+    pub tone: Tone,
+
+    #[command(flatten)]
+    picture: Picture,
+
+    #[command(flatten)]
+    radiance: Radiance,
+
+    /// Scale the radiance to cd/m2 by the exposure of the reference frame, to within about half a stop
+    ///
+    /// Its largest pixel value is 87 N^2 / (t ISO) cd/m2
+    #[arg(long, hide_short_help = true)]
+    absolute: bool,
+
+    /// Multiply the radiance by X; it is then in cd/m2
+    ///
+    /// With --absolute: measured over reported luminance, near 1. Without: the cd/m2 of radiance 1, which gave the reference frame its middle
+    /// pixel value
+    #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
+    calibration_factor: Option<f64>,
+
+    /// Keep the GPS position of the reference frame in the results
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true)]
+    keep_gps: bool,
+}
+
+impl Merging {
+    /// `options` with what these arguments say.
+    pub fn options(&self, options: Options) -> Result<Options, Error> {
+        Ok(Options {
+            load: LoadOptions { keep_gps: self.keep_gps, ..options.load },
+            exposures: self.recovery.exposures,
+            response: self.recovery.model()?,
+            weight: self.weight,
+            deghost: self.deghost,
+            flare: self.flare,
+            colour: self.radiance.colour(),
+            calibration: Calibration { camera: self.absolute, factor: self.calibration_factor },
+            rendering: self.tone.rendering()?,
+            write: write::Options { picture: self.picture.options(), ..self.radiance.write(options.write.overwrite) },
+            ..options
+        })
+    }
+}

@@ -1,0 +1,42 @@
+//! Arguments on the picture that is written: bits, colours, size, and what is changed of it.
+
+use crate::cli::arguments::adjust::Adjust;
+use crate::cli::arguments::choice::choice;
+use crate::cli::heading::PICTURE;
+use clap::Args;
+use hdralign::tonemap::display::codes::{Colours, Depth};
+use hdralign::write::picture::{self, Size};
+
+/// How the picture is written.
+#[derive(Debug, Args)]
+#[command(next_help_heading = PICTURE)]
+pub struct Picture {
+    /// Set the bits per channel of the picture; JPEG has 8 only
+    #[arg(long, hide_short_help = true, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
+    bit_depth: Depth,
+
+    /// Set the colour space of the picture and the profile embedded in it. Colours outside it are desaturated
+    #[arg(long, hide_short_help = true, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
+    picture_colour: Colours,
+
+    /// Make the picture smaller: pixels of its longest side, as 2048, or 50%
+    ///
+    /// It is resized in linear light and never enlarged. Radiance is never resized
+    #[arg(long, value_name = "PIXELS|PERCENT%")]
+    resize: Option<Size>,
+
+    #[command(flatten)]
+    adjust: Adjust,
+}
+
+impl Picture {
+    /// How pictures are made.
+    pub fn options(&self) -> picture::Options {
+        picture::Options {
+            depth: self.bit_depth,
+            colours: self.picture_colour,
+            size: self.resize.unwrap_or_default(),
+            adjust: self.adjust.options(),
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! Arguments of the commands that recover a response.
+
+use crate::cli::arguments::choice::choice;
+use crate::cli::heading::MERGE;
+use clap::Args;
+use hdralign::error::Error;
+use hdralign::response::ratios::Exposures;
+use hdralign::response::{ResponseModel, mitsunaga_nayar};
+
+/// Response and exposures.
+#[derive(Debug, Args)]
+#[command(next_help_heading = MERGE)]
+pub struct Recovery {
+    /// Set the method used to recover the camera response
+    #[arg(long, hide_short_help = true, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
+    response_model: ResponseModel,
+
+    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10 [default: the least that fits]
+    #[arg(long, hide_short_help = true, value_name = "N")]
+    response_degree: Option<usize>,
+
+    /// Set the exposure correction
+    #[arg(long, hide_short_help = true, value_parser = choice::<Exposures>(), default_value_t, value_name = "HOW")]
+    pub exposures: Exposures,
+}
+
+impl Recovery {
+    /// The model, with the degree given.
+    pub fn model(&self) -> Result<ResponseModel, Error> {
+        match (&self.response_model, self.response_degree) {
+            (model, None) => Ok(model.clone()),
+            (ResponseModel::MitsunagaNayar(options), degree) => {
+                Ok(ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..options.clone() }))
+            }
+            _ => {
+                let reason = "only a polynomial has a degree; give `--response-model mitsunaga-nayar` too".to_owned();
+                Err(Error::Option { option: "--response-degree", reason })
+            }
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! Arguments of the commands that tone-map.
+
+use crate::cli::arguments::choice::Choice;
+use crate::cli::heading::PICTURE;
+use clap::{Args, FromArgMatches};
+use hdralign::error::Error;
+use hdralign::tonemap::{Operator, Rendering};
+
+/// Tone mapping.
+#[derive(Debug, Args)]
+#[command(next_help_heading = PICTURE)]
+pub struct Tone {
+    /// Set the tone mapping operator
+    #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
+    tmo: Rendering,
+
+    /// Set a parameter of the operator, as brightness=0.5; may be repeated. `--tmo-set help` lists them
+    #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
+    tmo_set: Vec<String>,
+}
+
+fn renderings() -> Choice<Rendering> {
+    let named = |(rendering, about): (Rendering, _)| {
+        let name = rendering.name();
+        (rendering, name, about)
+    };
+    Rendering::every().into_iter().map(named).collect()
+}
+
+impl Tone {
+    /// The operator with what was set of it, for radiance alone.
+    pub fn operator(&self) -> Result<Operator, Error> {
+        match self.rendering()? {
+            Rendering::Toned(operator) => Ok(operator),
+            Rendering::Fused(_) => {
+                let reason =
+                    "`mertens` fuses photographs, not radiance; give the bracket to `hdralign merge --tmo mertens`";
+                Err(Error::Option { option: "--tmo", reason: reason.into() })
+            }
+        }
+    }
+
+    /// The rendering with what was set of it.
+    pub fn rendering(&self) -> Result<Rendering, Error> {
+        let mut rendering = self.tmo.clone();
+        for text in &self.tmo_set {
+            let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
+            let (key, value) = text
+                .split_once('=')
+                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in `brightness=0.5`")))?;
+            let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is no number")))?;
+            rendering.set(key.trim(), number)?;
+        }
+        Ok(rendering)
+    }
+}
+
+/// The settings of the tone mapping that the command line names, where it asks for them by `--tmo-set help`. Nothing else need be given.
+pub fn settings_asked(command: clap::Command) -> Option<String> {
+    let matches = command.ignore_errors(true).try_get_matches().ok()?;
+    let (_, own) = matches.subcommand()?;
+    // An error where the command has no tone mapping.
+    own.try_contains_id("tmo_set").ok()?;
+    let mut tone = Tone::from_arg_matches(own).ok()?;
+    tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo))
+}
+
+/// What there is to be set of `rendering`.
+fn listed(rendering: &mut Rendering) -> String {
+    let mut text = format!("--tmo {}: --tmo-set KEY=VALUE\n", rendering.name());
+    for setting in rendering.settings() {
+        let (least, most) = setting.range;
+        let assigned = format!("{}={}", setting.key, setting.value());
+        text += &format!("  {assigned:<24} {least} to {most}: {}\n", setting.about);
+    }
+    text
+}

@@ -1,0 +1,35 @@
+//! `hdralign align`.
+
+use crate::cli::arguments::input::Common;
+use crate::cli::process::leftovers;
+use crate::cli::progress::{Bar, Plan};
+use hdralign::error::Error;
+use hdralign::pipeline::{self, Options};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Examples:
+  hdralign align *.jpg --transforms transforms.json   written; `merge --transforms` takes them
+  hdralign align *.jpg --save-aligned aligned_        aligned_IMG_0001.tif, ...
+  hdralign align --align mtb --max-rotation 10 *.jpg --json";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    #[command(flatten)]
+    common: Common,
+
+    /// Write the aligned frames, as TIFF: PREFIX and the photograph's name
+    #[arg(long, value_name = "PREFIX")]
+    save_aligned: Option<PathBuf>,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
+    leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
+    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.work.quiet);
+    let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
+    bar.clear();
+    crate::cli::finish(&report?, &args.common)
+}

@@ -1,0 +1,291 @@
+//! A batch on this machine: what is shown meanwhile, how it is stopped, and what is told at the end.
+
+use super::found::{left_over, many, unreadable, unused};
+use super::{Args, exit_code};
+use crate::cli::arguments::input::Work;
+use crate::cli::process::interrupt;
+use crate::cli::process::leftovers;
+use crate::cli::progress::left;
+use crate::cli::say;
+use crate::cli::summary::duration;
+use crate::cli::terminal::Terminal;
+use hdralign::batch::find::{self, Found};
+use hdralign::batch::plan::{Kind, Step};
+use hdralign::batch::schedule::{self, Ending, Event, Limits};
+use hdralign::batch::step::Brief;
+use hdralign::batch::summary::{self, Row, Status, Summary, Verdict};
+use hdralign::error::Error;
+use hdralign::pipeline::Options;
+use hdralign::write;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Brackets of one kind that are told again at the end.
+const TOLD: usize = 10;
+
+/// How many photographs were looked at.
+pub struct Searching(ProgressBar);
+
+impl Searching {
+    /// On a terminal alone.
+    pub fn new(quiet: bool) -> Searching {
+        let bar = if is_shown(quiet) { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{spinner} looking at {pos} photographs") {
+            bar.set_style(style);
+        }
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(Duration::from_millis(200));
+        }
+        Searching(bar)
+    }
+
+    /// So many were looked at.
+    pub fn show(&self, count: usize) {
+        self.0.set_position(count as u64);
+    }
+}
+
+impl Drop for Searching {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+fn is_shown(quiet: bool) -> bool {
+    !quiet && Terminal::of_stderr().can_redraw
+}
+
+/// The bar over all steps, and the lines that go by above it.
+struct Board {
+    bar: ProgressBar,
+    began: Instant,
+    steps: usize,
+    ended: AtomicUsize,
+    /// Seconds that the steps were estimated to take: of all; of those that were done in this run; of all that ended.
+    planned: (f64, Mutex<(f64, f64)>),
+    quiet: bool,
+    verbose: bool,
+}
+
+impl Board {
+    fn new(steps: &[Step], args: &Args) -> Board {
+        let target =
+            if is_shown(args.work.quiet) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(Some(steps.len() as u64), target);
+        let room = Terminal::of_stderr().width.min(79).saturating_sub(50).clamp(8, 30);
+        if let Ok(style) =
+            ProgressStyle::with_template(&format!("brackets [{{bar:{room}}}] {{pos}}/{{len}}  {{prefix}}"))
+        {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        Board {
+            bar,
+            began: Instant::now(),
+            steps: steps.len(),
+            ended: AtomicUsize::new(0),
+            planned: (steps.iter().map(|step| step.time_s).sum(), Mutex::new((0.0, 0.0))),
+            quiet: args.work.quiet,
+            verbose: args.verbose,
+        }
+    }
+
+    fn see(&self, event: &Event) {
+        let (step, ending) = match event {
+            Event::Begins(_) => return,
+            Event::Fills(step) => return self.bar.suspend(|| say(full(step))),
+            Event::Ends(step, ending) => (step, ending),
+        };
+        let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
+        let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
+        let line = match ending {
+            Ending::Done(brief) => Some(format!("{number} {}", told(&step.id, brief, true))),
+            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", told(&step.id, brief, false))),
+            Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", step.id)),
+            Ending::NotBegun => None,
+        };
+        let is_failure = matches!(ending, Ending::Failed(_));
+        let warnings = match ending {
+            Ending::Done(brief) if self.verbose => &brief.warnings[..],
+            _ => &[],
+        };
+        self.bar.suspend(|| {
+            // What failed is an error, and told even to those who want to hear of nothing else.
+            if let Some(line) = line.filter(|_| is_failure || !self.quiet) {
+                let terminal = Terminal::of_stderr();
+                let text = if is_failure { terminal.bad(&line) } else { line };
+                say(text);
+            }
+            warnings.iter().for_each(|warning| say(format_args!("    warning: {warning}")));
+        });
+        self.bar.set_position(ended as u64);
+        let is_work = !matches!(ending, Ending::Unchanged(_));
+        self.bar.set_prefix(left(self.left_s(step.time_s, is_work)));
+    }
+
+    /// Seconds left, by how long what was done took beside its estimate.
+    fn left_s(&self, time_s: f64, is_work: bool) -> Option<f64> {
+        let (all, so_far) = &self.planned;
+        let mut so_far = so_far.lock().unwrap_or_else(PoisonError::into_inner);
+        so_far.1 += time_s;
+        if is_work {
+            so_far.0 += time_s;
+        }
+        (so_far.0 > 0.0).then(|| self.began.elapsed().as_secs_f64() / so_far.0 * (all - so_far.1).max(0.0))
+    }
+}
+
+/// What is said once where there is no room any more.
+fn full(step: &Step) -> String {
+    let folder = step.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    format!(
+        "hdralign: {}: the disk is full, and no further bracket is begun that goes there; make room, and start it again: what is done stays",
+        folder.display()
+    )
+}
+
+/// A step that was done, in a line.
+pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
+    let mut words = Vec::new();
+    match brief.time_s.filter(|_| is_new) {
+        Some(time) => words.push(format!("done in {}", duration(time))),
+        None => words.push(if is_new { "done" } else { "was done before" }.to_owned()),
+    }
+    if brief.left_out > 0 {
+        words.push(format!("{} left out", many(brief.left_out, "photograph")));
+    }
+    if brief.degraded {
+        words.push("in doubt".into());
+    }
+    if !brief.warnings.is_empty() {
+        words.push(many(brief.warnings.len(), "warning"));
+    }
+    format!("{id}: {}", words.join(", "))
+}
+
+/// Does all `steps`.
+pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
+    let home = open_home(&steps[0].summary, args)?;
+    let mut options = options;
+    let limits = limits(&args.work, args.jobs, &home)?;
+    options.load.memory.clone_from(&limits.memory);
+    options.load.max_pixels = args.work.largest.pixels();
+    leftovers::clear(&steps.iter().flat_map(|step| [&step.report, &step.summary]).collect::<Vec<_>>());
+    let stop = interrupt::stopping();
+    let board = Board::new(steps, args);
+    let endings = schedule::run(steps, &options, &limits, args.work.force, stop, &|event| board.see(&event));
+    board.bar.finish_and_clear();
+    let summary = Summary::new(steps, &endings, unused(found), board.began.elapsed().as_secs_f64());
+    let left_over = Some(LeftOver { count: left_over(found), unreadable: unreadable(found) });
+    finish(&summary, &steps[0].summary, left_over.as_ref(), args)
+}
+
+/// Makes the folder of the summary `path`, and gives it. Whether the summary can be written is known before hours of work.
+pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
+    let home = path.parent().unwrap_or(Path::new(".")).to_owned();
+    std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
+    summary::check(path, args.work.force)?;
+    drop(write::complete(path, b"")?);
+    Ok(home)
+}
+
+/// Photographs in no bracket.
+pub struct LeftOver<'a> {
+    count: usize,
+    unreadable: Vec<&'a find::LeftOver>,
+}
+
+fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = work.threads.unwrap_or(cores);
+    let none = |option| Error::Option { option, reason: "0 cannot work; give 1 or more".into() };
+    if threads == 0 {
+        return Err(none("--threads"));
+    }
+    if jobs == Some(0) {
+        return Err(none("--jobs"));
+    }
+    Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
+}
+
+/// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either, nor a
+/// summary that cannot be written.
+pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
+    let files = summary.write(path, args.work.force);
+    if !args.work.quiet {
+        lines(summary, files.as_ref().ok(), left_over).iter().for_each(say);
+    }
+    if let Err(error) = &files {
+        say(format_args!("hdralign: {error}"));
+    }
+    let results = if args.json {
+        summary.to_json()
+    } else {
+        summary.steps.iter().flat_map(|row| &row.outputs).map(|path| format!("{path}\n")).collect()
+    };
+    crate::cli::tell(&results)?;
+    let has_unreadable = left_over.is_some_and(|left_over| !left_over.unreadable.is_empty());
+    let verdict = match summary.verdict() {
+        Verdict::All if has_unreadable || files.is_err() => Verdict::Some,
+        verdict => verdict,
+    };
+    let is_degraded = args.work.strict && summary.counts.degraded > 0;
+    Ok(if is_degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
+}
+
+/// The first of `texts` under `label`, and how many more there are.
+fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<String> {
+    let more = texts.len().saturating_sub(TOLD);
+    let mut lines: Vec<String> = texts.take(TOLD).map(|text| format!("{label:<11}{text}")).collect();
+    if more > 0 {
+        lines.push(format!("{label:<11}and {more} more; the summary has all"));
+    }
+    lines
+}
+
+/// The lines at the end.
+fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&LeftOver>) -> Vec<String> {
+    let counts = &summary.counts;
+    let all = [
+        (counts.done, "done"),
+        (counts.unchanged, "done before"),
+        (counts.failed, "failed"),
+        (counts.not_done, "not done"),
+        (counts.degraded, "in doubt"),
+    ];
+    let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+    // A response is a step, too.
+    let is_of_brackets = summary.steps.iter().all(|row| row.kind == Kind::Merge);
+    let steps = if is_of_brackets { "brackets" } else { "steps" };
+    let mut lines = vec![format!("{steps:<11}{} of {}", words.join(", "), counts.steps)];
+    let with = |is: &dyn Fn(&&Row) -> bool| summary.steps.iter().filter(is).collect::<Vec<&Row>>();
+    let failed = with(&|row| row.status == Status::Failed);
+    let why = |row: &&Row| format!("{}: {}", row.id, row.error.as_deref().unwrap_or_default());
+    lines.extend(listed("failed", failed.iter().map(why)));
+    let doubtful = with(&|row| row.brief.degraded);
+    let what = |row: &&Row| format!("{}: {}", row.id, row.brief.warnings.first().map_or("", String::as_str));
+    lines.extend(listed("in doubt", doubtful.iter().map(what)));
+    if let Some(left_over) = left_over {
+        let why = |l: &&find::LeftOver| format!("{}: {}", l.path.display(), l.reason);
+        lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
+        if left_over.count > 0 {
+            let count = many(left_over.count, "photograph");
+            lines.push(format!("{:<11}{count} in no bracket; the summary and --dry-run say why", "left over"));
+        }
+    }
+    if let Some([report, table]) = files {
+        lines.push(format!("{:<11}{}, {}", "summary", report.display(), table.display()));
+    }
+    if let Some(time) = summary.time_s {
+        let rate = if counts.done > 0 && time > 0.0 {
+            format!(", {:.0} {steps} an hour", counts.done as f64 / time * 3600.0)
+        } else {
+            String::new()
+        };
+        lines.push(format!("{:<11}{}{rate}", "time", duration(time)));
+    }
+    lines
+}

@@ -1,0 +1,234 @@
+//! `hdralign compare`.
+
+use crate::cli::arguments::input::Reading;
+use crate::cli::process::leftovers;
+use crate::cli::terminal::Terminal;
+use hdralign::compare::{self, Blessed, Comparison, Criterion, Options, Tolerance};
+use hdralign::error::Error;
+use hdralign::pipeline;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const AFTER_HELP: &str = "\
+Exit codes, as those of cmp and diff:
+  0  the same, within the tolerance; or blessed
+  1  they differ
+  2  trouble: wrong usage, a file that is missing or cannot be read, radiance against a picture
+
+Without a tolerance radiance may differ by 0.01 stops in every channel of every pixel, and pictures not at all.
+
+Examples:
+  hdralign compare golden/room.exr room.exr
+  hdralign compare golden/room.png room.png --tolerance-de 1 --max-differing 0.1
+  hdralign compare golden/room.png room.png --min-psnr 45
+  hdralign compare golden/room.exr room.exr --diff room-diff.png --json > room.json
+  hdralign compare golden/room.exr room.exr --bless     what there is is what is expected from now on";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct Args {
+    /// What is expected: .exr .hdr .tif (radiance), or .png .jpg .tif (a picture), known by content
+    #[arg(value_name = "EXPECTED")]
+    expected: PathBuf,
+
+    /// What there is
+    #[arg(value_name = "ACTUAL")]
+    actual: PathBuf,
+
+    /// Radiance: how far a channel may be off, in stops; 0 for not at all [default: 0.01]
+    #[arg(long, value_name = "STOPS", conflicts_with = "tolerance_de", allow_negative_numbers = true)]
+    tolerance_stops: Option<f64>,
+
+    /// Pictures: how far a pixel may look off, by CIEDE2000, of which 1 can just be seen; 0 for equal codes [default: 0]
+    #[arg(long, value_name = "DE", allow_negative_numbers = true)]
+    tolerance_de: Option<f64>,
+
+    /// How many pixels may be off by more, in percent of all
+    #[arg(long, value_name = "PERCENT", default_value_t = 0.0, allow_negative_numbers = true)]
+    max_differing: f64,
+
+    /// Instead of pixels, judge by the PSNR in dB: PU21-PSNR of radiance, PSNR of the codes of pictures
+    #[arg(
+        long,
+        value_name = "DB",
+        conflicts_with_all = ["tolerance_stops", "tolerance_de", "max_differing"],
+        allow_negative_numbers = true
+    )]
+    min_psnr: Option<f64>,
+
+    /// Write expected, difference in false colours and actual side by side, as a PNG
+    #[arg(long, value_name = "OUT.png")]
+    diff: Option<PathBuf>,
+
+    /// Copy ACTUAL over EXPECTED, or to it where it does not exist
+    #[arg(long)]
+    bless: bool,
+
+    #[command(flatten)]
+    reading: Reading,
+
+    /// Replace a difference picture that exists
+    #[arg(short, long)]
+    force: bool,
+
+    /// Print the result to standard output, as JSON
+    #[arg(long)]
+    json: bool,
+
+    /// No progress, summary or warnings; results are still listed on stdout
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+impl Args {
+    fn options(&self) -> Options {
+        let criterion = match self.min_psnr {
+            Some(least_db) => Criterion::Psnr { least_db },
+            None => Criterion::Pixels {
+                tolerance: match (self.tolerance_stops, self.tolerance_de) {
+                    (Some(stops), _) => Tolerance::Stops(stops),
+                    (None, Some(de)) => Tolerance::DeltaE(de),
+                    (None, None) => Tolerance::ByKind,
+                },
+                most_differing_percent: self.max_differing,
+            },
+        };
+        Options { criterion, diff: self.diff.clone(), overwrite: self.force, allowed: self.reading.limits() }
+    }
+}
+
+pub fn run(args: &Args) -> Result<ExitCode, Error> {
+    let terminal = Terminal::of_stderr();
+    let say = |line: &str| {
+        if !args.quiet {
+            crate::cli::say(line);
+        }
+    };
+    pipeline::start_threads()?;
+    leftovers::clear(&args.diff.iter().chain(args.bless.then_some(&args.expected)).collect::<Vec<_>>());
+    let compared = match compare::files(&args.expected, &args.actual, &args.options()) {
+        Ok(compared) => Some(compared),
+        // What is blessed need not have been there, nor been any good; what there is is read again.
+        Err(Error::Read { path, .. } | Error::Decode { path, .. } | Error::NotComparable { path, .. })
+            if args.bless && path == args.expected =>
+        {
+            None
+        }
+        Err(error) => return Err(error),
+    };
+    if let Some(compared) = &compared {
+        summary(compared, &terminal).iter().for_each(|line| say(line));
+    }
+    let mut results = match (&compared, args.json) {
+        (Some(compared), true) => compared.to_json(),
+        (Some(compared), false) => compared.diff.iter().map(|path| format!("{path}\n")).collect(),
+        (None, _) => String::new(),
+    };
+    let mut code = ExitCode::from(if compared.as_ref().is_some_and(Comparison::is_same) { 0 } else { 1 });
+    if args.bless {
+        let (expected, actual) = (args.expected.display(), args.actual.display());
+        let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.reading.limits())?;
+        warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
+        say(&match blessed {
+            Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),
+            Blessed::Replaced => format!("blessed: {expected} is now a copy of {actual}"),
+            Blessed::Unchanged => format!("blessed already: {expected} is {actual} to the byte"),
+        });
+        if !args.json && blessed != Blessed::Unchanged {
+            results += &format!("{expected}\n");
+        }
+        code = ExitCode::SUCCESS;
+    }
+    crate::cli::tell(&results)?;
+    Ok(code)
+}
+
+/// The verdict and what it rests on, for people.
+fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
+    let bytes = if compared.bytes_equal { ", to the byte" } else { "" };
+    let name = if compared.is_same() { "same" } else { "differs" };
+    let verdict = if compared.is_same() { terminal.good(name) } else { terminal.bad(name) };
+    let reason = terminal.wrapped(&format!("{}{bytes}", compared.reason), name.len() + 2);
+    let mut lines: Vec<String> = reason
+        .iter()
+        .enumerate()
+        .map(|(i, line)| if i == 0 { format!("{verdict}: {line}") } else { format!("  {line}") })
+        .collect();
+    let mut row = |name: &str, text: String| {
+        for (i, line) in terminal.wrapped(&text, 12).iter().enumerate() {
+            lines.push(format!("  {:10}{line}", if i == 0 { name } else { "" }));
+        }
+    };
+    if let Some(largest) = compared.differing.as_ref().and_then(|d| d.largest.as_ref()) {
+        let off = match (largest.stops, largest.de) {
+            (Some(stops), _) => format!("{stops:.3} stops"),
+            (_, Some(de)) => format!("dE {de:.2}"),
+            _ => "no number in one of them".into(),
+        };
+        let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
+        let (expected, actual) = (values(largest.expected), values(largest.actual));
+        let place = (largest.x_px, largest.y_px);
+        row("largest", format!("{off} at {}, {} (expected {expected}, actual {actual})", place.0, place.1));
+    }
+    let is_off = compared.pixels_equal == Some(false);
+    if let Some(radiance) = compared.radiance.as_ref().filter(|_| is_off) {
+        for c in &radiance.channels {
+            let (max, rms, mean) = (c.max_stops, c.rms_stops, c.mean_stops);
+            row(c.channel, format!("at most {max:.3} stops, RMS {rms:.4}, on average {mean:+.4}"));
+        }
+        if radiance.not_comparable_pixels > 0 {
+            row(
+                "odd",
+                format!("{} pixels are no numbers, or infinite, in one of them", radiance.not_comparable_pixels),
+            );
+        }
+        // All of the difference is one gain.
+        let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
+        if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
+            let word = if mean > 0.0 { "brighter" } else { "darker" };
+            row("gain", format!("the actual is {word} throughout, by {:.3} stops", mean.abs()));
+        }
+    }
+    if let Some(display) = compared.display.as_ref().filter(|_| is_off) {
+        let codes = display.channels.map(|c| c.max_codes.to_string()).join(", ");
+        row("codes", format!("at most {codes} off in red, green, blue"));
+        row("look", format!("dE {:.2} at most, {:.3} on average", display.de_max, display.de_mean));
+        if let Some(psnr) = display.psnr_db {
+            row("PSNR", format!("{psnr:.2} dB"));
+        }
+    }
+    if is_off {
+        let psnr = compared.pu21_psnr_db.map(|db| format!("PU21-PSNR {db:.2} dB"));
+        let structure = compared.ms_ssim.map(|s| format!("MS-SSIM {s:.5}"));
+        let both: Vec<String> = psnr.into_iter().chain(structure).collect();
+        if !both.is_empty() {
+            row("to eyes", both.join(", "));
+        }
+    }
+    for changed in &compared.metadata {
+        let words = |text: &Option<String>| text.as_ref().map_or("none".into(), |t| one_line(t));
+        let (expected, actual) = (words(&changed.expected), words(&changed.actual));
+        row("header", format!("{}: expected {expected}, actual {actual} (does not count)", changed.key));
+    }
+    for warning in &compared.warnings {
+        row("warning", warning.clone());
+    }
+    lines
+}
+
+/// A value with the digits that matter.
+fn number(value: f64) -> String {
+    if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e5 {
+        format!("{value}")
+    } else if (1e-3..1e5).contains(&value.abs()) {
+        format!("{value:.*}", (4.0 - value.abs().log10()).clamp(0.0, 7.0) as usize)
+    } else {
+        format!("{value:.4e}")
+    }
+}
+
+/// A text of a header, which may be anything, in print.
+fn one_line(text: &str) -> String {
+    let line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect();
+    line.trim().to_owned()
+}

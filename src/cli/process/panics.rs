@@ -1,0 +1,28 @@
+//! Panics: those of other people's decoders, which the library catches, stay silent; one of the program itself ends it with a message.
+
+use crate::cli::say;
+use std::backtrace::{Backtrace, BacktraceStatus};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process::ExitCode;
+use std::sync::Mutex;
+
+/// The last panic in words, with its place.
+static LAST: Mutex<String> = Mutex::new(String::new());
+
+/// The exit code of Rust programs that panic.
+const PANICKED: u8 = 101;
+
+/// What `run` gives. Nothing is printed of a panic that is caught below; where one arrives here, it is told.
+pub(crate) fn guarded(run: impl FnOnce() -> ExitCode) -> ExitCode {
+    std::panic::set_hook(Box::new(|panic| {
+        let trace = Backtrace::capture();
+        let trace = if trace.status() == BacktraceStatus::Captured { format!("\n{trace}") } else { String::new() };
+        let mut last = LAST.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        *last = format!("{panic}{trace}");
+    }));
+    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
+        let last = LAST.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        say(format_args!("hdralign: failed in an unforeseen way; please report it with the files and this: {last}"));
+        ExitCode::from(PANICKED)
+    })
+}

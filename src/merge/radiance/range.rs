@@ -1,0 +1,162 @@
+//! The range that a result holds: from where its noise ends to where the shortest frame clips.
+//!
+//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame (`noise`), 5 ms.
+//!
+//! The floor is the radiance at which signal and noise of the merged radiance are equal, where each frame is weighed by the inverse of its variance, as
+//! 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. Of a frame of 8 bits only codes count that tell light from none: JPEG and noise lift black by
+//! up to 6 codes (`LIFT`), so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
+//! the toe of the curve. Of 16 bits all count that mean more than code 0 does.
+
+use crate::align::Alignment;
+use crate::bracket::{Bracket, Frame};
+use crate::error::Result;
+use crate::merge::layer::{CLIPS, LIFT};
+use crate::merge::noise::Noise;
+use crate::merge::radiance::statistics::{BT709, Statistics};
+use crate::response::{CODES, ResponseCurve};
+use serde::Serialize;
+
+/// Steps in which the floor is sought, to a stop.
+const PER_STOP: usize = 16;
+/// As far down from where the longest frame clips, in stops: beyond 16 bits.
+const DEEPEST: usize = 20;
+
+/// Between which radiances the merge tells light, in the unit of the radiance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Limits {
+    /// The radiance of grey at which signal and noise are equal.
+    pub noise_floor: f64,
+    /// The radiance of grey from which on the shortest frame clips.
+    pub clipping: f64,
+}
+
+impl Limits {
+    /// Those of the placed frames of `bracket`; none where there is no frame, or the frames tell no light from none.
+    ///
+    /// # Errors
+    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    pub fn of(bracket: &Bracket, alignment: &Alignment, curve: &ResponseCurve) -> Result<Option<Limits>> {
+        let reference = bracket.reference().exposure.relative();
+        let placed: Vec<&Frame> = alignment.placed(bracket).map(|(_, frame, _)| frame).collect();
+        let (Some(shortest), Some(longest)) = (placed.first(), placed.last()) else { return Ok(None) };
+        let is_fine = longest.max() > u16::from(u8::MAX);
+        let noise = if is_fine { Noise::of_fine(longest)? } else { Noise::of(longest, false)? };
+        let least: [f64; 3] = std::array::from_fn(|c| curve.black(c) + if is_fine { 0.0 } else { LIFT as f64 });
+        let time = |frame: &Frame| frame.exposure.relative() / reference;
+        let times: Vec<f64> = placed.iter().map(|frame| time(frame)).collect();
+        let clips = |frame: &Frame| grey(|c| f64::from(curve.exposures(c)[CLIPS.1])) / time(frame);
+        // The squares of signal over noise of the frames that tell the radiance, added up.
+        let told = |radiance: f64| -> f64 {
+            let of_frame = |time: &f64| {
+                let codes: [f64; 3] = std::array::from_fn(|c| f64::from(curve.code(c, (radiance * time) as f32)));
+                if (0..3).any(|c| codes[c] <= least[c] || codes[c] > CLIPS.1 as f64) {
+                    return 0.0;
+                }
+                let sigma = grey(|c| noise.deviation(c, codes[c]) * slope(curve, c, codes[c])) / time;
+                (radiance / sigma) * (radiance / sigma)
+            };
+            times.iter().map(of_frame).sum()
+        };
+        let from = clips(longest);
+        let down = |i: usize| from * libm::exp2(-(i as f64) / PER_STOP as f64);
+        let floor = (1..PER_STOP * DEEPEST).map(down).take_while(|&radiance| told(radiance) >= 1.0).last();
+        Ok(floor.map(|noise_floor| Limits { noise_floor, clipping: clips(shortest) }))
+    }
+
+    /// The same in a unit of which one of before is `factor`.
+    pub fn times(self, factor: f64) -> Limits {
+        Limits { noise_floor: self.noise_floor * factor, clipping: self.clipping * factor }
+    }
+
+    /// The range of radiance of these `statistics` that is within, in stops; the darkest thousandth of the pixels and the brightest ten-thousandth do not
+    /// count.
+    pub fn stops(&self, statistics: &Statistics) -> f64 {
+        let darkest = f64::from(statistics.p0_1).max(self.noise_floor);
+        let brightest = f64::from(statistics.p99_99).min(self.clipping);
+        libm::log2(brightest / darkest).max(0.0)
+    }
+}
+
+/// The luminance of what red, green and blue have of it.
+fn grey(of: impl Fn(usize) -> f64) -> f64 {
+    (0..3).map(|c| f64::from(BT709[c]) * of(c)).sum()
+}
+
+/// dX/dZ at a code.
+fn slope(curve: &ResponseCurve, channel: usize, code: f64) -> f64 {
+    let x = curve.exposures(channel);
+    let below = (code as usize).min(CODES - 2);
+    f64::from(x[below + 1]) - f64::from(x[below])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::ReferenceChoice;
+    use crate::bracket::Samples;
+    use crate::bracket::exposure::Exposure;
+    use crate::response::tests::still;
+
+    fn ramp(x: usize, _: usize) -> [f64; 3] {
+        [libm::exp2(x as f64 / 20.0 - 9.0); 3]
+    }
+
+    /// By hand: of sRGB code 250 has 0.956 of the light of white and code 6 has 6 / 255 / 12.92, 9.04 stops less; the floor is sought in
+    /// sixteenths. Every stop of the bracket adds one.
+    #[test]
+    fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
+        let curve = ResponseCurve::srgb();
+        for (times, span) in [(&[1.0, 1.0][..], 0.0), (&[0.25, 1.0, 4.0], 4.0), (&[0.125, 1.0, 8.0], 6.0)] {
+            let (bracket, alignment) = still((240, 70), times, ramp);
+            let limits = Limits::of(&bracket, &alignment, &curve).unwrap().unwrap();
+            let range = libm::log2(limits.clipping / limits.noise_floor);
+            assert!((range - 9.04 - span).abs() < 0.07, "{times:?}: {range}");
+            // In the unit of the radiance: the reference, which is in the middle, has its middle code at 1.
+            let clipping = f64::from(curve.exposures(0)[250]) * libm::exp2(span / 2.0);
+            assert!((limits.clipping / clipping - 1.0).abs() < 1e-6, "{limits:?}");
+            assert_eq!(limits.times(2.0).clipping, 2.0 * limits.clipping);
+        }
+    }
+
+    #[test]
+    fn what_the_scene_does_not_have_is_not_held() {
+        let limits = Limits { noise_floor: 0.01, clipping: 10.24 };
+        let stops = |p0_1, p99_99| limits.stops(&Statistics { p0_1, p99_99, ..Statistics::default() });
+        assert!((stops(1e-6, 1e6) - 10.0).abs() < 1e-6, "bounded by noise and by clipping");
+        assert!((stops(0.5, 2.0) - 2.0).abs() < 1e-6, "fog has no more than it has");
+        assert_eq!(stops(20.0, 20.0), 0.0);
+    }
+
+    /// Linear codes of 16 bits: with a noise of 2 (of 255) code 250 is 6.97 stops above it; with next to none what code 0 means ends the range.
+    #[test]
+    fn fine_codes_hold_what_their_noise_leaves() {
+        let noisy = |time: f64, sigma: f64| {
+            let mut state = 1u64;
+            // SplitMix64.
+            let mut random = || {
+                state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+                let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+                let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+                ((z ^ (z >> 31)) >> 40) as f64 / f64::from(1 << 24) - 0.5
+            };
+            let codes = (0..3 * 256 * 256).map(|i| {
+                let light = 4000.0 + (i / 3 % 256) as f64 * 40.0;
+                // Of four uniform numbers, of variance 1/12 each.
+                let noise: f64 = (0..4).map(|_| random()).sum::<f64>() * 3f64.sqrt();
+                (light * time + 257.0 * sigma * noise).round().clamp(0.0, 65535.0) as u16
+            });
+            let exposure = Exposure::given(libm::log2(time)).unwrap();
+            Frame::new(format!("{time}").into(), 256, 256, Samples::Sixteen(codes.collect()), exposure)
+        };
+        let curve = ResponseCurve::linear();
+        let foot = libm::log2(f64::from(curve.exposures(0)[250] / curve.exposures(0)[0]));
+        for (sigma, stops) in [(2.0, 6.97), (0.02, foot)] {
+            let frames = vec![noisy(1.0, sigma), noisy(4.0, sigma)];
+            let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+            let limits = Limits::of(&bracket, &Alignment::unmoved(&bracket), &curve).unwrap().unwrap();
+            let range = libm::log2(limits.clipping / limits.noise_floor);
+            // The lower quartile of the blocks shows a tenth less than there is.
+            assert!((range - 2.0 - stops).abs() < 0.3, "{sigma}: {range}");
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! `.csv`: the response files of luminance-hdr and of pfstools.
+//!
+//! In and out: a [`ResponseCurve`] and a matrix in text. Cost: none. Source: luminance-hdr `src/HdrCreation/responses.cpp`, responseSave
+//! and responseLoad, with headers for all channels; pfstools `pfshdrcalibrate`, one matrix of three columns for each channel.
+//!
+//! ```text
+//! # Camera response curve, channels Ir, Ig, Ib
+//! # data layout: camera output | log10(response Ir) | response Ir | log10(response Ig) | response Ig | log10(response Ib) | response Ib
+//! # type: matrix
+//! # rows: 256
+//! # columns: 7
+//!     0    -3.217483944     0.000606060 ...
+//! ```
+//!
+//! Values are relative exposures with nine decimals, 1 at the brightest code. Where black codes are read as 0, as other programs write
+//! them, they are taken for what the stated curves make of code 0. Of a deeper matrix, 256 rows are taken, evenly.
+
+use crate::response::fit::monotone;
+use crate::response::{BLACK, CODES, MID, ResponseCurve};
+use std::fmt::Write;
+
+/// Steps between the nine decimals of a file may vanish where the curve is dark; g rises by no less than this.
+const RISE: f64 = 1e-6;
+/// The text of the file.
+pub(crate) fn write(curve: &ResponseCurve) -> String {
+    let white = (0..3).map(|c| curve.ln_exposure(c)[CODES - 1]).fold(f64::MIN, f64::max);
+    let exposure = |c: usize, z: usize| libm::exp(curve.ln_exposure(c)[z] - white);
+    let mut text = String::from(
+        "# Camera response curve, channels Ir, Ig, Ib \n\
+         # data layout: camera output | log10(response Ir) | response Ir | log10(response Ig) | response Ig | log10(response Ib) | response Ib \n\
+         # type: matrix\n# rows: 256\n# columns: 7\n",
+    );
+    for z in 0..CODES {
+        let _ = write!(text, " {z:4}");
+        for c in 0..3 {
+            let x = exposure(c, z);
+            let _ = write!(text, " {:15.9} {x:15.9}", libm::log10(x));
+        }
+        text.push_str(" \n");
+    }
+    text.push('\n');
+    text
+}
+
+/// A matrix of the file.
+struct Matrix {
+    columns: usize,
+    rows: Vec<Vec<f64>>,
+}
+
+/// The curve in `text`; the reason where it is none.
+pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
+    let matrices = matrices(text)?;
+    let column = |m: &Matrix, k: usize| m.rows.iter().map(|row| row[k]).collect::<Vec<_>>();
+    // What has two columns are the weights of pfstools.
+    let curves: Vec<&Matrix> = matrices.iter().filter(|m| m.columns != 2).collect();
+    let channels: [Vec<f64>; 3] = match curves[..] {
+        [all] if all.columns == 7 => [2, 4, 6].map(|k| column(all, k)),
+        [red, green, blue] if curves.iter().all(|m| m.columns == 3) => [red, green, blue].map(|m| column(m, 2)),
+        [] => return Err("it holds no matrix: a line `# rows: 256` is looked for".to_owned()),
+        _ => {
+            let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
+            return Err(format!(
+                "it has matrices of {} columns; one of 7 (luminance-hdr) or three of 3 (pfstools) are read",
+                columns.join(", ")
+            ));
+        }
+    };
+    let mut g = [[0.0; CODES]; 3];
+    for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
+        *g = logarithms(x)
+            .ok_or_else(|| format!("the response of {name} is not positive and rising from code to code"))?;
+    }
+    let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;
+    ResponseCurve::new(g.map(|g| g.map(|v| v - mid)))
+        .ok_or_else(|| "its values are beyond what a float holds".to_owned())
+}
+
+/// ln of the responses at 256 codes; none where they are no curve.
+fn logarithms(x: &[f64]) -> Option<[f64; CODES]> {
+    let last = x.len() - 1;
+    let at = |z: usize| x[(z * last + (CODES - 1) / 2) / (CODES - 1)];
+    let mut values: [f64; CODES] = std::array::from_fn(at);
+    let first = values.iter().position(|&v| v > 0.0).filter(|&z| z < CODES / 2)?;
+    // Several programs give black codes nothing, or the least number there is.
+    (0..first).for_each(|z| values[z] = values[first] * (BLACK + (1.0 - BLACK) * z as f64 / first as f64));
+    if values.windows(2).any(|w| w[0].is_nan() || w[0] > w[1] || !w[1].is_finite()) || values[CODES - 1] <= values[0] {
+        return None;
+    }
+    let ln: Vec<f64> = values.iter().map(|&v| libm::log(v)).collect();
+    monotone::rising(&ln, &[1.0; CODES], RISE).try_into().ok()
+}
+
+/// The matrices in `text`, each after its head; other lines that begin with # say nothing.
+fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
+    let mut found = Vec::new();
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let Some(rows) = head(line, "# rows:")? else { continue };
+        let columns = loop {
+            let Some(line) = lines.next() else { return Err("it ends within the head of a matrix".to_owned()) };
+            if let Some(columns) = head(line, "# columns:")? {
+                break columns;
+            }
+        };
+        if !(CODES..=MOST_ROWS).contains(&rows) || !(2..=7).contains(&columns) {
+            return Err(format!("a matrix has {rows} rows of {columns}; {CODES} to {MOST_ROWS} of 2, 3 or 7 are read"));
+        }
+        let mut matrix = Matrix { columns, rows: Vec::with_capacity(rows) };
+        while matrix.rows.len() < rows {
+            let Some(line) = lines.next() else {
+                return Err(format!("it ends after {} of {rows} rows", matrix.rows.len()));
+            };
+            let row: Vec<f64> = line.split_whitespace().map_while(|word| word.parse().ok()).collect();
+            match row.len() {
+                0 if line.trim().is_empty() || line.starts_with('#') => continue,
+                n if n == columns => matrix.rows.push(row),
+                _ => return Err(format!("row {} of a matrix is no {columns} numbers: {line:?}", matrix.rows.len())),
+            }
+        }
+        found.push(matrix);
+    }
+    Ok(found)
+}
+
+/// Rows of a 16-bit curve.
+const MOST_ROWS: usize = 65536;
+
+/// The number after `key`, where the line begins with it.
+fn head(line: &str, key: &str) -> Result<Option<usize>, String> {
+    let Some(value) = line.trim().strip_prefix(key) else { return Ok(None) };
+    value.trim().parse().map(Some).map_err(|_| format!("{line:?} has no number"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve() -> ResponseCurve {
+        let srgb = *ResponseCurve::srgb().ln_exposure(0);
+        ResponseCurve::new([0.0, 0.01, -0.02].map(|d| srgb.map(|v| v * (1.0 + d) + d))).unwrap()
+    }
+
+    #[test]
+    fn a_curve_comes_back_to_the_last_decimal() {
+        let (curve, text) = (curve(), write(&curve()));
+        let back = read(&text).unwrap();
+        // Reading takes the mean of the three at the middle code to 0.
+        let mid = (0..3).map(|c| curve.ln_exposure(c)[MID]).sum::<f64>() / 3.0;
+        for (c, z) in (0..3).flat_map(|c| (0..CODES).map(move |z| (c, z))) {
+            let (was, is) = (curve.ln_exposure(c)[z] - mid, back.ln_exposure(c)[z]);
+            // Half of 1e-9 of the darkest value, exp(g - white) = 1.8e-5.
+            assert!((was - is).abs() < 3e-5, "{c} {z}: {was} {is}");
+        }
+        assert_eq!(text.lines().filter(|l| l.split_whitespace().count() == 7 && !l.starts_with('#')).count(), CODES);
+        let columns = |text: &str| {
+            let rows = text.lines().filter(|l| !l.starts_with('#'));
+            rows.map(|l| l.split_whitespace().step_by(2).map(str::to_owned).collect::<Vec<_>>()).collect::<Vec<_>>()
+        };
+        assert!(columns(&write(&back)) == columns(&text), "the responses differ");
+    }
+
+    #[test]
+    fn the_first_row_of_luminance_hdr_may_be_nothing() {
+        let head = "# rows: 256\n# columns: 7\n";
+        let row = |z: usize| {
+            let x = z as f64 / 255.0;
+            format!(
+                " {z:4} {0:15.9} {x:15.9} {0:15.9} {x:15.9} {0:15.9} {x:15.9} \n",
+                if z == 0 { -6.0 } else { libm::log10(x) }
+            )
+        };
+        let text = head.to_owned() + &(0..256).map(row).collect::<String>();
+        let read = read(&text).unwrap();
+        let linear = ResponseCurve::linear();
+        // Nine decimals of 1/255.
+        assert!((0..CODES).all(|z| (read.ln_exposure(1)[z] - linear.ln_exposure(1)[z]).abs() < 2e-7));
+    }
+
+    #[test]
+    fn pfstools_has_a_matrix_for_each_channel_and_more_rows_for_more_bits() {
+        let matrix = |name: &str, scale: f64, rows: usize| {
+            let row = |z: usize| {
+                format!(" {:15.9} {z:4} {:e}\n", libm::log10(scale * (z + 1) as f64), scale * (z + 1) as f64)
+            };
+            let head = format!(
+                "# Camera response curve, channel {name}\n# data layout: log10(response) | camera output | response\n# type: matrix\n# rows: {rows}\n# columns: 3\n"
+            );
+            head + &(0..rows).map(row).collect::<String>() + "\n"
+        };
+        for rows in [256, 1024] {
+            let weights = "# Weighting function\n# rows: 256\n# columns: 2\n".to_owned() + &"0.5 1\n".repeat(256);
+            let text = matrix("IR", 1.0, rows) + &matrix("IG", 2.0, rows) + &matrix("IB", 4.0, rows) + &weights;
+            let curve = read(&text).unwrap();
+            let between = curve.ln_exposure(2)[200] - curve.ln_exposure(0)[200];
+            assert!((between - libm::log(4.0)).abs() < 1e-6);
+            let steep = curve.ln_exposure(1)[255] - curve.ln_exposure(1)[0];
+            assert!((steep - libm::log(rows as f64)).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn what_is_no_curve_is_refused_in_words() {
+        let rows = |columns: usize, row: &str| format!("# rows: 256\n# columns: {columns}\n") + &row.repeat(256);
+        assert!(read("1;2;3\n").unwrap_err().contains("# rows: 256"));
+        assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("no 7 numbers"));
+        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("not positive and rising"));
+        assert!(read("# rows: 16\n# columns: 7\n").unwrap_err().contains("16 rows"));
+        assert!(read("# rows: many\n").unwrap_err().contains("many"));
+        assert!(read("# rows: 256\n# columns: 7\n0 0 1 0 1 0 1\n").unwrap_err().contains("ends after 1"));
+        assert!(read(&rows(3, "1 1 1\n")).unwrap_err().contains("columns"));
+    }
+}

@@ -1,0 +1,150 @@
+//! Least squares by orthogonal transformations alone.
+//!
+//! In: weighted equations, row by row. Out: the unknowns, and the condition of the equations. Cost: 2 n^2 operations a row for n unknowns, some 4 us for 47,
+//! and one singular value decomposition of n x n; memory for a few hundred rows, however many there are.
+//! Source: Golub & Van Loan, "Matrix Computations", sections 5.2 (Householder), 5.3 (full-rank least squares) and 5.4 (R-SVD).
+//!
+//! Rows are folded into a triangle R by Householder's reflections: R has the singular values of the whole matrix, and the same solution, to the rounding of an
+//! `f64`. The normal equations A'A have their squares, and half of the digits. The singular values decide whether there is a solution: see [`fit::determined`].
+
+use crate::response::fit::{self, Told};
+use nalgebra::{DMatrix, SVD};
+
+/// Rows that are folded into the triangle at once: with it they fit the cache of a core.
+const ROWS: usize = 128;
+/// Steps of the singular value decomposition, at most: it converges in two or three for each unknown.
+const STEPS: usize = 30 * 256;
+
+/// Equations in a number of unknowns, of which there may be more than are solvable at once.
+pub struct LeastSquares {
+    /// Above, the triangle of [A b] so far; below, rows that are not yet in it, and zeros.
+    rows: DMatrix<f64>,
+    waiting: usize,
+}
+
+impl LeastSquares {
+    /// No equations yet.
+    pub fn new(unknowns: usize) -> Self {
+        LeastSquares { rows: DMatrix::zeros(unknowns + 1 + ROWS, unknowns + 1), waiting: 0 }
+    }
+
+    /// Adds the equation `scale` x (`row` x unknowns) = `scale` x right, where `row` ends in the right side.
+    pub fn push(&mut self, row: &[f64], scale: f64) {
+        let at = self.rows.ncols() + self.waiting;
+        row.iter().enumerate().for_each(|(k, v)| self.rows[(at, k)] = scale * v);
+        self.waiting += 1;
+        if self.waiting == ROWS {
+            self.fold();
+        }
+    }
+
+    /// Folds the waiting rows into the triangle.
+    fn fold(&mut self) {
+        let (rows, columns) = self.rows.shape();
+        let triangle = std::mem::take(&mut self.rows).qr().unpack_r();
+        self.rows = triangle.resize(rows, columns, 0.0);
+        self.waiting = 0;
+    }
+
+    /// The unknowns, and the ratio of the largest to the least singular value of the equations.
+    pub fn solve(mut self) -> Told<(Vec<f64>, f64)> {
+        self.fold();
+        let n = self.rows.ncols() - 1;
+        let right = self.rows.view((0, n), (n, 1)).into_owned();
+        let triangle = self.rows.view((0, 0), (n, n)).into_owned();
+        if triangle.iter().any(|v| !v.is_finite()) {
+            return Err(fit::undetermined(f64::NAN));
+        }
+        let svd = SVD::try_new(triangle, true, true, f64::EPSILON, STEPS).ok_or_else(|| fit::undetermined(f64::NAN))?;
+        let condition = svd.singular_values.max() / svd.singular_values.min();
+        fit::determined(condition)?;
+        let solution = svd.solve(&right, 0.0).map_err(str::to_owned)?;
+        Ok((solution.as_slice().to_vec(), condition))
+    }
+}
+
+/// Eliminates an unknown of its own from the weighted `rows` of one place, each `width` long: of them, what is at right angles to its column `own`, by
+/// Householder's reflection that turns `own` into the first axis. The first row then has the unknown alone, and is left out; what is returned has
+/// one row less.
+pub fn eliminate<'a>(rows: &'a mut [f64], width: usize, own: &mut [f64]) -> &'a [f64] {
+    let norm = own.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if norm > 0.0 {
+        own[0] += if own[0] < 0.0 { -norm } else { norm };
+        let square: f64 = own.iter().map(|v| v * v).sum();
+        let mut along = vec![0.0; width];
+        for (row, v) in rows.chunks_exact(width).zip(&*own) {
+            along.iter_mut().zip(row).for_each(|(sum, a)| *sum += v * a);
+        }
+        for (row, v) in rows.chunks_exact_mut(width).zip(&*own) {
+            row.iter_mut().zip(&along).for_each(|(a, sum)| *a -= 2.0 / square * v * sum);
+        }
+    }
+    &rows[width..]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::response::fit::scene::noise;
+    use nalgebra::DVector;
+
+    #[test]
+    fn solution_and_condition_are_those_of_the_whole_matrix() {
+        let (m, n) = (3 * ROWS + 17, 9);
+        let a = DMatrix::from_fn(m, n, |i, k| noise(n * i + k));
+        let b = DVector::from_fn(m, |i, _| noise(7919 + i));
+        let mut equations = LeastSquares::new(n);
+        for i in 0..m {
+            let row: Vec<f64> = a.row(i).iter().copied().chain([b[i]]).collect();
+            equations.push(&row.iter().map(|v| v / 3.0).collect::<Vec<_>>(), 3.0);
+        }
+        let (x, condition) = equations.solve().unwrap();
+        let svd = a.svd(true, true);
+        let expected = svd.solve(&b, 0.0).unwrap();
+        assert!(x.iter().zip(&expected).all(|(x, e)| (x - e).abs() < 1e-13));
+        let whole = svd.singular_values.max() / svd.singular_values.min();
+        assert!((condition / whole - 1.0).abs() < 1e-12);
+    }
+
+    /// Läuchli's matrix: of condition 3e4, the square of which is 1e9.
+    #[test]
+    fn digits_are_lost_by_the_condition_and_not_by_its_square() {
+        let small = 5e-5;
+        let mut equations = LeastSquares::new(2);
+        // Unknowns 1 and -1: rows [1 1 | 0], [small 0 | small], [0 small | -small].
+        [[1.0, 1.0, 0.0], [small, 0.0, small], [0.0, small, -small]].iter().for_each(|row| equations.push(row, 1.0));
+        let (x, condition) = equations.solve().unwrap();
+        assert!((condition * small / 2f64.sqrt() - 1.0).abs() < 1e-8, "{condition}");
+        // 3e4 times 2e-16, and a margin; by normal equations it is 1e-8.
+        assert!((x[0] - 1.0).abs() < 1e-11 && (x[1] + 1.0).abs() < 1e-11, "{x:?}");
+    }
+
+    #[test]
+    fn equations_without_a_solution_of_their_own_are_refused() {
+        let mut equations = LeastSquares::new(2);
+        (0..9).for_each(|i| equations.push(&[1.0, 2.0, f64::from(i)], 1.0));
+        assert!(equations.solve().unwrap_err().contains("undetermined"));
+        let mut equations = LeastSquares::new(1);
+        equations.push(&[f64::NAN, 1.0], 1.0);
+        assert!(equations.solve().is_err());
+        assert!(LeastSquares::new(3).solve().is_err());
+    }
+
+    #[test]
+    fn an_eliminated_unknown_leaves_the_others_as_they_are() {
+        // Seven equations with a column of one unknown that is theirs alone.
+        let (m, n) = (7, 3);
+        let a = DMatrix::from_fn(m, n + 1, |i, k| noise(5 * i + k));
+        let b = DVector::from_fn(m, |i, _| noise(997 + i));
+        let mut rows: Vec<f64> =
+            (0..m).flat_map(|i| (0..n).map(|k| a[(i, k)]).chain([b[i]]).collect::<Vec<_>>()).collect();
+        let mut own: Vec<f64> = (0..m).map(|i| a[(i, n)]).collect();
+        let left = eliminate(&mut rows, n + 1, &mut own);
+        assert_eq!(left.len(), (m - 1) * (n + 1));
+        let mut equations = LeastSquares::new(n);
+        left.chunks_exact(n + 1).for_each(|row| equations.push(row, 1.0));
+        let (x, _) = equations.solve().unwrap();
+        let expected = a.svd(true, true).solve(&b, 0.0).unwrap();
+        assert!(x.iter().zip(&expected).all(|(x, e)| (x - e).abs() < 1e-13));
+    }
+}

@@ -1,0 +1,275 @@
+//! What every fit of a curve shares: whether samples can tell one, which of them contradict it, and whether it may be a camera's.
+//!
+//! In: [`Sample`]s of a channel and what a model found in them. Out: g(Z), rising, with g(128) = 0, and how well it is
+//! [known](Fit); or, in words, why it cannot be known. Cost: a pass over the samples. Sources: Tukey's biweight is Beaton & Tukey 1974;
+//! the rest is bookkeeping.
+
+pub(super) mod least_squares;
+pub(super) mod monotone;
+pub(super) mod spline;
+
+use super::samples::{Sample, View};
+use super::{CODES, Fit, MID, hat, stops};
+use crate::error::{Error, Result};
+use crate::statistics::{self, MEDIAN_DEVIATION, median};
+use std::f64::consts::LN_2;
+
+/// The least rise of g from one code to the next: far below what matters, and enough that g can be inverted.
+const RISE: f64 = 1e-5;
+/// Samples below which a channel's curve is not believed.
+const FEWEST: usize = 24;
+/// Codes that the samples must span.
+const SPAN: f64 = 96.0;
+/// Exposures that differ by less than this many stops, first to last, say nothing of the curve.
+const STEP: f64 = 0.3;
+/// Condition of a least-squares problem above which its solution is noise: a singular value below 1e-5 of the largest counts as 0. Codes
+/// are right to some 1e-3, of which that much would be left where they tell nothing. Brackets have some 1e2 to 1e4.
+const CONDITION: f64 = 1e5;
+/// Stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a print film scan 10.
+const CONTRAST: (f64, f64) = (1.5, 16.0);
+/// Any so many codes between 16 and 240 must span so many stops. At the least [`CONTRAST`], spread evenly, they span 0.43. Where samples contradict each
+/// other the fitted curve falls, and making it monotone leaves it flat.
+const FLAT: (usize, f64) = (64, 0.1);
+/// Root mean square residual, in stops, above which the model does not hold.
+pub(super) const RESIDUAL: f64 = 0.5;
+
+/// A result, or why there is none, in words.
+pub type Told<T> = std::result::Result<T, String>;
+
+/// What a model found in a channel's samples.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// ln(E dt) at codes 0..=255, not yet rising everywhere, and up to a constant.
+    pub g: [f64; CODES],
+    /// How far each sample was trusted, 0..=1.
+    pub trust: Vec<f64>,
+    /// Ratio of the largest to the least singular value of the equations; none where none are solved at once.
+    pub condition: Option<f64>,
+    /// The degree of the polynomial, where it is one.
+    pub degree: Option<usize>,
+}
+
+/// The curve of what was found, made to rise, and how well it is known.
+pub fn judge(samples: &[Sample], found: Found) -> Told<([f64; CODES], Fit)> {
+    let Found { g, trust, condition, degree } = found;
+    if g.iter().any(|v| !v.is_finite()) {
+        return Err("the curve found is not finite".to_owned());
+    }
+    let mut weights = [1e-6; CODES];
+    let all: f64 = samples.iter().zip(&trust).flat_map(|(s, t)| s.views.iter().map(move |v| t * square(v))).sum();
+    for (sample, trust) in samples.iter().zip(&trust) {
+        for view in &sample.views {
+            between(view.code).iter().for_each(|&(z, f)| weights[z] += trust * square(view) * f / all);
+        }
+    }
+    let rising = monotone::rising(&g, &weights, RISE);
+    let mut curve: [f64; CODES] = std::array::from_fn(|z| rising[z]);
+    let mid = curve[MID];
+    curve.iter_mut().for_each(|v| *v -= mid);
+    let fit = Fit {
+        samples: samples.len(),
+        outliers: trust.iter().filter(|&&t| t < 0.5).count(),
+        residual_stops: stops(residual(samples, &trust, &curve)),
+        codes: span(samples, |v| v.code),
+        condition,
+        degree,
+        borrowed: false,
+    };
+    verdict(&curve, &fit).map(|()| (curve, fit))
+}
+
+/// The least and the greatest of a number of all views.
+fn span(samples: &[Sample], of: fn(&View) -> f64) -> (f64, f64) {
+    let values = samples.iter().flat_map(|s| s.views.iter().map(of));
+    values.fold((f64::MAX, f64::MIN), |(least, most), v| (least.min(v), most.max(v)))
+}
+
+/// Whether `samples`, as an option, can be enough for a curve.
+pub fn enough(samples: usize) -> Result<()> {
+    if samples >= FEWEST {
+        return Ok(());
+    }
+    let reason = format!("{samples} samples do not make a curve; give {FEWEST} or more");
+    Err(Error::Option { option: "--response-model", reason })
+}
+
+/// Whether samples can tell a curve at all.
+pub fn check(samples: &[Sample]) -> Told<()> {
+    if samples.len() < FEWEST {
+        return Err(format!(
+            "only {} flat places of the scene are unclipped in two frames, and {FEWEST} are needed",
+            samples.len()
+        ));
+    }
+    let (times, codes) = (span(samples, |v| v.ln_time), span(samples, |v| v.code));
+    if times.1 - times.0 < STEP * LN_2 {
+        return Err(format!("the exposures differ by {:.2} stops, and {STEP} are needed", stops(times.1 - times.0)));
+    }
+    if codes.1 - codes.0 < SPAN {
+        return Err(format!("flat places have codes from {:.0} to {:.0} only", codes.0, codes.1));
+    }
+    Ok(())
+}
+
+/// Whether the curve may be a camera's.
+fn verdict(g: &[f64; CODES], fit: &Fit) -> Told<()> {
+    let contrast = stops(g[240] - g[16]);
+    let (codes, rise) = FLAT;
+    let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
+    if let Some(z) = flat {
+        Err(format!("the curve found does not rise from code {z} to code {}", z + codes))
+    } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
+        Err(format!("the curve found has {contrast:.1} stops from code 16 to code 240"))
+    } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
+        Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
+    } else {
+        Ok(())
+    }
+}
+
+/// Whether equations of this condition have a solution that is not noise.
+pub fn determined(condition: f64) -> Told<()> {
+    if condition.is_nan() || condition > CONDITION { Err(undetermined(condition)) } else { Ok(()) }
+}
+
+/// Why there is no solution.
+pub fn undetermined(condition: f64) -> String {
+    format!("the frames leave the curve undetermined (condition {condition:.0e})")
+}
+
+/// A code between two, as weights of two neighbouring codes.
+pub fn between(code: f64) -> [(usize, f64); 2] {
+    let below = (code.max(0.0) as usize).min(CODES - 2);
+    let f = code - below as f64;
+    [(below, 1.0 - f), (below + 1, f)]
+}
+
+/// A table's value at a code between two.
+pub fn at(table: &[f64], code: f64) -> f64 {
+    between(code).iter().map(|&(z, f)| f * table[z]).sum()
+}
+
+/// w^2 of a view.
+pub fn square(view: &View) -> f64 {
+    let w = hat(view.code);
+    w * w
+}
+
+/// A view as it enters the sums: w^2, g - ln dt.
+fn weighted<'a>(sample: &'a Sample, g: &'a [f64]) -> impl Iterator<Item = (f64, f64)> + Clone + 'a {
+    sample.views.iter().map(move |view| (square(view), at(g, view.code) - view.ln_time))
+}
+
+/// sum w^2 and sum w^2 (g - ln E - ln dt)^2 of a sample, ln E the best for g.
+fn misfit(sample: &Sample, g: &[f64]) -> (f64, f64) {
+    let views = weighted(sample, g);
+    let weight: f64 = views.clone().map(|(w2, _)| w2).sum();
+    let ln_e = views.clone().map(|(w2, v)| w2 * v).sum::<f64>() / weight;
+    (weight, views.map(|(w2, v)| w2 * (v - ln_e) * (v - ln_e)).sum())
+}
+
+/// Root mean square of g - ln E - ln dt over all views, by their weights.
+pub fn residual(samples: &[Sample], trust: &[f64], g: &[f64]) -> f64 {
+    let sums = samples.iter().zip(trust).map(|(sample, t)| (misfit(sample, g), t));
+    let (weight, square) = sums.fold((0.0, 0.0), |(a, b), ((w, s), t)| (a + t * w, b + t * s));
+    (square / weight).sqrt()
+}
+
+/// How far each sample is trusted, by its weighted misfit: [`tukey`].
+pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
+    let misfits: Vec<f64> = samples.iter().map(|s| (misfit(s, g).1 / s.views.len() as f64).sqrt()).collect();
+    tukey(&misfits)
+}
+
+/// Tukey's biweight of each misfit, 0 or more, with 4.685 robust standard deviations as its reach: 1 for none, 0 beyond.
+pub fn tukey(misfits: &[f64]) -> Vec<f64> {
+    let median = median(misfits.iter().copied()).unwrap_or(0.0);
+    let reach = 4.685 * median / MEDIAN_DEVIATION + f64::MIN_POSITIVE;
+    misfits.iter().map(|&m| statistics::biweight(m / reach)).collect()
+}
+
+/// Made-up cameras, for the tests of all models.
+#[cfg(test)]
+pub mod scene {
+    use super::*;
+
+    /// A number in -0.5..0.5 that depends on the seed alone.
+    pub fn noise(seed: usize) -> f64 {
+        let x = (seed as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let x = (x ^ (x >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+    }
+
+    /// `count` places of evenly spread brightness, seen in exposures `stops`, by a camera with the response `code` of exposure 0..=1.
+    pub fn scene(count: usize, exposures: &[f64], code: impl Fn(f64) -> f64) -> Vec<Sample> {
+        let place = |i: usize| {
+            let ln_e = (9.0 * i as f64 / count as f64 - 7.0) * LN_2;
+            let views = exposures.iter().enumerate().filter_map(|(j, stops)| {
+                let z = 255.0 * code(libm::exp(ln_e + stops * LN_2).min(1.0)) + 1.5 * noise(31 * i + j);
+                (2.0..=253.0).contains(&z).then_some(View { code: z, ln_time: stops * LN_2 })
+            });
+            Sample { views: views.collect() }
+        };
+        (0..count).map(place).filter(|s| s.views.len() >= 2).collect()
+    }
+
+    /// Root mean square over codes 10..=245 of what is left between two curves after a shift, in stops.
+    pub fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
+        difference_from(10, g, exposure)
+    }
+
+    /// The same over codes `from`..=245: of those below, `g` may be but a guess.
+    pub fn difference_from(from: usize, g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
+        let d: Vec<f64> = (from..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
+        let mean = d.iter().sum::<f64>() / d.len() as f64;
+        (d.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / d.len() as f64).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::scene::scene;
+    use super::*;
+
+    fn found(g: impl Fn(usize) -> f64, count: usize) -> Found {
+        Found { g: std::array::from_fn(g), trust: vec![1.0; count], condition: Some(1.0), degree: None }
+    }
+
+    #[test]
+    fn the_true_curve_has_the_residual_of_the_noise_and_what_moved_no_trust() {
+        let mut samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
+        let g: Vec<f64> = (0..CODES).map(|z| 2.0 * libm::log((z as f64).max(0.1) / 255.0)).collect();
+        samples[100].views[1].code += 30.0;
+        let trust = biweight(&samples, &g);
+        assert!(trust[100] < 0.5, "{}", trust[100]);
+        let kept = trust.iter().filter(|&&t| t > 0.5).count();
+        assert!(kept > 300, "{kept}");
+        // g = 2 ln z bends by 1 / z^2 between codes, and the noise is 0.43 codes: 2 x 0.43 / z nepers, weighted to the middle.
+        assert!((0.001..0.03).contains(&residual(&samples, &trust, &g)));
+    }
+
+    #[test]
+    fn a_misfit_far_beyond_the_others_has_no_trust() {
+        // The median, 1, is 0.6745 standard deviations of normal misfits: 4.685 of them are 6.95.
+        let trust = tukey(&[0.0, 1.0, 1.0, 1.0, 6.9, 7.0]);
+        assert!(
+            trust[0] == 1.0 && trust[1] > 0.95 && trust[4] > 0.0 && trust[4] < 1e-3 && trust[5] == 0.0,
+            "{trust:?}"
+        );
+        assert_eq!((tukey(&[0.0; 3]), tukey(&[])), (vec![1.0; 3], Vec::new()));
+    }
+
+    #[test]
+    fn no_curve_that_is_not_finite_or_no_cameras_passes() {
+        let samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
+        let n = samples.len();
+        assert!(judge(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
+        assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
+        // The curve falls from code 110 to 200, as where samples contradict each other.
+        let falls =
+            found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);
+        assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));
+        let (g, fit) = judge(&samples, found(|z| 2.0 * libm::log((z as f64).max(0.1)), n)).unwrap();
+        assert!(g[MID] == 0.0 && g.windows(2).all(|w| w[0] < w[1]) && !fit.borrowed);
+    }
+}

@@ -1,0 +1,400 @@
+//! Contrast processing: the contrasts between neighbours at every scale, as strong as the eye sees them, are made weaker, and the picture is found
+//! that has them.
+//!
+//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s.
+//! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
+//! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2 (contrast equalisation).
+
+use crate::plane::Plane;
+use crate::tonemap::overview::Scene;
+use crate::tonemap::settings::Setting;
+use crate::tonemap::solvers::log_range::LogRange;
+use crate::tonemap::solvers::poisson::{Multigrid, conjugate_gradients, divergence};
+use crate::tonemap::tones::Tones;
+
+/// What may be set.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// What the eye's response to each contrast is times: the smaller, the more even the picture and the stronger its detail.
+    pub contrast: f64,
+    /// How far responses are made equally frequent: 0 not at all, 1 wholly. Half leaves the grain of skies below what is drawn.
+    pub equalise: f64,
+    /// Stops from black to white on the display.
+    pub range_stops: f64,
+    /// The mean of the picture's code values, 0 to 1.
+    pub brightness: f64,
+    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    pub saturation: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options { contrast: 0.3, equalise: 0.5, range_stops: 6.0, brightness: 0.43, saturation: 1.0 }
+    }
+}
+
+impl Options {
+    /// What may be set, by name.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        vec![
+            Setting::number("contrast", (0.02, 1.0), &mut self.contrast, "times the response to each contrast"),
+            Setting::number("equalise", (0.0, 1.0), &mut self.equalise, "how far responses are made equally frequent"),
+            Setting::range(&mut self.range_stops),
+            Setting::brightness(&mut self.brightness),
+            Setting::saturation(&mut self.saturation),
+        ]
+    }
+}
+
+/// The shorter side, in cells, of the coarsest scale.
+const COARSEST: usize = 3;
+
+/// What the error must come down to, as a part of the picture: a hundredth of a stop of ten.
+const TOLERANCE: f64 = 1e-3;
+
+/// Steps after which it is as good as it gets; they take 15 to 30.
+const MOST_STEPS: usize = 60;
+
+/// The tones of `scene`.
+pub fn mantiuk06(scene: &Scene, options: &Options) -> Tones {
+    let range = LogRange { stops: options.range_stops, brightness: options.brightness, saturation: options.saturation };
+    range.tones(scene, |logs| processed(logs, options))
+}
+
+/// `logs`, in stops, with its contrasts mapped.
+fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
+    let mut log10 = logs.clone();
+    log10.as_mut_slice().iter_mut().for_each(|l| *l *= std::f32::consts::LOG10_2);
+    let mut pyramid = contrasts(log10);
+    map(&mut pyramid, options);
+    let mut tones = with_contrasts(&pyramid);
+    tones.as_mut_slice().iter_mut().for_each(|l| *l *= std::f32::consts::LOG2_10);
+    tones
+}
+
+/// The contrasts of one scale: log10 of ratios.
+#[derive(Debug, Clone)]
+struct Contrasts {
+    /// To the right neighbour, 0 in the last column, and to the lower one, 0 in the last row.
+    to: [Plane<f32>; 2],
+}
+
+impl Contrasts {
+    fn of(level: &Plane<f32>) -> Self {
+        let (width, height) = (level.width(), level.height());
+        let right = Plane::from_rows(width, height, |y, row| {
+            for (c, pair) in row.iter_mut().zip(level.row(y).windows(2)) {
+                *c = pair[1] - pair[0];
+            }
+        });
+        let down = Plane::from_rows(width, height, |y, row| {
+            let below = level.row((y + 1).min(height - 1));
+            for (c, (b, h)) in row.iter_mut().zip(below.iter().zip(level.row(y))) {
+                *c = b - h;
+            }
+        });
+        Contrasts { to: [right, down] }
+    }
+
+    /// Each contrast `change`d, of what is there and what `other` has there.
+    fn changed(&mut self, other: &Contrasts, change: impl Fn(f32, f32) -> f32 + Sync) {
+        for (plane, other) in self.to.iter_mut().zip(&other.to) {
+            let width = plane.width();
+            plane.fill_bands(|rows, band| {
+                for (y, row) in rows.zip(band.chunks_exact_mut(width)) {
+                    row.iter_mut().zip(other.row(y)).for_each(|(c, o)| *c = change(*c, *o));
+                }
+            });
+        }
+    }
+}
+
+/// Section 3: the contrasts of `level` and of all coarser scales.
+fn contrasts(mut level: Plane<f32>) -> Vec<Contrasts> {
+    let mut pyramid = vec![Contrasts::of(&level)];
+    while level.width().min(level.height()) >= 2 * COARSEST {
+        level = halved(&level);
+        pyramid.push(Contrasts::of(&level));
+    }
+    pyramid
+}
+
+/// The means of two by two cells, at the right and lower end of what there is.
+fn halved(plane: &Plane<f32>) -> Plane<f32> {
+    let (width, height) = (plane.width(), plane.height());
+    Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
+        let (upper, lower) = (plane.row(2 * y), plane.row((2 * y + 1).min(height - 1)));
+        for (v, (a, b)) in row.iter_mut().zip(upper.chunks(2).zip(lower.chunks(2))) {
+            *v = 0.25 * (a[0] + b[0] + a[a.len() - 1] + b[b.len() - 1]);
+        }
+    })
+}
+
+/// The transpose of [`halved`], added to `fine`.
+fn add_spread(fine: &mut Plane<f32>, coarse: &Plane<f32>) {
+    let (width, height) = (fine.width(), fine.height());
+    let alone = |at: usize, of: usize| if at + 1 == of && of % 2 == 1 { 1.0f32 } else { 0.5 };
+    fine.fill_bands(|rows, band| {
+        for (y, row) in rows.zip(band.chunks_exact_mut(width)) {
+            let (part, from) = (alone(y, height), coarse.row(y / 2));
+            for (pair, c) in row.chunks_mut(2).zip(from) {
+                let across = if pair.len() == 1 { 1.0 } else { 0.5 };
+                pair.iter_mut().for_each(|v| *v += part * across * c);
+            }
+        }
+    });
+}
+
+/// Section 6: the responses to contrasts scaled, and before that made more equally frequent.
+fn map(pyramid: &mut [Contrasts], options: &Options) {
+    let scale = options.contrast as f32;
+    if options.equalise == 0.0 {
+        for level in pyramid {
+            let same = level.clone();
+            level.changed(&same, |c, _| inverse(scale * response(c.abs())).copysign(c));
+        }
+        return;
+    }
+    // Section 6.2: the response of both directions together.
+    let both = |level: &Contrasts| -> Vec<f32> {
+        let pairs = level.to[0].as_slice().iter().zip(level.to[1].as_slice());
+        pairs.map(|(right, down)| libm::hypotf(response(right.abs()), response(down.abs()))).collect()
+    };
+    let mut sorted: Vec<f32> = pyramid.iter().flat_map(both).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let (count, most) = (sorted.len() as f32, sorted[sorted.len() - 1]);
+    let part = options.equalise as f32;
+    for level in pyramid {
+        let strengths = both(level);
+        for plane in &mut level.to {
+            for (c, &strength) in plane.as_mut_slice().iter_mut().zip(&strengths) {
+                let equal = most * sorted.partition_point(|s| *s < strength) as f32 / count;
+                let factor = (1.0 - part) + part * equal / strength.max(1e-6);
+                *c = inverse(scale * factor * response(c.abs())).copysign(*c);
+            }
+        }
+    }
+}
+
+/// The least contrast that is seen, log10, and the one from which on the least difference that is seen is by [`least_difference`].
+const SEEN: f32 = 0.0043;
+const BEND: f32 = 0.016_777_934;
+
+/// Section 4: the least difference that is seen in a contrast is FACTOR G^POWER.
+const FACTOR: f32 = 0.038_737;
+const POWER: f32 = 0.537_756;
+
+fn least_difference(contrast: f32) -> f32 {
+    if contrast < BEND { SEEN } else { FACTOR * libm::powf(contrast, POWER) }
+}
+
+/// Section 4: the response to a contrast, in differences that are just seen: the integral of one over the least difference.
+fn response(contrast: f32) -> f32 {
+    if contrast < BEND {
+        return contrast / SEEN;
+    }
+    let rising = |c: f32| libm::powf(c, 1.0 - POWER) / (FACTOR * (1.0 - POWER));
+    BEND / SEEN + rising(contrast) - rising(BEND)
+}
+
+/// The contrast of a response.
+fn inverse(response: f32) -> f32 {
+    if response < BEND / SEEN {
+        return response * SEEN;
+    }
+    let at_bend = libm::powf(BEND, 1.0 - POWER);
+    libm::powf(at_bend + (response - BEND / SEEN) * FACTOR * (1.0 - POWER), 1.0 / (1.0 - POWER))
+}
+
+/// Section 5: the picture whose contrasts at all scales differ least from those of `pyramid`, where a difference counts by how well it is seen.
+fn with_contrasts(pyramid: &[Contrasts]) -> Plane<f32> {
+    let weights: Vec<Contrasts> = pyramid
+        .iter()
+        .map(|level| {
+            let mut weights = level.clone();
+            weights.changed(level, |_, c| SEEN / least_difference(c.abs()));
+            weights
+        })
+        .collect();
+    let weighed: Vec<Contrasts> = pyramid
+        .iter()
+        .zip(&weights)
+        .map(|(level, weights)| {
+            let mut level = level.clone();
+            level.changed(weights, |c, w| c * w);
+            level
+        })
+        .collect();
+    let grid = Multigrid::new((pyramid[0].to[0].width(), pyramid[0].to[0].height()));
+    conjugate_gradients(
+        &gathered(&weighed),
+        |plane| normal(plane, &weights),
+        |residual| grid.cycle(residual),
+        TOLERANCE,
+        MOST_STEPS,
+    )
+}
+
+/// The contrasts of `plane` at all scales, weighed and gathered again: the matrix of the normal equations, which is symmetric.
+fn normal(plane: &Plane<f32>, weights: &[Contrasts]) -> Plane<f32> {
+    let mut pyramid = contrasts(plane.clone());
+    for (level, weights) in pyramid.iter_mut().zip(weights) {
+        level.changed(weights, |c, w| c * w);
+    }
+    gathered(&pyramid)
+}
+
+/// The transpose of [`contrasts`].
+fn gathered(pyramid: &[Contrasts]) -> Plane<f32> {
+    let mut sum: Option<Plane<f32>> = None;
+    for level in pyramid.iter().rev() {
+        let mut here = divergence(&level.to[0], &level.to[1]);
+        if let Some(coarser) = sum {
+            add_spread(&mut here, &coarser);
+        }
+        sum = Some(here);
+    }
+    sum.unwrap_or_else(|| Plane::filled(0, 0, 0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+    use crate::tonemap::overview::Overview;
+
+    /// Two halves six stops apart, with texture.
+    fn logs(width: usize, height: usize) -> Plane<f32> {
+        Plane::from_rows(width, height, |y, row| {
+            for (x, l) in row.iter_mut().enumerate() {
+                let wave = 0.1 * ((x as f32 * 0.9).sin() + (y as f32 * 0.7).cos());
+                *l = if x > width / 2 { 6.0 } else { 0.0 } + wave;
+            }
+        })
+    }
+
+    fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
+        let mut overview = Overview::new((map.width(), map.height()), &Primaries::SRGB);
+        overview.see(0, map);
+        mantiuk06(&overview.scene().unwrap(), options).picture(map)
+    }
+
+    fn radiance(logs: &Plane<f32>, factor: f32) -> Plane<[f32; 3]> {
+        let pixels = logs.as_slice().iter().map(|&l| [1.0, 0.8, 0.6].map(|c| c * factor * libm::exp2f(l)));
+        Plane::from_vec(logs.width(), logs.height(), pixels.collect())
+    }
+
+    fn dot(a: &Plane<f32>, b: &Plane<f32>) -> f64 {
+        a.as_slice().iter().zip(b.as_slice()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    }
+
+    /// The slope of the response is one over the least difference, which for contrasts above the bend is the paper's, and the inverse is one.
+    #[test]
+    fn the_response_counts_differences_that_are_just_seen() {
+        assert!((least_difference(0.999_999 * BEND) - FACTOR * BEND.powf(POWER)).abs() < 1e-7, "no step at the bend");
+        for contrast in [0.001f32, 0.01, 0.02, 0.1, 0.5, 2.0, 4.0] {
+            let slope = (response(1.001 * contrast) - response(contrast)) / (0.001 * contrast);
+            // Differences of values up to 100 in single precision, over a thousandth.
+            assert!((slope * least_difference(contrast) - 1.0).abs() < 0.02, "{contrast}: {slope}");
+            assert!((inverse(response(contrast)) / contrast - 1.0).abs() < 1e-4);
+        }
+    }
+
+    /// Rows of the matrix of all contrasts, by giving each cell a 1; with them the weighed normal equations in doubles, as the oracle.
+    #[test]
+    fn it_is_the_weighed_least_squares_picture() {
+        for (w, h) in [(13, 9), (7, 12), (2, 3)] {
+            let n = w * h;
+            let mut pyramid = contrasts(logs(w, h));
+            let same = pyramid.clone();
+            for (level, same) in pyramid.iter_mut().zip(&same) {
+                // Contrasts that belong to no picture.
+                level.changed(same, |c, _| inverse(0.3 * response(c.abs())).copysign(c));
+            }
+            let flat = |p: &[Contrasts]| -> Vec<f64> {
+                p.iter().flat_map(|l| l.to.iter().flat_map(|p| p.as_slice().iter().map(|v| f64::from(*v)))).collect()
+            };
+            let columns: Vec<Vec<f64>> = (0..n)
+                .map(|i| {
+                    let mut one = Plane::filled(w, h, 0.0f32);
+                    one.as_mut_slice()[i] = 1.0;
+                    flat(&contrasts(one))
+                })
+                .collect();
+            let target = flat(&pyramid);
+            let weight: Vec<f64> = target.iter().map(|t| f64::from(SEEN / least_difference(t.abs() as f32))).collect();
+            let product = |a: &[f64], b: &[f64]| (0..a.len()).map(|k| a[k] * weight[k] * b[k]).sum::<f64>();
+            let matrix = nalgebra::DMatrix::from_fn(n, n, |i, j| product(&columns[i], &columns[j]) + 1.0);
+            let vector = nalgebra::DVector::from_fn(n, |i, _| product(&columns[i], &target));
+            let expected = matrix.cholesky().unwrap().solve(&vector);
+            let found = with_contrasts(&pyramid);
+            let mean = found.as_slice().iter().map(|v| f64::from(*v)).sum::<f64>() / n as f64;
+            for (a, b) in found.as_slice().iter().zip(expected.iter()) {
+                // A thousandth of the picture's range of some units, and a margin.
+                assert!((f64::from(*a) - mean - b).abs() < 0.01, "{w}x{h}: {a} {b}");
+            }
+        }
+    }
+
+    /// Conjugate gradients rest on it: <C a, b> = <a, C' b>.
+    #[test]
+    fn gathering_is_the_transpose_of_taking_contrasts() {
+        let (a, b) = (logs(21, 14), logs(28, 21));
+        let b = Plane::from_rows(21, 14, |y, row| row.copy_from_slice(&b.row(y + 5)[3..24]));
+        let (of_a, of_b) = (contrasts(a.clone()), contrasts(b));
+        let pairs = of_a.iter().zip(&of_b).flat_map(|(a, b)| a.to.iter().zip(&b.to));
+        let (one, other) = (pairs.map(|(a, b)| dot(a, b)).sum::<f64>(), dot(&a, &gathered(&of_b)));
+        assert!((one - other).abs() < 1e-4 * one.abs(), "{one} {other}");
+    }
+
+    #[test]
+    fn nothing_scaled_nothing_changed() {
+        let logs = logs(120, 77);
+        let same = processed(&logs, &Options { contrast: 1.0, equalise: 0.0, ..Options::default() });
+        let shift = logs.at(0, 0) - same.at(0, 0);
+        assert!(logs.as_slice().iter().zip(same.as_slice()).all(|(a, b)| (a - b - shift).abs() < 0.03));
+    }
+
+    /// The edge of six stops shrinks by more than the texture; equalised, by more still.
+    #[test]
+    fn strong_contrasts_are_weakened_more() {
+        let before = logs(160, 100);
+        let mean = |p: &Plane<f32>, range: std::ops::Range<usize>| {
+            p.row(50)[range.clone()].iter().sum::<f32>() / range.len() as f32
+        };
+        let edge = |p: &Plane<f32>| mean(p, 86..100) - mean(p, 60..74);
+        let swing = |p: &Plane<f32>| {
+            let row = &p.row(50)[20..60];
+            row.iter().fold(f32::MIN, |a, &v| a.max(v)) - row.iter().fold(f32::MAX, |a, &v| a.min(v))
+        };
+        let relative = |options: &Options| {
+            let after = processed(&before, options);
+            edge(&after) / edge(&before) / (swing(&after) / swing(&before))
+        };
+        let mapped = relative(&Options { contrast: 0.4, equalise: 0.0, ..Options::default() });
+        let equalised = relative(&Options { contrast: 0.4, equalise: 1.0, ..Options::default() });
+        assert!(mapped > 0.0 && mapped < 0.7, "{mapped}");
+        assert!(equalised > 0.0 && equalised < mapped, "{equalised} {mapped}");
+    }
+
+    #[test]
+    fn a_factor_does_not_matter() {
+        let logs = logs(120, 80);
+        let one = picture(&radiance(&logs, 1.0), &Options::default());
+        let other = picture(&radiance(&logs, 1.0 / 4096.0), &Options::default());
+        let pairs = one.as_slice().iter().zip(other.as_slice());
+        assert!(pairs.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
+    }
+
+    #[test]
+    fn flat_stays_flat_and_small_is_no_matter() {
+        for (width, height) in [(1, 1), (2, 3), (1, 50), (70, 70)] {
+            for equalise in [0.0, 1.0] {
+                let map = Plane::filled(width, height, [0.3; 3]);
+                let flat = picture(&map, &Options { equalise, ..Options::default() });
+                assert!(flat.as_slice().iter().all(|p| *p == flat.at(0, 0)), "{width}x{height}");
+                assert!(flat.at(0, 0)[0] > 80, "{:?}", flat.at(0, 0));
+            }
+        }
+    }
+}

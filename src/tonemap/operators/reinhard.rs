@@ -1,0 +1,252 @@
+//! Reinhard's photographic operator: one curve for all pixels or, as a photographer dodges and burns, one for each place.
+//!
+//! In: a scene. Out: its tones. Cost: nothing for the global curve; 0.4 us a cell for the local one.
+//! Source: Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1, equations 1 to 4,
+//! and 3.2, equations 5 to 9; Reinhard, "Parameter Estimation for Photographic Tone Reproduction" (2003), equations 4 and 5.
+
+use crate::plane::Plane;
+use crate::pyramid::gaussian;
+use crate::tonemap::guide::Guide;
+use crate::tonemap::overview::Scene;
+use crate::tonemap::settings::Setting;
+use crate::tonemap::tones::{Curve, Tones};
+
+/// What may be set; by default the picture decides.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// The key a: the display luminance (0..1, before the shoulder) of the log-average; about 0.18. `None`: estimated.
+    pub key: Option<f64>,
+    /// L_white: the smallest luminance that becomes white, in units of the scaled luminance of equation 2. `None`: estimated.
+    pub white: Option<f64>,
+    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    pub saturation: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options { key: None, white: None, saturation: 1.0 }
+    }
+}
+
+impl Options {
+    /// What may be set, by name.
+    pub fn settings(&mut self) -> Vec<Setting<'_>> {
+        vec![
+            Setting::estimated("key", (0.01, 2.0), &mut self.key, "display luminance of the log-average, of 1"),
+            Setting::estimated("white", (0.1, 1e6), &mut self.white, "scaled luminance that becomes white"),
+            Setting::saturation(&mut self.saturation),
+        ]
+    }
+}
+
+/// The curve, settled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Shoulder {
+    /// log2 of the key over the log-average: from log2 radiance to log2 of the scaled luminance L of equation 2.
+    shift: f64,
+    /// 1 / L_white^2.
+    inverse_white2: f64,
+}
+
+impl Shoulder {
+    fn of(scene: &Scene, options: &Options) -> Self {
+        let ends = (scene.percentile(0.01), scene.percentile(0.99));
+        let statistics = Statistics { average: scene.average_within(ends), dark: ends.0, bright: ends.1 };
+        let key = options.key.unwrap_or_else(|| key(&statistics).clamp(KEYS.0, KEYS.1));
+        let white = options.white.unwrap_or_else(|| white(&statistics, key));
+        Shoulder { shift: libm::log2(key) - statistics.average, inverse_white2: 1.0 / (white * white) }
+    }
+
+    /// Equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
+    fn display(&self, l: f64) -> f64 {
+        l * (1.0 + l * self.inverse_white2) / (1.0 + l)
+    }
+
+    /// Its slope in log-log.
+    fn slope(&self, l: f64) -> f64 {
+        let w = l * self.inverse_white2;
+        1.0 + w / (1.0 + w) - l / (1.0 + l)
+    }
+}
+
+/// What of the scene's luminances decides the curve: log2 of luminance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Statistics {
+    /// The mean of the logarithms (equation 1), those beyond the ends counted as the ends.
+    average: f64,
+    /// The end below which lies one percent.
+    dark: f64,
+    /// The end above which lies one percent.
+    bright: f64,
+}
+
+/// Estimates are kept in between: a few lamps in a plain room would otherwise have it darker than anyone remembers it, and fog brighter.
+const KEYS: (f64, f64) = (0.15, 0.45);
+
+/// Reinhard 2003, equation 4: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log L_min)).
+fn key(scene: &Statistics) -> f64 {
+    let range = scene.bright - scene.dark;
+    let skew = (2.0 * scene.average - scene.dark - scene.bright) / range.max(1.0);
+    0.18 * libm::exp2(2.0 * skew)
+}
+
+/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is kept between the bright end as the key places
+/// it, which must not burn out, and twice that, as nothing would be white otherwise; and is at least 1.
+fn white(scene: &Statistics, key: f64) -> f64 {
+    let estimate = 1.5 * libm::exp2(scene.bright - scene.dark - 5.0);
+    let brightest = key * libm::exp2(scene.bright - scene.average);
+    estimate.min(2.0 * brightest).max(brightest).max(1.0)
+}
+
+/// The tones of `scene` by one curve.
+pub fn global(scene: &Scene, options: &Options) -> Tones {
+    let shoulder = Shoulder::of(scene, options);
+    let curve = Curve::new(|v| shoulder.display(libm::exp2(v)), |v| shoulder.slope(libm::exp2(v)), options.saturation);
+    Tones::new(scene.to_srgb, Guide::shifted(shoulder.shift), curve, scene.size.0)
+}
+
+/// Cells of the local operator: its scales are those of the paper on pictures of about this size.
+const CELLS: usize = 1 << 19;
+
+/// Stops from the key beyond which nothing looks other than black or white, so that squares stay within floats.
+const FARTHEST: f32 = 60.0;
+
+/// Section 3.2: scales, each 1.6 times the one before, the first of 1 cell; their centre's size as a part of them; the sharpening phi;
+/// and how much centre and surround may differ.
+const SCALES: usize = 8;
+const RATIO: f64 = 1.6;
+const CENTRE: f64 = 0.353_553_390_593_273_8;
+const PHI: f64 = 8.0;
+const THRESHOLD: f32 = 0.05;
+
+/// The tones of `scene` by dodging and burning: the shoulder of each place goes by the luminance around it, as far as no edge is near.
+pub fn local(scene: &Scene, options: &Options) -> Tones {
+    let scene = scene.coarser(CELLS);
+    let key = 0.18;
+    let shoulder = Shoulder::of(&scene, &Options { key: options.key.or(Some(key)), ..options.clone() });
+    let (width, height) = (scene.logs.width(), scene.logs.height());
+    let scaled = Plane::from_rows(width, height, |y, row| {
+        for (l, &log) in row.iter_mut().zip(scene.logs.row(y)) {
+            *l = libm::exp2f((log + shoulder.shift as f32).clamp(-FARTHEST, FARTHEST));
+        }
+    });
+    let around = surroundings(&scaled, options.key.unwrap_or(key));
+    // Equation 9, with the white of equation 4; as log2, so that the grid can be carried to the pixels.
+    let inverse_white2 = shoulder.inverse_white2 as f32;
+    let tones = Plane::from_rows(width, height, |y, row| {
+        for ((v, &l), &a) in row.iter_mut().zip(scaled.row(y)).zip(around.row(y)) {
+            *v = libm::log2f(l * (1.0 + l * inverse_white2) / (1.0 + a));
+        }
+    });
+    let guide = Guide::fitted(&scene.logs, &tones, scene.side, 1.0);
+    // What is left of the contrast of large things, as equation 4 has it.
+    let slope = |v: f64| {
+        let display = libm::exp2(v).min(0.99);
+        1.0 - display
+    };
+    let curve = Curve::new(libm::exp2, slope, options.saturation);
+    Tones::new(scene.to_srgb, guide, curve, scene.size.0)
+}
+
+/// V_1 of equation 9: of every place the mean of `l` over the largest surroundings in which centre and surround are alike.
+fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
+    let blurred = |scale: f64| gaussian(l, CENTRE * scale / std::f64::consts::SQRT_2);
+    let (width, height) = (l.width(), l.height());
+    let mut scale = 1.0;
+    let mut centre = blurred(scale);
+    let mut chosen = centre.clone();
+    let mut open = Plane::filled(width, height, true);
+    for _ in 0..SCALES {
+        // The surround of a scale is the centre of the next.
+        let surround = blurred(scale * RATIO);
+        let sharpened = (libm::exp2(PHI) * key / (scale * scale)) as f32;
+        for y in 0..height {
+            let (centre, surround) = (centre.row(y), surround.row(y));
+            for (x, (open, chosen)) in open.row_mut(y).iter_mut().zip(chosen.row_mut(y)).enumerate() {
+                let activity = (centre[x] - surround[x]) / (sharpened + centre[x]);
+                *open &= activity.abs() < THRESHOLD;
+                if *open {
+                    *chosen = centre[x];
+                }
+            }
+        }
+        scale *= RATIO;
+        centre = surround;
+    }
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bracket::colour::Primaries;
+    use crate::tonemap::overview::Overview;
+
+    /// Ten stops from left to right.
+    fn ramp(factor: f32, change: impl Fn(usize, usize) -> Option<f32> + Sync) -> Plane<[f32; 3]> {
+        Plane::from_rows(500, 70, |y, row| {
+            for (x, p) in row.iter_mut().enumerate() {
+                let l = factor * libm::exp2f(x as f32 / 50.0) * (1.0 + y as f32 / 1000.0);
+                *p = change(x, y).map_or([l, 0.8 * l, 0.6 * l], |v| [v; 3]);
+            }
+        })
+    }
+
+    fn picture(map: &Plane<[f32; 3]>, tones: fn(&Scene, &Options) -> Tones) -> Plane<[u8; 3]> {
+        let mut overview = Overview::new((map.width(), map.height()), &Primaries::SRGB);
+        overview.see(0, map);
+        tones(&overview.scene().unwrap(), &Options::default()).picture(map)
+    }
+
+    #[test]
+    fn a_factor_does_not_matter_and_brighter_is_brighter() {
+        for tones in [global, local] {
+            let one = picture(&ramp(1.0, |_, _| None), tones);
+            let other = picture(&ramp(1.0 / 1024.0, |_, _| None), tones);
+            // Logarithms are rounded differently.
+            let differ = one.as_slice().iter().zip(other.as_slice());
+            assert!(differ.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
+            let row = one.row(10);
+            assert!(row.windows(2).all(|w| (0..3).all(|c| w[0][c] <= w[1][c] + 1)), "monotone");
+            assert!(row[0][1] < 70 && row[499][1] > 200, "{:?} {:?}", row[0], row[499]);
+        }
+    }
+
+    /// Half a percent of suns and of black must not move the rest by more than a few codes.
+    #[test]
+    fn a_few_suns_and_black_pixels_do_not_decide() {
+        let plain = picture(&ramp(1.0, |_, _| None), global);
+        let other = picture(&ramp(1.0, |x, y| [1e9, 1e-9, 0.0].get((x * 70 + y) % 400).copied()), global);
+        for (i, (p, q)) in plain.as_slice().iter().zip(other.as_slice()).enumerate() {
+            if (i % 500 * 70 + i / 500) % 400 > 2 {
+                assert!((0..3).all(|c| p[c].abs_diff(q[c]) <= 3), "{p:?} {q:?}");
+            }
+        }
+    }
+
+    /// Texture in the bright half of an edge keeps more of its contrast by dodging and burning than by the curve: that is what it is for.
+    #[test]
+    fn local_contrast_is_kept_in_the_light() {
+        let textured = |x: usize, y: usize| {
+            let (bright, wave) = (x > 250, if (x / 2 + y / 2).is_multiple_of(2) { 1.15 } else { 0.87 });
+            Some(if bright { 200.0 * wave } else { 0.5 })
+        };
+        let map = ramp(1.0, textured);
+        let contrast = |tones| {
+            let codes = picture(&map, tones);
+            let row = &codes.row(35)[300..400];
+            let values: Vec<f64> =
+                row.iter().map(|p| crate::bracket::colour::srgb_to_linear(f64::from(p[1]) / 255.0)).collect();
+            values.iter().copied().fold(0.0, f64::max) / values.iter().copied().fold(1.0, f64::min)
+        };
+        let (one, each) = (contrast(global), contrast(local));
+        assert!(each > 1.02 * one, "{one} {each}");
+    }
+
+    #[test]
+    fn the_key_follows_the_tone() {
+        let at = |average| key(&Statistics { average, dark: -5.0, bright: 5.0 });
+        // In the middle 0.18; at an end a factor 4 from it, by equation 4.
+        assert!((at(0.0) - 0.18).abs() < 1e-12 && (at(5.0) - 0.72).abs() < 1e-12 && (at(-5.0) - 0.045).abs() < 1e-12);
+    }
+}
