@@ -5,17 +5,9 @@
 
 pub mod camera;
 mod crop;
-mod curves;
 mod files;
-mod fusion;
 mod memory;
-mod names;
-mod picture;
-mod radiance;
-mod reference;
 mod report;
-mod response;
-mod results;
 mod stages;
 mod threads;
 mod tonemapping;
@@ -38,17 +30,17 @@ use crate::response::file::SavedResponse;
 use crate::response::ratios::Exposures;
 use crate::tonemap::{DisplayImage, Rendering};
 use crate::write::{self, CompleteFile, Output, Pending};
-use radiance::RadianceRows;
-use reference::Aligned;
 use stages::Run;
+use stages::radiance::RadianceRows;
+use stages::reference::Aligned;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use threads::in_pool;
 
 pub use crop::Crop;
+pub use files::names::{default_folder, default_outputs, default_picture, natural};
 pub use files::targets;
 pub use memory::merge_bracket;
-pub use names::{default_folder, default_outputs, default_picture, natural};
 pub use threads::start_threads;
 pub use tonemapping::{TonemapOptions, tonemap_file};
 

@@ -8,12 +8,12 @@
 mod folders;
 mod seen;
 
-use super::curves;
 use super::threads::in_pool;
 use super::{Prepared, Watch};
 use crate::bracket::ReferenceChoice;
 use crate::error::{Error, Result};
 use crate::inspect::sheets::response as response_plot;
+use crate::pipeline::files::curves;
 use crate::report::{FrameReport, WarningReport};
 use crate::response::file::{Format, SavedResponse};
 use crate::response::samples::{self, Places};

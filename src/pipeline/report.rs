@@ -4,11 +4,11 @@
 //! none.
 
 use super::Options;
-use super::picture::Picture;
-use super::radiance::Radiance;
-use super::reference::Aligned;
-use super::response::Camera;
 use crate::merge::deghost::Ghosts;
+use crate::pipeline::stages::picture::Picture;
+use crate::pipeline::stages::radiance::Radiance;
+use crate::pipeline::stages::reference::Aligned;
+use crate::pipeline::stages::response::Camera;
 use crate::report::Report;
 use crate::report::options::OptionsReport;
 use crate::write::picture::Size;

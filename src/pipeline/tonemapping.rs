@@ -3,8 +3,6 @@
 //! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
 //! the report has each one's time.
 
-use super::picture::{Each, Picture};
-use super::results::Results;
 use super::threads::in_pool;
 use super::{Stage, Watch, announce};
 use crate::bracket::colour::Space;
@@ -13,6 +11,8 @@ use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::merge::Photographed;
 use crate::merge::radiance::gamut;
+use crate::pipeline::stages::picture::{Each, Picture};
+use crate::pipeline::stages::results::Results;
 use crate::read;
 use crate::report::WarningReport;
 use crate::report::tonemapped::TonemapReport;

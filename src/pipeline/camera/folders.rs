@@ -2,11 +2,11 @@
 //!
 //! In: photographs and folders, as they are typed. Out: the photographs of each bracket. Cost: reading the folders.
 
-use super::super::names::natural;
 use crate::bracket::EXTENSIONS;
 use crate::bracket::header::Header;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
+use crate::pipeline::files::names::natural;
 use std::path::{Path, PathBuf};
 
 /// `images` by the folders that they are in, in the order of the first of each; of a folder, the photographs in it by name.

@@ -3,16 +3,17 @@
 //! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
 //! and aligning.
 
-use super::super::reference::Aligned;
-use super::super::response::processing;
 use super::super::stages::Run;
 use super::super::threads::in_pool;
-use super::super::{Watch, check_placed, curves};
+use super::super::{Watch, check_placed};
 use super::{BracketReport, Options, PATCHES};
 use crate::align::preset::Preset;
 use crate::bracket::Capture;
 use crate::error::{Error, Result, Warning};
 use crate::merge::miniature::Miniature;
+use crate::pipeline::files::curves;
+use crate::pipeline::stages::reference::Aligned;
+use crate::pipeline::stages::response::processing;
 use crate::report::Report;
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;

@@ -3,13 +3,13 @@
 //! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
 //! for each frame towards the reference; and the fusion.
 
-use super::reference::Aligned;
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::bracket::Frame;
 use crate::bracket::colour::{Conversion, Transfer};
 use crate::error::Result;
 use crate::merge::deghost::Ghosts;
+use crate::pipeline::stages::reference::Aligned;
 use crate::plane::{BAND_ROWS, Plane};
 use crate::response::ResponseCurve;
 use crate::tonemap::display::codes::Colours;
@@ -30,7 +30,7 @@ struct Fused<'a> {
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch).
-pub(super) fn fused(
+pub(crate) fn fused(
     aligned: &Aligned,
     curve: &ResponseCurve,
     ghosts: Option<&Ghosts>,

@@ -18,10 +18,10 @@ use crate::write::picture::Options;
 use rayon::prelude::*;
 
 /// Calls a function with all of the radiance, part by part with the number of the first row; may be called again.
-pub(super) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
+pub(crate) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
 /// A picture of which rows may be asked for.
-pub(super) struct Picture {
+pub(crate) struct Picture {
     source: Source,
     /// The light that is shown as white, where that is not the one that was.
     pub light: Option<Light>,

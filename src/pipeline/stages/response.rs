@@ -4,12 +4,12 @@
 //! the response is of another camera, the frames contradict it, or no curve explains them. Cost: that of sampling the
 //! frames and of fitting the curve, some tenths of a second.
 
-use super::Options;
-use super::reference::Aligned;
 use crate::align::AlignMode;
 use crate::bracket::{Bracket, Capture};
 use crate::error::{Error, Result, Warning};
 use crate::merge::local::{self, LocalGain, LocalReport};
+use crate::pipeline::Options;
+use crate::pipeline::stages::reference::Aligned;
 use crate::response::file::SavedResponse;
 use crate::response::local::{Evidence, evidence};
 use crate::response::ratios::{self, Exposures};
@@ -18,7 +18,7 @@ use crate::response::{self, ResponseCurve, ResponseReport};
 use std::path::Path;
 
 /// The response, and what was found on the way to it.
-pub(super) struct Camera {
+pub(crate) struct Camera {
     pub curve: ResponseCurve,
     pub report: ResponseReport,
     /// Whether frames are locally processed; none where that was not looked at.
@@ -38,7 +38,7 @@ impl Camera {
 }
 
 /// Corrects the exposures of the bracket where that is asked for, and finds its response.
-pub(super) fn find(
+pub(crate) fn find(
     aligned: Aligned,
     saved: Option<SavedResponse>,
     options: &Options,
@@ -112,7 +112,7 @@ fn contradicted_response(
 
 /// Whether the frames are locally processed, by `places` of `bracket`. None where the user states a curve, which is not
 /// doubted, and where frames are not aligned: these may differ from place to place because they moved.
-pub(super) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
+pub(crate) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
     let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());
     if may_be_local { evidence(places, longer_side) } else { None }

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 const PIXELS: (usize, usize) = (16384, 256);
 
 /// What tells the loss of the files `paths` by one of `brackets` brackets; none where the formats hold all.
-pub(super) fn miniature(
+pub(crate) fn miniature(
     paths: &[PathBuf],
     bracket: &Bracket,
     alignment: &Alignment,
@@ -34,7 +34,7 @@ pub(super) fn miniature(
 /// # Errors
 /// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat) where nothing like the
 /// radiance can be merged with it.
-pub(super) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniature]) -> Result<Written> {
+pub(crate) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniature]) -> Result<Written> {
     let encoded = saved.encode(path)?;
     let warning = match encoded.curve == saved.curve {
         true => None,

@@ -3,9 +3,9 @@
 //! In: radiance, all of it or slab by slab, and what its picture comes from, which may be smaller. Out: every file that shows them, whole but not yet named. Cost: that of the
 //! tone mapping and the encoders. Memory: rows of the picture, and what the encoders hold.
 
-use super::picture::{Each, Picture};
 use crate::bracket::colour::Primaries;
 use crate::error::Result;
+use crate::pipeline::stages::picture::{Each, Picture};
 use crate::plane::BAND_ROWS;
 use crate::tonemap::display::codes::{Depth, Encoder, encoded};
 use crate::tonemap::resize::Resizer;
@@ -18,10 +18,10 @@ const AT_ONCE: usize = 8 * BAND_ROWS;
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;
 
 /// Who wants to see the rows of the picture, in 8 bits and as large as the radiance.
-pub(super) type Shown<'a> = &'a mut dyn FnMut(&[[u8; 3]]);
+pub(crate) type Shown<'a> = &'a mut dyn FnMut(&[[u8; 3]]);
 
 /// What is written, and how.
-pub(super) struct Results<'a> {
+pub(crate) struct Results<'a> {
     pub outputs: Vec<Output>,
     pub options: &'a write::Options,
     pub metadata: Metadata,

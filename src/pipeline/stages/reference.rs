@@ -8,15 +8,15 @@
 //! although it is the reference that is wrong. The best of the rejected frames is tried as the reference then, and
 //! stays it where more frames are placed with confidence. A reference that the user chose stays.
 
-use super::Options;
 use crate::align;
 use crate::align::preset::PresetTransform;
 use crate::align::{AlignMode, Alignment, Rect};
 use crate::bracket::{Bracket, ReferenceChoice};
 use crate::error::{Result, Warning};
+use crate::pipeline::Options;
 
 /// A bracket, its alignment, and the part of the reference that the results show.
-pub(super) struct Aligned {
+pub(crate) struct Aligned {
     pub bracket: Bracket,
     pub alignment: Alignment,
     pub region: Rect,
@@ -34,7 +34,7 @@ const LIKELY: f64 = 0.5;
 ///
 /// # Errors
 /// Those of [`align::align`].
-pub(super) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket, Alignment, Vec<Warning>)> {
+pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket, Alignment, Vec<Warning>)> {
     let (mut alignment, mut warnings) = align::align(&bracket, &options.align)?;
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));

@@ -3,13 +3,14 @@
 //! In: [`Options`], and for each stage what the one before gave. Out: what the next one takes; at the end the report.
 //! Cost: that of the stages.
 
-use super::fusion;
-use super::picture::Picture;
-use super::radiance::{self, Radiance};
-use super::reference::{self, Aligned};
-use super::response::{self, Camera};
-use super::results::Results;
-use super::{Options, Prepared, Progress, Stage, Watch, announce, curves};
+pub(crate) mod fusion;
+pub(crate) mod picture;
+pub(crate) mod radiance;
+pub(crate) mod reference;
+pub(crate) mod response;
+pub(crate) mod results;
+
+use super::{Options, Prepared, Progress, Stage, Watch, announce};
 use crate::align::transforms_file::SavedAlignment;
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
@@ -17,11 +18,17 @@ use crate::error::{Result, Warning};
 use crate::merge::radiance::calibration::{CalibrationReport, Factor};
 use crate::merge::{MergeOptions, Photographed};
 use crate::page::{Developed, Page};
+use crate::pipeline::files::curves;
 use crate::plane::Plane;
 use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
 use crate::tonemap::Rendering;
 use crate::write::{self, Metadata, Written, aligned};
+use picture::Picture;
+use radiance::Radiance;
+use reference::Aligned;
+use response::Camera;
+use results::Results;
 use std::path::PathBuf;
 use std::time::Instant;
 

@@ -4,9 +4,6 @@
 //! on disk. Cost: that of merging, of deghosting and of the search for flare; on disk also that of writing and reading
 //! 12 bytes a pixel.
 
-use super::Options;
-use super::reference::Aligned;
-use super::response::Camera;
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;
 use crate::error::{Result, Warning};
@@ -18,13 +15,16 @@ use crate::merge::radiance::range::Limits;
 use crate::merge::radiance::statistics::{Statistics, Tally};
 use crate::merge::radiance::{gamut, normalisation};
 use crate::merge::{MergeOptions, Merged, Merging, Photographed, RadianceMap};
+use crate::pipeline::Options;
+use crate::pipeline::stages::reference::Aligned;
+use crate::pipeline::stages::response::Camera;
 use crate::plane::{BAND_ROWS, Plane};
 use crate::scratch::{Kept, Scratch};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// The radiance of a run, and what was found on the way to it.
-pub(super) struct Radiance {
+pub(crate) struct Radiance {
     pub rows: RadianceRows,
     /// What the photographs showed of it.
     pub photographed: Option<Photographed>,
@@ -43,7 +43,7 @@ pub(super) struct Radiance {
 
 /// Merges the frames, and brings their radiance into the colour space and the unit of the results. The warning is of
 /// colours outside that space.
-pub(super) fn merged(
+pub(crate) fn merged(
     Aligned { bracket, alignment, region }: &Aligned,
     camera: &Camera,
     calibration: Option<CalibrationReport>,
@@ -141,7 +141,7 @@ impl Room {
 }
 
 /// The rows of a radiance map: all in memory, or in parts on disk.
-pub(super) struct RadianceRows {
+pub(crate) struct RadianceRows {
     size: (usize, usize),
     primaries: Primaries,
     store: Store,

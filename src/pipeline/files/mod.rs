@@ -3,6 +3,9 @@
 //! In: the photographs and [`Options`]. Out: the files that are written; the options with the transforms that were saved
 //! before. Cost: that of asking the system for each name, and of reading the file of transforms.
 
+pub(crate) mod curves;
+pub(crate) mod names;
+
 use super::{Options, validate};
 use crate::align::transforms_file::SavedAlignment;
 use crate::bracket::ReferenceChoice;
