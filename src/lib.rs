@@ -79,8 +79,8 @@
 //! # The layers
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], [`statistics`], [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], [`draw`], [`inspect`], [`compare`], [`page`], [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! [`plane`], `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
+//! [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
 //!
 //! # The same bytes
 //!
@@ -92,13 +92,13 @@ pub mod batch;
 pub mod bracket;
 mod budget;
 pub mod compare;
-pub mod draw;
+mod draw;
 pub mod error;
 pub mod inspect;
 mod intake;
 pub mod limits;
 pub mod merge;
-pub mod page;
+mod page;
 pub mod pipeline;
 mod pixel;
 pub mod plane;
@@ -108,7 +108,7 @@ pub mod report;
 pub mod response;
 pub mod scratch;
 pub mod simd;
-pub mod statistics;
+mod statistics;
 mod tiff_file;
 pub mod tonemap;
 pub mod write;

@@ -72,7 +72,7 @@ pub struct Options {
     /// Calibration of radiance to cd/m2.
     pub calibration: Calibration,
     /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be
-    /// compared ([normalisation]); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
+    /// compared (normalisation); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
     pub unit_exposure: Option<f64>,
     /// Tone mapping operator, or exposure fusion.
     pub rendering: Rendering,

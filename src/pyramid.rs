@@ -4,8 +4,8 @@
 //! 2 ceil(4 sigma) + 1 multiply-adds a pixel for the Gaussian. Source: Ward 2003, section 2 (pyramid by averaging); Lowe 2004,
 //! section 3 (the Gaussian scale space is separable).
 
-pub mod burt_adelson;
-pub mod cells;
+pub(crate) mod burt_adelson;
+pub(crate) mod cells;
 
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};

@@ -10,7 +10,7 @@ use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
 use hdralign::bracket::colour::Space;
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
-use hdralign::merge::calibration::Calibration;
+use hdralign::merge::radiance::calibration::Calibration;
 use hdralign::merge::deghost::Deghost;
 use hdralign::merge::weight::Weight;
 use hdralign::pipeline::{self, Crop, Options};

@@ -6,7 +6,7 @@
 //!
 //! The sub-modules, each using only those before it:
 //!
-//! 1. [`transform`](mod@transform): transforms and their models. `result`: what the alignment gives back.
+//! 1. `transform`: transforms and their models. `result`: what the alignment gives back.
 //! 2. [`grey`]: grey pyramids. [`resampling`]: kernels and rows. [`photometric`]: two frames at a common exposure.
 //! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, matching, RANSAC, LMedS. Neither uses the other.
 //! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
@@ -30,7 +30,7 @@ pub mod resampling;
 mod result;
 #[cfg(test)]
 pub(crate) mod scene;
-pub mod transform;
+pub(crate) mod transform;
 pub mod transforms_file;
 
 use crate::bracket::Bracket;

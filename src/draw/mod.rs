@@ -5,9 +5,9 @@
 //! files, [`markup`] text and numbers made safe for XML and HTML. What is drawn is the business of [`inspect`](crate::inspect),
 //! [`page`](crate::page) and [`compare`](crate::compare).
 
-pub mod image;
-pub mod markup;
-pub mod plot;
-pub mod scale;
-pub mod svg;
-pub mod text;
+pub(crate) mod image;
+pub(crate) mod markup;
+pub(crate) mod plot;
+pub(crate) mod scale;
+pub(crate) mod svg;
+pub(crate) mod text;

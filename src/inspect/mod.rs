@@ -1,13 +1,13 @@
 //! Inspection: what the alignment of a bracket rests on, in tables and drawings, for people who look before, or want to find out why.
 //!
-//! In: a [`Bracket`], its [`Alignment`] and the options that it was found with. Out: an [`Inspection`]: [`Tables`] of exposures, places,
+//! In: a [`Bracket`], its [`Alignment`] and the options that it was found with. Out: an [`Inspection`]: `Tables` of exposures, places,
 //! bitmaps, keypoints and matches; for each frame its bitmaps, keypoints, matches, XOR curves and edges, as [`Sheet`]s, drawn when asked
 //! for. Cost: bitmaps and features of all frames, some tenths of a second each, whatever the alignment needed itself; and the same again to
 //! draw. Source: the thesis's chapter 4, its tables and figures, for any bracket.
 
-pub mod files;
-pub mod sheets;
-pub mod tables;
+pub(crate) mod files;
+pub(crate) mod sheets;
+pub(crate) mod tables;
 pub(crate) mod text;
 
 use crate::align::diagnostics::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};

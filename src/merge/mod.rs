@@ -27,7 +27,7 @@
 //! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
 //! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
 //! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure, or have
-//! them [normalised](radiance::normalisation).
+//! them normalised.
 
 pub mod deghost;
 mod fill;
@@ -35,11 +35,11 @@ mod layer;
 pub mod local;
 mod mean;
 mod merging;
-pub mod miniature;
+pub(crate) mod miniature;
 mod noise;
 pub mod radiance;
 mod rows;
-pub mod share;
+pub(crate) mod share;
 pub mod weight;
 
 use crate::align::Rect;
@@ -118,7 +118,7 @@ pub struct MergeReport {
     /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
     /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code: the reference's, or that which the radiance is
-    /// [normalised](radiance::normalisation) to. Null in cd/m2.
+    /// normalised to. Null in cd/m2.
     pub unit_exposure_s: Option<f64>,
     /// The range between the darkest radiance that is there and above the noise, and the brightest that is there and does not clip, in stops. Null of
     /// frames that are locally processed.

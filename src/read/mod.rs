@@ -7,11 +7,11 @@
 //! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] makes of them what the later
 //! stages take, and counts them.
 
-pub mod exr;
-pub mod hdr;
+pub(crate) mod exr;
+pub(crate) mod hdr;
 mod orientation;
 mod repair;
-pub mod tiff;
+pub(crate) mod tiff;
 
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result, Warning};

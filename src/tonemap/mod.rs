@@ -1,8 +1,8 @@
 //! Tone mapping: from radiance to a picture.
 //!
 //! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of [`codes`](display::codes). Each
-//! [`Operator`] is one paper in one file: it looks at the whole [`overview`] on a grid of at most a million cells and settles [`tones`], by
-//! which rows are mapped. Colour, gamut and encoding are the same for all, in [`tones`], [`display`] and [`codes`](display::codes). Cost: see each operator.
+//! [`Operator`] is one paper in one file: it looks at the whole `overview` on a grid of at most a million cells and settles `tones`, by
+//! which rows are mapped. Colour, gamut and encoding are the same for all, in `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
 pub mod display;
@@ -10,11 +10,11 @@ pub mod fusion;
 mod guide;
 pub mod natural;
 pub mod operators;
-pub mod overview;
-pub mod resize;
+pub(crate) mod overview;
+pub(crate) mod resize;
 pub mod settings;
 mod solvers;
-pub mod tones;
+pub(crate) mod tones;
 
 use crate::error::Result;
 use crate::merge::{Photographed, RadianceMap};

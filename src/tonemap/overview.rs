@@ -61,11 +61,6 @@ impl Overview {
         Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
     }
 
-    /// Of the picture, in pixels.
-    pub fn width(&self) -> usize {
-        self.size.0
-    }
-
     /// Sees the rows `pixels`, which begin with row `first`. The portions do not show in what comes of it: each cell adds up its pixels
     /// in their order.
     pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {

@@ -10,7 +10,7 @@
 //! level; where the parts of the picture have enough edges, the best one is refined to the minimum of the XOR counts
 //! (`descent`).
 
-pub mod bitmap;
+pub(crate) mod bitmap;
 mod descent;
 mod difference;
 mod period;

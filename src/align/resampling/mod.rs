@@ -8,7 +8,7 @@
 pub(crate) mod bilinear;
 pub(crate) mod cubic;
 pub(crate) mod lanczos;
-pub mod nearest;
+pub(crate) mod nearest;
 mod tile;
 
 use crate::align::resampling::lanczos::{BEFORE, TAPS};

@@ -2,8 +2,8 @@
 
 pub mod calibration;
 pub mod flare;
-pub mod gamut;
-pub mod normalisation;
+pub(crate) mod gamut;
+pub(crate) mod normalisation;
 pub(crate) mod photographed;
 pub mod range;
 pub mod statistics;

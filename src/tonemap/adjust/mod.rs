@@ -1,6 +1,6 @@
 //! Adjustments: what a photographer changes of the picture after the operator, with the same meaning for every operator.
 //!
-//! In: [`Options`]. Out: which light is white ([`white`], [`neutral`]), and what takes the light of the picture to that of the adjusted one ([`Adjusted`]).
+//! In: [`Options`]. Out: which light is white (`white`, `neutral`), and what takes the light of the picture to that of the adjusted one ([`Adjusted`]).
 //! Radiance stays as it is. Cost: see [`Adjusted`]; nothing where all is left as it is.
 //!
 //! White is balanced in linear light, before the operator. All else is a change of the log odds of luminance Y on the display, t = log2(Y / (1 - Y)): in the
@@ -8,9 +8,9 @@
 //! bright; contrast is the slope of what comes of it about the middle code; brightness is added to that. Saturation is times the chroma of OkLab.
 
 mod light;
-pub mod neutral;
+pub(crate) mod neutral;
 mod surroundings;
-pub mod white;
+pub(crate) mod white;
 
 use crate::error::{Error, Result};
 
