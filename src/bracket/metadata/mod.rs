@@ -1,4 +1,7 @@
-//! What files record beside pixels and exposure: camera, lens and time, and what of it the results carry on.
+//! Metadata of a frame other than its exposure.
+//!
+//! In: EXIF. Out: camera, lens and settings (`capture`), the time it was taken (`moment`), and the fields that results carry (`carried`). Exposure
+//! is read in [`exposure`](super::exposure).
 
 pub(crate) mod capture;
 pub(crate) mod carried;

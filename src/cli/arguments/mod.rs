@@ -1,4 +1,7 @@
-//! The arguments that several commands share, as groups of the help.
+//! Arguments that several commands share, in groups that clap flattens into a command.
+//!
+//! In: values of the command line. Out: options of the library. `input` has frames, alignment, output and resources; `recovery` the response;
+//! `merging`, `radiance`, `picture`, `tone` and `adjust` the stages after it; `choice` parses the library's enums.
 
 pub(crate) mod adjust;
 pub(crate) mod choice;

@@ -1,4 +1,7 @@
-//! The commands, each in a file of its name: its arguments, and the call of the library that they stand for.
+//! Commands of the program, each in the file of its name.
+//!
+//! In: parsed arguments. Out: an exit code. Each file holds the arguments and help of its command, and `run`, which turns them into options of the
+//! library. Arguments that several commands share are in `arguments`.
 
 pub(crate) mod align;
 pub(crate) mod batch;
