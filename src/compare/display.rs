@@ -9,12 +9,11 @@
 use super::ciede2000::{self, Lab};
 use super::light::Codes;
 use super::pu21::Light;
-use super::{ChannelCodes, DisplayDifference, Magnitudes, Measured, Unit};
+use super::{ChannelCodes, DisplayDifference, Magnitudes, Measured, Unit, by_bands};
 use crate::bracket::colour::Conversion;
 use crate::bracket::{Photograph, Samples};
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
 
 /// Luminance of display white, in cd/m2.
 const WHITE_CD_M2: f32 = 100.0;
@@ -38,34 +37,23 @@ pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
     let (wide_a, wide_b) = (rescaled(&a.samples, max), rescaled(&b.samples, max));
     let to_lab = to_lab(&left);
     let (width, height) = (a.width, a.height);
-    let mut plane = Plane::filled(width, height, 0.0);
-    let band = (BAND_ROWS * width).max(1);
-    let tallies: Vec<Tally> = plane
-        .as_mut_slice()
-        .par_chunks_mut(band)
-        .enumerate()
-        .map(|(i, out)| {
-            let mut tally = Tally::default();
-            for (k, out) in out.iter_mut().enumerate() {
-                let at = i * band + k;
-                let codes = |wide: &[u16]| [wide[3 * at], wide[3 * at + 1], wide[3 * at + 2]];
-                let (p, q) = (codes(&wide_a), codes(&wide_b));
-                tally.see(p, q);
-                if p != q || !by_codes {
-                    let lab = |light: &Plane<[f32; 3]>| to_lab(light.as_slice()[at]);
-                    let de = ciede2000::difference(lab(&light_a), lab(&light_b));
-                    let de = match by_codes {
-                        true => de.max(LEAST_DE),
-                        false if de < ROUNDED_DE => 0.0,
-                        false => de,
-                    };
-                    tally.de += de;
-                    *out = de as f32;
-                }
-            }
-            tally
-        })
-        .collect();
+    let (plane, tallies) = by_bands((width, height), |tally: &mut Tally, at| {
+        let codes = |codes: &[u16]| [codes[3 * at], codes[3 * at + 1], codes[3 * at + 2]];
+        let (p, q) = (codes(&wide_a), codes(&wide_b));
+        tally.see(p, q);
+        if p == q && by_codes {
+            return 0.0;
+        }
+        let lab = |light: &Plane<[f32; 3]>| to_lab(light.as_slice()[at]);
+        let de = ciede2000::difference(lab(&light_a), lab(&light_b));
+        let de = match by_codes {
+            true => de.max(LEAST_DE),
+            false if de < ROUNDED_DE => 0.0,
+            false => de,
+        };
+        tally.de += de;
+        de as f32
+    });
     let total = tallies.iter().fold(Tally::default(), Tally::and);
     let weights = left.primaries.luminance().map(|w| w as f32);
     let of = |pixels| Light { pixels, scale: WHITE_CD_M2, weights };

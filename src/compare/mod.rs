@@ -23,9 +23,10 @@ pub use bless::{Blessed, bless};
 
 use crate::error::{Error, Result};
 use crate::limits;
-use crate::plane::Plane;
+use crate::plane::{BAND_ROWS, Plane};
 use input::{Input, Pixels};
 use pu21::Light;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -304,6 +305,23 @@ impl Measured {
         };
         Measured { magnitudes, radiance, display, pu21_psnr_db, ms_ssim }
     }
+}
+
+/// Computes the magnitude of every pixel by `magnitude(sums, index)`, in parallel, with separate sums for each band of rows.
+fn by_bands<T: Default + Send>(
+    (width, height): (usize, usize),
+    magnitude: impl Fn(&mut T, usize) -> f32 + Sync,
+) -> (Plane<f32>, Vec<T>) {
+    let mut plane = Plane::filled(width, height, 0.0);
+    let band = (BAND_ROWS * width).max(1);
+    let bands = plane.as_mut_slice().par_chunks_mut(band).enumerate();
+    let sums = bands.map(|(i, out)| {
+        let mut sums = T::default();
+        out.iter_mut().enumerate().for_each(|(k, out)| *out = magnitude(&mut sums, i * band + k));
+        sums
+    });
+    let sums = sums.collect();
+    (plane, sums)
 }
 
 /// Working memory in bytes per pixel while radiance and while pictures are compared; pictures are converted to linear light first. Measured.

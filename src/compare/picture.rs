@@ -261,8 +261,7 @@ fn middle_of(input: &Input) -> f32 {
     let Pixels::Radiance(map, _) = &input.pixels else { return 1.0 };
     let pixels = map.pixels.as_slice();
     let step = pixels.len().div_ceil(1_000_000).max(1);
-    let green = pixels.iter().step_by(step).map(|p| p[1]).filter(|v| *v > 0.0 && v.is_finite());
-    percentile(green.collect(), 0.5).unwrap_or(1.0)
+    percentile(pixels.iter().step_by(step).map(|p| p[1]), 0.5).unwrap_or(1.0)
 }
 
 /// The mean of some pixels as shown; white when there are none.

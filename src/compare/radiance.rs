@@ -10,13 +10,12 @@
 //! NaN equals NaN, and an infinity equals itself. Their difference from anything else has no value in stops and exceeds every tolerance.
 
 use super::pu21::Light;
-use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit};
+use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, by_bands};
 use crate::bracket::colour::Conversion;
 use crate::merge::RadianceMap;
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use crate::statistics::of_rank;
 use crate::write::Metadata;
-use rayon::prelude::*;
 
 /// Share of the positive values below the floor.
 const DARK: f64 = 0.001;
@@ -71,20 +70,20 @@ fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
 fn floor(map: &RadianceMap) -> Option<f32> {
     let pixels = map.pixels.as_slice();
     let step = pixels.len().div_ceil(SAMPLED / 3).max(1);
-    let values = pixels.iter().step_by(step).flatten().copied();
-    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), DARK)
+    percentile(pixels.iter().step_by(step).flatten().copied(), DARK)
 }
 
 /// The luminance at the percentile `BRIGHT`; 1 when none is positive.
 fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
     let pixels = map.pixels.as_slice();
     let luminance = |p: &[f32; 3]| weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2];
-    let values = pixels.iter().step_by(pixels.len().div_ceil(SAMPLED).max(1)).map(luminance);
-    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), BRIGHT).unwrap_or(1.0)
+    let step = pixels.len().div_ceil(SAMPLED).max(1);
+    percentile(pixels.iter().step_by(step).map(luminance), BRIGHT).unwrap_or(1.0)
 }
 
-/// The value below which `share` of `values` lies.
-pub(super) fn percentile(values: Vec<f32>, share: f64) -> Option<f32> {
+/// The value below which `share` of the positive and finite ones of `values` lies; `None` when there are none.
+pub(super) fn percentile(values: impl Iterator<Item = f32>, share: f64) -> Option<f32> {
+    let values: Vec<f32> = values.filter(|v| *v > 0.0 && v.is_finite()).collect();
     let last = values.len().checked_sub(1)?;
     of_rank(values, (share * last as f64).round() as usize)
 }
@@ -134,31 +133,19 @@ struct Tally {
 
 /// For each pixel the difference of its worst channel in stops, and the sums.
 fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, Tally) {
-    let (width, height) = (a.width(), a.height());
-    let mut plane = Plane::filled(width, height, 0.0);
-    let band = (BAND_ROWS * width).max(1);
-    let inputs = a.as_slice().par_chunks(band).zip(b.as_slice().par_chunks(band));
-    let tallies: Vec<Tally> = plane
-        .as_mut_slice()
-        .par_chunks_mut(band)
-        .zip(inputs)
-        .map(|(out, (a, b))| {
-            let mut tally = Tally::default();
-            for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
-                let off = [0, 1, 2].map(|c| difference(a[c], b[c], floor));
-                if off.iter().any(Option::is_none) {
-                    tally.not_comparable += 1;
-                    *out = f32::INFINITY;
-                    continue;
-                }
-                for (channel, off) in tally.channels.iter_mut().zip(off.iter().flatten()) {
-                    channel.see(*off);
-                    *out = out.max(off.abs() as f32);
-                }
-            }
-            tally
-        })
-        .collect();
+    let (plane, tallies) = by_bands((a.width(), a.height()), |tally: &mut Tally, at| {
+        let (p, q) = (a.as_slice()[at], b.as_slice()[at]);
+        let [Some(red), Some(green), Some(blue)] = [0, 1, 2].map(|c| difference(p[c], q[c], floor)) else {
+            tally.not_comparable += 1;
+            return f32::INFINITY;
+        };
+        let mut most = 0.0f32;
+        for (channel, off) in tally.channels.iter_mut().zip([red, green, blue]) {
+            channel.see(off);
+            most = most.max(off.abs() as f32);
+        }
+        most
+    });
     let total = tallies.iter().fold(Tally::default(), |sum, tally| Tally {
         channels: [0, 1, 2].map(|c| sum.channels[c].and(&tally.channels[c])),
         not_comparable: sum.not_comparable + tally.not_comparable,

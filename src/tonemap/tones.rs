@@ -205,12 +205,11 @@ impl Tones {
             shown.colours(&mut colours, |rgb| encoder.from_srgb(rgb));
             [*red, *green, *blue] = colours;
         }
-        for i in 0..BLOCK {
-            // No light, or NaN, is black.
-            let is_lit = light[i] >= f32::MIN_POSITIVE;
-            red[i] = if is_lit { red[i] } else { 0.0 };
-            green[i] = if is_lit { green[i] } else { 0.0 };
-            blue[i] = if is_lit { blue[i] } else { 0.0 };
+        for channel in [red, green, blue] {
+            for (c, light) in channel.iter_mut().zip(&light) {
+                // No light, or NaN, is black.
+                *c = if *light >= f32::MIN_POSITIVE { *c } else { 0.0 };
+            }
         }
     }
 }

@@ -109,11 +109,12 @@ impl Spot {
     /// # Errors
     /// [`Error::Option`] when the spot is black, clipped, or too colourful to be grey in any light.
     pub fn light(&self, primaries: &Primaries, (black, white): (f32, f32)) -> Result<Light> {
-        const OTHER: &str = "choose one that is grey and neither black nor white";
+        let refused =
+            |why: &str| refused(self.at, &format!("{why}; choose one that is grey and neither black nor white"));
         let half = self.seen.len() / 2;
         let count = |is: &dyn Fn(&[f32; 3]) -> bool| self.seen.iter().filter(|pixel| is(pixel)).count();
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {
-            return Err(refused(self.at, &format!("is black, and has no colour; {OTHER}")));
+            return Err(refused("is black, and has no colour"));
         }
         // A spot that is clipped in all photographs is as bright as anything in the picture.
         let ends: [f32; 3] = std::array::from_fn(|c| {
@@ -122,7 +123,7 @@ impl Spot {
             if is_far { white.min(self.most[c] * PLATEAU) } else { white }
         });
         if count(&|pixel| pixel.iter().zip(ends).any(|(&v, end)| v >= end)) > half {
-            return Err(refused(self.at, &format!("is clipped, and its colour is lost; {OTHER}")));
+            return Err(refused("is clipped, and its colour is lost"));
         }
         let to_srgb = ToSrgb::from(primaries);
         let mut sums = [0.0f64; 3];
@@ -130,9 +131,7 @@ impl Spot {
             let rgb = to_srgb.apply(pixel);
             sums.iter_mut().zip(rgb).for_each(|(sum, v)| *sum += f64::from(v));
         }
-        of_linear(sums)
-            .map(Light::rounded)
-            .ok_or_else(|| refused(self.at, &format!("is too colourful to be grey in any light; {OTHER}")))
+        of_linear(sums).map(Light::rounded).ok_or_else(|| refused("is too colourful to be grey in any light"))
     }
 }
 

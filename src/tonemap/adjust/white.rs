@@ -179,19 +179,15 @@ impl FromStr for WhiteBalance {
             _ => {}
         }
         let wrong = || format!("{text:?} is not a white balance; {FORMS}");
-        let numbers = |text: &str| -> Option<(f64, Option<f64>)> {
-            let number = |text: &str| text.trim().parse().ok();
-            match text.split_once(',') {
-                Some((a, b)) => Some((number(a)?, Some(number(b)?))),
-                None => Some((number(text)?, None)),
-            }
-        };
         if let Some(spot) = text.strip_prefix("spot:") {
             let at = spot.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
             return at.map(|(x, y)| WhiteBalance::Spot(x, y)).ok_or_else(wrong);
         }
         let upper = text.to_uppercase();
-        let (kelvin, tint) = numbers(&upper.replacen('K', "", 1)).ok_or_else(wrong)?;
+        let numbers = upper.replacen('K', "", 1);
+        let mut numbers = numbers.splitn(2, ',').map(|number| number.trim().parse::<f64>().map_err(|_| wrong()));
+        let kelvin = numbers.next().unwrap_or_else(|| Err(wrong()))?;
+        let tint = numbers.next().transpose()?;
         let has_unit = upper.split(',').next().is_some_and(|first| first.trim().ends_with('K'));
         let light = Light { kelvin, tint: tint.unwrap_or(0.0) };
         let reason = light.out_of_range();

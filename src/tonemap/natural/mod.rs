@@ -118,13 +118,14 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
         (asked, _) => (longest.min(asked.unwrap_or(BRIGHTNESS)), POWERS),
     };
     let levels = Levels::new(&fused, brightness, powers, options.contrast);
-    let colours = Colours { photograph: &photograph, is_known: scene.photographed.is_some() };
+
     let (width, height) = (grid.logs.width(), grid.logs.height());
-    let saturation = options.saturation as f32;
+    let (saturation, is_known) = (options.saturation as f32, scene.photographed.is_some());
     let cells = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
         for (x, cell) in row.iter_mut().enumerate() {
             let display = levels.display([0, 1, 2].map(|c| fused[c].at(x, y)));
-            let [share, turn] = colours.shown(colour(grid.colours.at(x, y)), display.max(DARKEST));
+            let [share, turn] =
+                as_photographed(&photograph, is_known, colour(grid.colours.at(x, y)), display.max(DARKEST));
             let visible = display * display / (display * display + DARKEST * DARKEST);
             *cell = [log2(display + DARKEST), saturation * share * visible, turn];
         }
@@ -146,38 +147,27 @@ fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
     colour.map(|c| c * by)
 }
 
-/// Computes how a photograph shows colours.
-struct Colours<'a> {
-    photograph: &'a Photograph,
-    /// Whether the curve is that of the photographs. If not, the colours of the radiance are kept.
-    is_known: bool,
-}
-
-impl Colours<'_> {
-    /// The factor on the chroma of `colour` (of luminance 1) and the rotation of its hue in radians, when shown at the luminance `display`.
-    ///
-    /// Both are those of a photograph that shows the colour at that luminance, in which lamp light is golden, not pink. When no photographs are known,
-    /// the hue rotates little and only where nearly white colours get paler, and chroma is never increased.
-    fn shown(&self, colour: [f32; 3], display: f32) -> [f32; 2] {
-        let lab = |rgb| {
-            let [_, a, b] = oklab::from_linear(rgb);
-            (a, b, (a * a + b * b).sqrt())
-        };
-        let (a, b, of_scene) = lab(scaled(colour, display));
-        if of_scene <= GREY {
-            return [1.0, 0.0];
-        }
-        let (to_a, to_b, of_photograph) = lab(self.photograph.showing(colour, display));
-        let share = of_photograph / of_scene;
-        let turn = libm::atan2f(a * to_b - b * to_a, a * to_a + b * to_b);
-        match self.is_known {
-            true => [share, turn.clamp(-MOST_TURN.1, MOST_TURN.1)],
-            false => {
-                let paler = (2.0 - 2.0 * share).clamp(0.0, 1.0);
-                [share.min(1.0), turn.clamp(-MOST_TURN.0, MOST_TURN.0) * paler]
-            }
-        }
+/// The factor on the chroma of `colour` (of luminance 1) and the rotation of its hue in radians, when shown at the luminance `display`.
+///
+/// Both are those of a photograph that shows the colour at that luminance, in which lamp light is golden, not pink. When the curve of the photographs is
+/// not known, the hue rotates little and only where nearly white colours get paler, and chroma is never increased.
+fn as_photographed(photograph: &Photograph, is_known: bool, colour: [f32; 3], display: f32) -> [f32; 2] {
+    let lab = |rgb| {
+        let [_, a, b] = oklab::from_linear(rgb);
+        (a, b, (a * a + b * b).sqrt())
+    };
+    let (a, b, of_scene) = lab(scaled(colour, display));
+    if of_scene <= GREY {
+        return [1.0, 0.0];
     }
+    let (to_a, to_b, of_photograph) = lab(photograph.showing(colour, display));
+    let share = of_photograph / of_scene;
+    let turn = libm::atan2f(a * to_b - b * to_a, a * to_a + b * to_b);
+    if is_known {
+        return [share, turn.clamp(-MOST_TURN.1, MOST_TURN.1)];
+    }
+    let paler = (2.0 - 2.0 * share).clamp(0.0, 1.0);
+    [share.min(1.0), turn.clamp(-MOST_TURN.0, MOST_TURN.0) * paler]
 }
 
 /// Largest rotation of hue in radians: 9 degrees, or 25 when the photographs are known.
