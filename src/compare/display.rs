@@ -40,7 +40,7 @@ pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
     let (plane, tallies) = by_bands((width, height), |tally: &mut Tally, at| {
         let codes = |codes: &[u16]| [codes[3 * at], codes[3 * at + 1], codes[3 * at + 2]];
         let (p, q) = (codes(&wide_a), codes(&wide_b));
-        tally.see(p, q);
+        tally.add(p, q);
         if p == q && by_codes {
             return 0.0;
         }
@@ -54,7 +54,7 @@ pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
         tally.de += de;
         de as f32
     });
-    let total = tallies.iter().fold(Tally::default(), Tally::and);
+    let total = tallies.iter().fold(Tally::default(), Tally::merged);
     let weights = left.primaries.luminance().map(|w| w as f32);
     let of = |pixels| Light { pixels, scale: WHITE_CD_M2, weights };
     let (light_a, light_b) = (of(&light_a), of(&light_b));
@@ -85,7 +85,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn see(&mut self, p: [u16; 3], q: [u16; 3]) {
+    fn add(&mut self, p: [u16; 3], q: [u16; 3]) {
         for c in 0..3 {
             let off = i64::from(q[c]) - i64::from(p[c]);
             self.max[c] = self.max[c].max(p[c].abs_diff(q[c]));
@@ -94,7 +94,7 @@ impl Tally {
         }
     }
 
-    fn and(self, other: &Tally) -> Tally {
+    fn merged(self, other: &Tally) -> Tally {
         Tally {
             max: [0, 1, 2].map(|c| self.max[c].max(other.max[c])),
             sum: [0, 1, 2].map(|c| self.sum[c] + other.sum[c]),

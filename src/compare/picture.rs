@@ -16,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::tonemap::display::codes::Colours;
 use crate::write::{self, Format, Metadata, Pending, Target, png};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Largest side of a panel in pixels, and the side that small pictures are enlarged to.
@@ -77,6 +78,7 @@ pub(super) fn write(
     write::commit(vec![write::push_all(Box::new(writer), &page)?.file], overwrite)
 }
 
+/// Draws the whole page: title, headings, panels and legend.
 fn page(
     (a, b): (&Input, &Input),
     magnitudes: Option<&Magnitudes>,
@@ -88,14 +90,15 @@ fn page(
     let middle = middle_of(a);
     let shown = |input: &Input| fit.picture(size, |columns, rows| mean(input, middle, columns, rows));
     let scale = magnitudes.map(|m| Scale::of(m, words.limits));
-    let dimmed = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
+    let dimmed = |columns: Range<usize>, rows: Range<usize>| {
         let [r, g, b] = mean(a, middle, columns, rows).map(f64::from);
         [(0.35 * (0.2126 * r + 0.7152 * g + 0.0722 * b)) as u8; 3]
     };
-    let is_missing = |x: usize, y: usize| x >= aw.min(bw) || y >= ah.min(bh);
+
     let difference = fit.picture(size, |columns, rows| {
         let (Some(magnitudes), Some(scale)) = (magnitudes, &scale) else {
-            return if is_missing(columns.start, rows.start) { NOTHING.rgb() } else { dimmed(columns, rows) };
+            let is_missing = columns.start >= aw.min(bw) || rows.start >= ah.min(bh);
+            return if is_missing { NOTHING.rgb() } else { dimmed(columns, rows) };
         };
         let most =
             rows.clone().flat_map(|y| &magnitudes.plane.row(y)[columns.clone()]).fold(0.0, |m: f32, v| m.max(*v));
@@ -265,7 +268,7 @@ fn middle_of(input: &Input) -> f32 {
 }
 
 /// The mean of some pixels as shown; white when there are none.
-fn mean(input: &Input, middle: f32, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> [u8; 3] {
+fn mean(input: &Input, middle: f32, columns: Range<usize>, rows: Range<usize>) -> [u8; 3] {
     let (width, height) = input.size();
     let (columns, rows) = (columns.start..columns.end.min(width), rows.start..rows.end.min(height));
     let count = columns.len() * rows.len();

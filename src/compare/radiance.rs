@@ -41,7 +41,7 @@ pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Mea
     let (left, right) = (light(&a.pixels), light(&b.pixels));
     let names = ["red", "green", "blue"];
     let channels = [0, 1, 2].map(|c| tallies.channels[c].summary(names[c]));
-    let all = tallies.channels.iter().fold(Channel::default(), Channel::and).summary("");
+    let all = tallies.channels.iter().fold(Channel::default(), Channel::merged).summary("");
     let radiance = RadianceDifference {
         floor: f64::from(floor),
         channels,
@@ -98,14 +98,14 @@ struct Channel {
 }
 
 impl Channel {
-    fn see(&mut self, stops: f64) {
+    fn add(&mut self, stops: f64) {
         self.max = self.max.max(stops.abs());
         self.sum += stops;
         self.squares += stops * stops;
         self.count += 1;
     }
 
-    fn and(self, other: &Channel) -> Channel {
+    fn merged(self, other: &Channel) -> Channel {
         Channel {
             max: self.max.max(other.max),
             sum: self.sum + other.sum,
@@ -141,13 +141,13 @@ fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, T
         };
         let mut most = 0.0f32;
         for (channel, off) in tally.channels.iter_mut().zip([red, green, blue]) {
-            channel.see(off);
+            channel.add(off);
             most = most.max(off.abs() as f32);
         }
         most
     });
     let total = tallies.iter().fold(Tally::default(), |sum, tally| Tally {
-        channels: [0, 1, 2].map(|c| sum.channels[c].and(&tally.channels[c])),
+        channels: [0, 1, 2].map(|c| sum.channels[c].merged(&tally.channels[c])),
         not_comparable: sum.not_comparable + tally.not_comparable,
     });
     (plane, total)

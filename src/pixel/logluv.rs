@@ -124,14 +124,19 @@ const RANGE24: (f64, f64) = (0.0002468, 15.742);
 /// Range of luminance of the 32-bit format.
 const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
+/// The code of a luminance: 0 below `range`, `largest` above it, and otherwise its logarithm from `-octaves` on in `steps` an octave.
+fn logarithm(luminance: f64, range: (f64, f64), largest: u32, steps: f64, octaves: f64) -> u32 {
+    match luminance {
+        y if y >= range.1 => largest,
+        y if y > range.0 => (steps * (libm::log2(y) + octaves)) as u32,
+        _ => 0,
+    }
+}
+
 /// Encodes XYZ as 10 bits of luminance and 14 of chromaticity.
 pub(crate) fn encode24(c: [f32; 3]) -> u32 {
     let c = c.map(f64::from);
-    let le = match c[1] {
-        y if y >= RANGE24.1 => 0x3ff,
-        y if y > RANGE24.0 => (64.0 * (libm::log2(y) + 12.0)) as u32,
-        _ => 0,
-    };
+    let le = logarithm(c[1], RANGE24, 0x3ff, 64.0, 12.0);
     let ce = index(if le == 0 { NEUTRAL } else { uv(c) });
     le << 14 | ce as u32
 }
@@ -147,11 +152,7 @@ pub(crate) fn decode24(code: u32) -> [f32; 3] {
 /// Encodes XYZ as a sign, 15 bits of luminance, 8 of u' and 8 of v'.
 pub(crate) fn encode32(c: [f32; 3]) -> u32 {
     let c = c.map(f64::from);
-    let le = match c[1] {
-        y if y >= RANGE32.1 => 0x7fff,
-        y if y > RANGE32.0 => (256.0 * (libm::log2(y) + 64.0)) as u32,
-        _ => 0,
-    };
+    let le = logarithm(c[1], RANGE32, 0x7fff, 256.0, 64.0);
     let [ue, ve] = (if le == 0 { NEUTRAL } else { uv(c) }).map(|v| ((UV_SCALE * v) as u32).min(255));
     le << 16 | ue << 8 | ve
 }

@@ -89,10 +89,10 @@ impl Operator {
         settings::validate(&self.clone().settings(), self.name())
     }
 
-    /// The tone mapping of `scene`.
+    /// Analyses `scene` and returns its tone mapping.
     pub fn tones(&self, scene: &Scene) -> Tones {
         // A uniform scene has no dark and bright parts to adapt to.
-        if scene.is_plain() {
+        if scene.is_uniform() {
             return Tones::as_photographed(scene.to_srgb, scene.size.0);
         }
         match self {

@@ -126,7 +126,7 @@ impl Overview {
 
 /// Largest range, in stops, of a scene that counts as uniform: noise and rounding stay below it, and the falloff of light towards the corners of a
 /// picture is larger.
-const ONE_TONE: f32 = 0.25;
+const UNIFORM_STOPS: f32 = 0.25;
 
 /// Stands for the logarithm of no light.
 const UNLIT: f32 = -1000.0;
@@ -192,12 +192,12 @@ impl Scene {
         f64::from(quantile(&self.sample, p))
     }
 
-    /// Whether the scene is uniform: all its light is within `ONE_TONE`.
-    pub fn is_plain(&self) -> bool {
+    /// Whether the scene is uniform: all its light is within `UNIFORM_STOPS`.
+    pub fn is_uniform(&self) -> bool {
         let cells = self.logs.as_slice().iter();
         let (least, most) =
             self.sample.iter().chain(cells).fold((f32::MAX, f32::MIN), |(a, b), &l| (a.min(l), b.max(l)));
-        most - least <= ONE_TONE
+        most - least <= UNIFORM_STOPS
     }
 
     /// The mean log2 luminance, with values clamped to the range given.

@@ -61,7 +61,7 @@ impl Taps {
                     most[c] = if p[c] > most[c] { p[c] } else { most[c] };
                 }
             }
-            std::array::from_fn(|c| kept(sum[c], least[c], most[c]))
+            std::array::from_fn(|c| clamped(sum[c], least[c], most[c]))
         };
         self.places.iter().map(pixel).collect()
     }
@@ -69,7 +69,7 @@ impl Taps {
 
 /// Clamps `value` to `least..=most`; NaN becomes `least`.
 #[inline(always)]
-fn kept(value: f32, least: f32, most: f32) -> f32 {
+fn clamped(value: f32, least: f32, most: f32) -> f32 {
     let value = if value > least { value } else { least };
     if value < most { value } else { most }
 }
@@ -129,7 +129,7 @@ impl Resizer {
             }
         }
         for ((sum, least), most) in to.iter_mut().zip(least).zip(most) {
-            *sum = kept(*sum, least, most);
+            *sum = clamped(*sum, least, most);
         }
     }
 }
