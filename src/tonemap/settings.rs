@@ -63,7 +63,7 @@ impl<'a> Setting<'a> {
         if (least..=most).contains(&value) {
             return Ok(());
         }
-        let reason = format!("`{}` of `{operator}` must be {least} to {most}, not {value}", self.key);
+        let reason = format!("`{}` of `{operator}` must be from {least} to {most}, not {value}", self.key);
         Err(Error::Option { option: OPTION, reason })
     }
 

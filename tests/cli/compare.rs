@@ -246,7 +246,7 @@ fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
         ("a.exr .", "it is a folder"),
         ("a.exr a.exr --tolerance-de 1", "--tolerance-stops"),
         ("a.png a.png --tolerance-stops 1", "--tolerance-de"),
-        ("a.exr a.exr --tolerance-stops -1", "no tolerance"),
+        ("a.exr a.exr --tolerance-stops -1", "-1 is not a tolerance"),
         ("a.exr a.exr --max-differing 101", "percent"),
         ("a.exr a.exr --diff d.jpg", ".png"),
         ("a.exr a.exr --diff a.png", "--force"),
