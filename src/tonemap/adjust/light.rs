@@ -73,7 +73,7 @@ impl Adjusted {
     pub fn row<C: Code>(&self, encoder: &Encoder, y: usize, light: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let mut lines = Vec::new();
         if let Some(surroundings) = &self.surroundings {
-            surroundings.row(y, &mut lines);
+            surroundings.guide.row(y, &mut lines);
         }
         vectorised(Row { adjusted: self, lines: &lines, encoder, light, codes });
     }

@@ -22,7 +22,7 @@ const ENDS: f32 = 10.0;
 #[derive(Debug, Clone)]
 pub(super) struct Surroundings {
     /// Maps the log odds of a pixel to those of its surroundings.
-    guide: Guide,
+    pub guide: Guide,
     columns: Columns,
 }
 
@@ -35,11 +35,6 @@ impl Surroundings {
         let guide = Guide::smoothed(&odds, side, DETAIL);
         let columns = guide.columns(width);
         Surroundings { guide, columns }
-    }
-
-    /// Writes the linear functions of row `y`, by columns of cells, to `lines`.
-    pub fn row(&self, y: usize, lines: &mut Vec<[f32; 2]>) {
-        self.guide.row(y, lines);
     }
 
     /// Replaces the log odds of pixels, the first of which is in column `x`, by those of their surroundings; `lines` are those of the row.

@@ -86,7 +86,7 @@ const MOST_EXPOSURES: usize = 16;
 
 /// Shares of the cells of the fused picture that lie beyond its dark and its bright end.
 const ENDS: (f64, f64) = (0.005, 0.003);
-/// How far the dark end is moved towards black, and the largest code value to which that applies.
+/// Black is this share of the code value of the dark end, which counts as at most the second value.
 const BLACK: (f32, f32) = (0.5, 0.15);
 /// Smallest code value (0 to 1) of white.
 const WHITE: f32 = 0.8;

@@ -50,11 +50,12 @@ struct Shoulder {
 
 impl Shoulder {
     fn of(scene: &Scene, options: &Options) -> Self {
+        // log2 luminance: the 1st and 99th percentile, and the mean (equation 1) clamped to them.
         let ends = (scene.percentile(0.01), scene.percentile(0.99));
-        let statistics = Statistics { average: scene.average_within(ends), dark: ends.0, bright: ends.1 };
-        let key = options.key.unwrap_or_else(|| key(&statistics).clamp(KEYS.0, KEYS.1));
-        let white = options.white.unwrap_or_else(|| white(&statistics, key));
-        Shoulder { shift: libm::log2(key) - statistics.average, inverse_white2: 1.0 / (white * white) }
+        let average = scene.average_within(ends);
+        let key = options.key.unwrap_or_else(|| key(average, ends).clamp(KEYS.0, KEYS.1));
+        let white = options.white.unwrap_or_else(|| white(average, ends, key));
+        Shoulder { shift: libm::log2(key) - average, inverse_white2: 1.0 / (white * white) }
     }
 
     /// Equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
@@ -69,32 +70,20 @@ impl Shoulder {
     }
 }
 
-/// Statistics of the log2 luminances, from which the curve is estimated.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Statistics {
-    /// Mean of the logarithms (equation 1), clamped to the two ends.
-    average: f64,
-    /// The 1st percentile.
-    dark: f64,
-    /// The 99th percentile.
-    bright: f64,
-}
-
 /// Range of estimated keys: without it a few lamps would make a plain room too dark, and fog would become too bright.
 const KEYS: (f64, f64) = (0.15, 0.45);
 
 /// Reinhard 2003, equation 4: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log L_min)).
-fn key(scene: &Statistics) -> f64 {
-    let range = scene.bright - scene.dark;
-    let skew = (2.0 * scene.average - scene.dark - scene.bright) / range.max(1.0);
+fn key(average: f64, (dark, bright): (f64, f64)) -> f64 {
+    let skew = (2.0 * average - dark - bright) / (bright - dark).max(1.0);
     0.18 * libm::exp2(2.0 * skew)
 }
 
 /// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is limited to between one and two times the bright end of the scene,
 /// so that the bright end is not clipped and something is white; and is at least 1.
-fn white(scene: &Statistics, key: f64) -> f64 {
-    let estimate = 1.5 * libm::exp2(scene.bright - scene.dark - 5.0);
-    let brightest = key * libm::exp2(scene.bright - scene.average);
+fn white(average: f64, (dark, bright): (f64, f64), key: f64) -> f64 {
+    let estimate = 1.5 * libm::exp2(bright - dark - 5.0);
+    let brightest = key * libm::exp2(bright - average);
     estimate.min(2.0 * brightest).max(brightest).max(1.0)
 }
 
@@ -242,7 +231,7 @@ mod tests {
 
     #[test]
     fn the_key_follows_the_tone() {
-        let at = |average| key(&Statistics { average, dark: -5.0, bright: 5.0 });
+        let at = |average| key(average, (-5.0, 5.0));
         // 0.18 in the middle and a factor of 4 from it at either end, by equation 4.
         assert!((at(0.0) - 0.18).abs() < 1e-12 && (at(5.0) - 0.72).abs() < 1e-12 && (at(-5.0) - 0.045).abs() < 1e-12);
     }

@@ -31,7 +31,8 @@ pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     Plane::from_vec(picture.width(), picture.height(), centred)
 }
 
-/// The transpose of taking differences (negative divergence): for each cell the difference to it less those from it.
+/// The transpose of taking differences (negative divergence): for each cell the differences from its left and upper neighbours less those to its right and
+/// lower neighbours.
 pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (right.width(), right.height());
     Plane::from_rows(width, height, |y, row| {
@@ -49,7 +50,7 @@ pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
 
 /// Solves `apply`(x) = `right` by preconditioned conjugate gradients.
 ///
-/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops when the error, in the norm of
+/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops when the residual, in the norm of
 /// `precondition`, is below `tolerance` times that at the start, or after `most` steps.
 pub fn conjugate_gradients(
     right: &Plane<f32>,
