@@ -1,8 +1,8 @@
 //! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest sufficient
-//! [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first
-//! method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest
+//! sufficient [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the
+//! first method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
 //!
 //! The sub-modules, each using only those before it:
 //!

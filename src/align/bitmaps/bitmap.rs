@@ -56,8 +56,8 @@ impl Bitmap {
 
 /// Gathers the lowest bits of eight bytes into one byte: bit i is that of byte i. All other bits must be 0.
 ///
-/// The product has no carries: byte i times factor j sets bit 8 i + 7 (8 - j), which is different for every pair, and the
-/// eight pairs with i = j set the top byte.
+/// The product has no carries: byte i times factor j sets bit 8 i + 7 (8 - j), which is different for every pair, and
+/// the eight pairs with i = j set the top byte.
 #[inline]
 fn gather(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56

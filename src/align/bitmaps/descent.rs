@@ -4,8 +4,8 @@
 //! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts eight times; two to four
 //! rounds are enough. Nothing but the observations is allocated after [`Descent::new`]. Source: the counts are Ward's
 //! (2003, section 2). The thesis tries one angle after another (chapter 4). Here the picture is divided into a grid of
-//! cells. The counts under shifts of up to two pixels give the displacement of each cell, and shift and rotation are the
-//! least-squares fit to all cells.
+//! cells. The counts under shifts of up to two pixels give the displacement of each cell, and shift and rotation are
+//! the least-squares fit to all cells.
 
 use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
@@ -32,8 +32,8 @@ const GRID: usize = 7;
 
 /// Number of parameters of the fit.
 ///
-/// Eight are those of a homography near the identity, with positions in picture heights from the centre. The ninth is the
-/// difference between the thresholds of frame and reference, as the displacement of an edge that it causes.
+/// Eight are those of a homography near the identity, with positions in picture heights from the centre. The ninth is
+/// the difference between the thresholds of frame and reference, as the displacement of an edge that it causes.
 const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
@@ -76,7 +76,8 @@ impl<'a> Descent<'a> {
         ((width * width + height * height) / 12.0).sqrt()
     }
 
-    /// The share that differs `right` and `down` of where the frame lies now; 1 where too little can be compared.
+    /// The share of pixels that differ with the warped frame shifted by (`right`, `down`); 1 where too few can be
+    /// compared.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
         let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
@@ -172,19 +173,19 @@ impl<'a> Descent<'a> {
 
     /// The observations of the error of `motion` in all cells.
     ///
-    /// Let a cell have edges that are brighter on the right, of total height p, and edges that are darker on the right, of
-    /// total height q. If the frame is displaced to the right by t, it is darker than the reference in p t pixels and
-    /// brighter in q t pixels; if it is displaced to the left, the other way round. Excluded pixels reduce each count by
-    /// the width of the exclusion zones. A difference between the thresholds that displaces an edge by c reduces one kind
-    /// of count by more and the other by less. With the counts D(t) of darker and B(t) of brighter pixels at displacement
-    /// t, and the unknown displacement o,
+    /// Let a cell have edges that are brighter on the right, of total height p, and edges that are darker on the right,
+    /// of total height q. If the frame is displaced to the right by t, it is darker than the reference in p t pixels
+    /// and brighter in q t pixels; if it is displaced to the left, the other way round. Excluded pixels reduce each
+    /// count by the width of the exclusion zones. A difference between the thresholds that displaces an edge by c
+    /// reduces one kind of count by more and the other by less. With the counts D(t) of darker and B(t) of brighter
+    /// pixels at displacement t, and the unknown displacement o,
     ///
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
     ///
     /// where p and q are the mean growth of the counts from t = 1 to 2 on both sides. This holds exactly for |o| <= 1
-    /// where edges are sharp, and for any o where the counts grow quadratically. In finely structured pictures the counts
-    /// only grow up to t = 1. There the growth from 0 to 1 and D(1) - B(-1) = -2 p (o - c) are more precise. At o = 0 the
-    /// left sides are 0 whatever the form of the counts.
+    /// where edges are sharp, and for any o where the counts grow quadratically. In finely structured pictures the
+    /// counts only grow up to t = 1. There the growth from 0 to 1 and D(1) - B(-1) = -2 p (o - c) are more precise. At
+    /// o = 0 the left sides are 0 whatever the form of the counts.
     fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
         self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
         let (width, height) = (self.width(), self.height());

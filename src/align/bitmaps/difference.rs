@@ -1,8 +1,8 @@
 //! Comparison of bitmaps under a shift by XOR, AND and popcount, 64 pixels at a time.
 //!
-//! In: the bitmaps of two frames, and a shift. Out: the number of pixels that differ, in the overlap or in each cell of a
-//! grid. Cost: about 0.3 word operations per pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its listing (see
-//! [`bitmaps`](crate::align::bitmaps)).
+//! In: the bitmaps of two frames, and a shift. Out: the number of pixels that differ, in the overlap or in each cell of
+//! a grid. Cost: about 0.3 word operations per pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its
+//! listing (see [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::bitmaps::bitmap::{ThresholdBitmaps, Words, join};
 use crate::simd::{Loops, vectorised};
@@ -45,8 +45,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     let (words, stride) = (reference.threshold.stride() as i64 - 2, reference.threshold.stride() as i64);
     let (whole, height) = (dx >> 6, reference.threshold.height() as i64);
     if matches!(whole, -1 | 0) && dy.abs() < height {
-        // A shift by less than a word reads only padding beyond the end of a row, so that all rows can be compared as one
-        // sequence of words. The outermost words are padding too.
+        // A shift by less than a word reads only padding beyond the end of a row, so that all rows can be compared as
+        // one sequence of words. The outermost words are padding too.
         let near = 0.max(-dy) * stride + 1..(height - 0.max(dy)) * stride - 1;
         add(overlap(reference, frame, near, dy * stride + whole));
         return sum;
@@ -61,8 +61,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     sum
 }
 
-/// The words `near` of the reference, and the words of the frame, `far` farther on, in which the corresponding bits begin
-/// and end.
+/// The words `near` of the reference, and the words of the frame, `far` farther on, in which the corresponding bits
+/// begin and end.
 #[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
@@ -74,7 +74,8 @@ fn overlap<'a>(
     (reference.words(range(0)), frame.words(range(far)), frame.words(range(far + 1)))
 }
 
-/// Counts the differing and the compared pixels. The words of the frame begin `offset` bits into `low` and end in `high`.
+/// Counts the differing and the compared pixels. The words of the frame begin `offset` bits into `low` and end in
+/// `high`.
 struct Count<'a> {
     reference: Words<'a>,
     low: Words<'a>,

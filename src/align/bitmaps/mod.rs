@@ -3,8 +3,9 @@
 //!
 //! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a
 //! pixel, its error estimate, and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for
-//! 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic
-//! Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4 of the thesis.
+//! 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing High
+//! Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4 of
+//! the thesis.
 //!
 //! Every shift and angle is tried on the coarsest level. A few candidates are followed from level to level by whole
 //! pixels. Once the level is large enough, the best one is refined to the minimum of the XOR counts (`descent`).
@@ -36,7 +37,8 @@ pub struct MtbOptions {
     pub max_rotation_deg: f64,
     /// The largest shift searched at the coarsest level, as a fraction of the long side.
     pub max_shift: f64,
-    /// Half-width of the exclusion zone: pixels within this many grey values of the threshold are not compared (Ward: 4).
+    /// Half-width of the exclusion zone: pixels within this many grey values of the threshold are not compared (Ward:
+    /// 4).
     pub exclusion: u8,
 }
 

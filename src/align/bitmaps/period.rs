@@ -1,9 +1,9 @@
 //! Detection of repeating pictures, in which a frame matches in more than one place.
 //!
-//! In: a grey pyramid. Out: whether the picture repeats. Cost: a few milliseconds: one packed comparison for every shift
-//! within reach, on a small level. Source: Ward's bitmaps (2003), applied to the picture and itself. In a picture that
-//! does not repeat, about half of the pixels differ under a shift, and fewer the smaller the shift is. In a facade hardly
-//! any pixel differs under a shift by its period, and many differ under half of it.
+//! In: a grey pyramid. Out: whether the picture repeats. Cost: a few milliseconds: one packed comparison for every
+//! shift within reach, on a small level. Source: Ward's bitmaps (2003), applied to the picture and itself. In a picture
+//! that does not repeat, about half of the pixels differ under a shift, and fewer the smaller the shift is. In a facade
+//! hardly any pixel differs under a shift by its period, and many differ under half of it.
 
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::own_percentile;

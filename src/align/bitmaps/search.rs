@@ -63,8 +63,8 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
 
 /// Finds further motions under which the bitmaps nearly agree, as repeating facades or uniform surfaces cause.
 ///
-/// Tries all shifts on a level of moderate size, all rotated by `angle` radians. Returns at most `most` distinct motions,
-/// the best first.
+/// Tries all shifts on a level of moderate size, all rotated by `angle` radians. Returns at most `most` distinct
+/// motions, the best first.
 pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -203,8 +203,8 @@ const SIGNIFICANT: f64 = 2.0;
 /// Least short side of the level on which alternatives are searched, in pixels: fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Most bitmap words compared per angle where every shift is tried: some tenths of a second. Reached by the alternatives
-/// of pictures of 4:1 or longer only.
+/// Most bitmap words compared per angle where every shift is tried: some tenths of a second. Reached by the
+/// alternatives of pictures of 4:1 or longer only.
 const MOST_WORK: i64 = 1 << 29;
 /// Overhead of a row, in words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
@@ -215,7 +215,8 @@ const BEAM: usize = 9;
 /// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
 const MOST_EXCESS: f64 = 1.5;
 
-/// Short side from which on a level is refined to fractions of a pixel, and only the best candidate is followed, in pixels.
+/// Short side from which on a level is refined to fractions of a pixel, and only the best candidate is followed, in
+/// pixels.
 const CERTAIN_SIDE: usize = 200;
 
 /// Rounds of the descent on each level, and on the last.

@@ -42,8 +42,8 @@ pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
 
 /// The zones of two frames that cover the same ranks of their histograms.
 ///
-/// The zone that covers more ranks is `exclusion` grey values to either side of the percentile; the other consists of the
-/// grey values at the same ranks.
+/// The zone that covers more ranks is `exclusion` grey values to either side of the percentile; the other consists of
+/// the grey values at the same ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
     let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {

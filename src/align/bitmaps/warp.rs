@@ -34,12 +34,13 @@ pub enum Rounding {
     /// To the nearest.
     Nearest,
     /// To either neighbour, the nearer one more often, by a fixed pattern that changes with every word of 64 pixels and
-    /// every row. Counts then vary smoothly with the motion; steps at whole pixels would bias every result towards them.
+    /// every row. Counts then vary smoothly with the motion; steps at whole pixels would bias every result towards
+    /// them.
     Dithered,
 }
 
-/// The positions of a grid's pixels under a motion, in fixed point with 32 fractional bits: sums are exact, and the same
-/// on every machine.
+/// The positions of a grid's pixels under a motion, in fixed point with 32 fractional bits: sums are exact, and the
+/// same on every machine.
 struct PixelMap {
     rounding: Rounding,
     /// Displacement by one pixel to the right.
@@ -85,8 +86,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// The run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row: its end, and the column and
-    /// row of its first pixel.
+    /// The run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row: its end, and the column
+    /// and row of its first pixel.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -112,9 +113,9 @@ impl PixelMap {
 impl ThresholdBitmaps {
     /// Warps these bitmaps to the grid of `onto`, which has the same size.
     ///
-    /// Pixel (x, y) of `onto` becomes the pixel to which `motion` maps (x, y), rounded by `rounding`; it is excluded where
-    /// that is outside. Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels, so that each
-    /// piece in between is a packed shift.
+    /// Pixel (x, y) of `onto` becomes the pixel to which `motion` maps (x, y), rounded by `rounding`; it is excluded
+    /// where that is outside. Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels, so that
+    /// each piece in between is a packed shift.
     ///
     /// # Panics
     /// When the sizes differ.

@@ -5,8 +5,8 @@
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey values used as threshold: the median, or another where the median is too extreme (Ward: the
-/// 17th or 83rd).
+/// The percentile of the grey values used as threshold: the median, or another where the median is too extreme (Ward:
+/// the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 

@@ -1,7 +1,7 @@
 //! The grey pyramid of a frame.
 //!
-//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with their histograms. Cost: one
-//! mean of four pixels for each pixel of the smaller levels.
+//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with their histograms. Cost:
+//! one mean of four pixels for each pixel of the smaller levels.
 
 use crate::align::grey::histogram::Histogram;
 use crate::budget::Demand;
@@ -30,7 +30,8 @@ impl GreyPyramid {
 
     /// The pyramid of a picture of `size` whose rows are computed by `row`.
     ///
-    /// If the picture has more than [`ENOUGH_PIXELS`] pixels, level 0 is not kept; only two rows per thread are in memory.
+    /// If the picture has more than [`ENOUGH_PIXELS`] pixels, level 0 is not kept; only two rows per thread are in
+    /// memory.
     pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
@@ -94,7 +95,8 @@ impl GreyPyramid {
     }
 }
 
-/// Most pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px with this limit, and
+/// Most pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px with this limit,
+/// and
 /// 0.033 px on the full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 

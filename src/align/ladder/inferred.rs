@@ -1,8 +1,8 @@
 //! Transforms inferred from the other frames of a bracket, for frames that show too little.
 //!
 //! In: the placements of the frames by themselves. Out: those of frames with little detail, by what the camera did
-//! while the others were taken. Cost: that of comparing each such frame with the reference once more, and with its neighbour
-//! in exposure on a grid of some ten thousand samples.
+//! while the others were taken. Cost: that of comparing each such frame with the reference once more, and with its
+//! neighbour in exposure on a grid of some ten thousand samples.
 //!
 //! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds
 //! the lamps. Where the camera stood still for the others, or moved little from one to the next, its transform follows

@@ -1,7 +1,7 @@
 //! Selection among the candidates of a frame, and the placement that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure function
-//! of the candidates.
+//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure
+//! function of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::thresholds::{
@@ -213,7 +213,8 @@ mod tests {
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
 
-    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each matches worse.
+    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each
+    /// matches worse.
     #[test]
     fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
         let weak = |x, tiles: usize, correlation| {

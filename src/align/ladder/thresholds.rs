@@ -56,8 +56,8 @@ pub(super) const CORROBORATED_CONFIDENCE: f64 = 0.7;
 
 // Frames that are inferred from others.
 
-/// Confidence in a transform that is inferred from other frames without error, 0..=1; it falls with the expected error. Above
-/// [`INFERRING_CONFIDENCE`], so that such a frame is not doubtful, and below what tiles give. Chosen.
+/// Confidence in a transform that is inferred from other frames without error, 0..=1; it falls with the expected error.
+/// Above [`INFERRING_CONFIDENCE`], so that such a frame is not doubtful, and below what tiles give. Chosen.
 pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 /// Least confidence of a frame from which others are inferred, 0..=1: more likely right than wrong.
 pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
