@@ -339,7 +339,7 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // Slopes of 24 px, wavy so that both axes have a say: three look to the left for every one that looks to the
+        // Slopes of 24 px, wavy so that both axes contribute: three rise to the right for every one that falls to the
         // right.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();
