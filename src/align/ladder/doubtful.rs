@@ -53,8 +53,7 @@ impl Search<'_> {
         let near = CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt();
         let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
         let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
-        let mut targets = vec![reference];
-        targets.extend(neighbour);
+        let targets: Vec<Target> = [reference].into_iter().chain(neighbour).collect();
         let mut candidates = Candidates::default();
         candidates.add(0, first);
         for (b, target) in targets.iter().enumerate().skip(1) {
