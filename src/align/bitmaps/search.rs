@@ -12,7 +12,7 @@ use crate::plane::Plane;
 
 /// Finds the motion under which the bitmaps of `reference` and `frame` differ least.
 ///
-/// `finest` is the largest level searched; levels of more than [`ENOUGH_PIXELS`] pixels are never searched.
+/// `finest` is the largest level searched. Levels of more than [`ENOUGH_PIXELS`] pixels are skipped, except the coarsest.
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
     let finest = finest.clamp(level_within(reference, ENOUGH_PIXELS), coarsest);
