@@ -3,7 +3,7 @@
 use super::*;
 use crate::bracket::Capture;
 use crate::bracket::decode::tests::{jpeg, scene, with_exif};
-use exif::Value;
+use exif::{Tag, Value};
 use std::fs;
 use tempfile::TempDir;
 
