@@ -155,8 +155,8 @@ pub(crate) fn load_for(
         .into_iter()
         .zip(exposures)
         .map(|(picture, exposure)| {
-            notes.insert(picture.path.clone(), picture.warnings);
             let (exposure, size) = (with_tags(exposure, &picture.tags), picture.size());
+            notes.insert(picture.path.clone(), picture.warnings);
             let mut frame = Frame::stored(picture.path, size, picture.store, picture.well_exposed, exposure);
             frame.profile = picture.profile;
             frame.capture = picture.capture;
