@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::bracket::Capture;
+use crate::bracket::colour::Profile;
 use crate::bracket::decode::tests::{jpeg, scene, with_exif};
 use exif::{Tag, Value};
 use std::fs;
