@@ -87,6 +87,17 @@ impl<T: Copy> Plane<T> {
     }
 }
 
+impl<T: Copy + Sync> Plane<T> {
+    /// The plane of `convert` of every value, computed in parallel by bands.
+    pub fn map<U: Copy + Default + Send>(&self, convert: impl Fn(T) -> U + Sync) -> Plane<U> {
+        Plane::from_rows(self.width, self.height, |y, row| {
+            for (to, &from) in row.iter_mut().zip(self.row(y)) {
+                *to = convert(from);
+            }
+        })
+    }
+}
+
 impl<T: Clone> Plane<T> {
     /// A plane with `value` everywhere.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
