@@ -1,4 +1,4 @@
-//! Refinement against motions that are known: between exposures, with noise, clipping and things that move.
+//! Tests of refinement with known transforms, different exposures, noise, clipping and moving objects.
 
 use super::*;
 use crate::align::grey::GreyPyramid;
@@ -7,12 +7,12 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (400, 300);
 
-/// A photograph of the same scene, as a pyramid.
+/// The pyramid of a photograph of the test scene.
 fn taken(transform: &Transform, shot: Shot) -> GreyPyramid {
     GreyPyramid::new(Scene::new(11).photograph(SIZE, transform, shot))
 }
 
-/// Refined from level `coarsest` down to the full size.
+/// The refinement from level `coarsest` down to the full size.
 fn found(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -23,7 +23,7 @@ fn found(
     refine(&FramePair::new(reference, frame, start), start, model, (coarsest, 0))
 }
 
-/// The farthest that two transforms put a corner apart, in pixels.
+/// Largest distance of the corners under two transforms, in pixels.
 fn apart(a: &Transform, b: &Transform) -> f64 {
     a.corner_distance(b, SIZE.0, SIZE.1)
 }

@@ -1,13 +1,14 @@
 //! Cubic interpolation between the pixels of a smoothed plane.
 //!
-//! In: a plane and a place. Out: the value there; none too near the border. Cost: sixteen multiply-adds.
+//! In: a plane and a position. Out: the value there; none near the border. Cost: sixteen multiply-adds.
 //! Source: Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29(6), 1981.
 
 use crate::plane::Plane;
 
-/// Pixels nearest the border that are not used: the reach of the derivative and of the interpolation.
+/// Width of the border without samples, in pixels: the reach of the derivative and of the interpolation.
 pub(crate) const BORDER: usize = 3;
-/// Keys' cubic convolution at (u, v); none within [`BORDER`] - 1 pixels of the border.
+
+/// The value of `plane` at (u, v) by cubic convolution; none within [`BORDER`] - 1 pixels of the border.
 #[inline(always)]
 pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     let margin = (BORDER - 1) as f64;
@@ -28,7 +29,7 @@ pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     Some(sum)
 }
 
-/// Weights of the four samples about a place `t` of the way from the second to the third (Keys 1981, a = -1/2).
+/// Weights of four samples for a position between the second and the third, `t` from the second (Keys 1981, a = -1/2).
 #[inline(always)]
 pub(crate) fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
