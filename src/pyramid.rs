@@ -152,17 +152,15 @@ pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     let mut smooth = Plane::filled(width, height, 0.0f32);
     smooth.fill_bands(|rows, band| {
-        let at = |y: isize| plane.row(y.clamp(0, height as isize - 1) as usize);
-        let levels = |y: isize| -> Vec<f32> { at(y).iter().map(|&v| table[usize::from(v)]).collect() };
-        let first = rows.start as isize;
-        let mut window: [Vec<f32>; 5] = std::array::from_fn(|k| levels(first + k as isize - 2));
+        let first = rows.start;
+        let mut window: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; width]);
         let mut column = vec![0.0f32; width + 4];
         for (y, out) in rows.zip(band.chunks_exact_mut(width)) {
-            if y as isize > first {
-                window.rotate_left(1);
-                for (l, &v) in window[4].iter_mut().zip(at(y as isize + 2)) {
-                    *l = table[usize::from(v)];
-                }
+            window.rotate_left(1);
+            let missing = if y == first { 0 } else { 4 };
+            for (k, row) in window.iter_mut().enumerate().skip(missing) {
+                let from = plane.row((y + k).saturating_sub(2).min(height - 1));
+                row.iter_mut().zip(from).for_each(|(to, &v)| *to = table[usize::from(v)]);
             }
             vectorised(BinomialRow { window: window.each_ref().map(|row| &row[..]), column: &mut column, out });
         }

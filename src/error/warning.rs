@@ -252,26 +252,16 @@ fn named(paths: &[PathBuf]) -> String {
 impl Warning {
     /// Whether the result is degraded: a frame is rejected, assumed or uncertain, an exposure estimated, or a curve assumed.
     pub fn degrades(&self) -> bool {
-        matches!(
+        !matches!(
             self,
-            Warning::FrameAssumed { is_still: false, .. }
-                | Warning::FrameRejected { .. }
-                | Warning::SamePixels { .. }
-                | Warning::NothingToAlign { .. }
-                | Warning::LowConfidence { .. }
-                | Warning::SmallOverlap { .. }
-                | Warning::ExposureContradicted { .. }
-                | Warning::ExposureEstimated { .. }
-                | Warning::ExposureDoubtful { .. }
-                | Warning::FlashFired { .. }
-                | Warning::ExposureBounded { .. }
-                | Warning::ExposureIncomplete { .. }
-                | Warning::ResponseFallback { .. }
-                | Warning::ResponseBorrowed { .. }
-                | Warning::LocallyProcessed { .. }
-                | Warning::ResponseDoubtful { .. }
-                | Warning::CamerasDiffer { .. }
-                | Warning::BracketLeftOut { .. }
+            Warning::FrameAssumed { is_still: true, .. }
+                | Warning::ProfilesDiffer { .. }
+                | Warning::Metadata { .. }
+                | Warning::FusedAsIs { .. }
+                | Warning::OutOfGamut { .. }
+                | Warning::NotEnlarged { .. }
+                | Warning::NoWhite
+                | Warning::OutOfRange { .. }
         )
     }
 }

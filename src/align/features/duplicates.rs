@@ -34,11 +34,6 @@ impl KeypointIndex {
         points.iter().for_each(|k| self.0.entry(square(k)).or_default().push(*k));
     }
 
-    /// The number of `points` that are not in the index.
-    pub(super) fn new_among(&self, points: &[Keypoint]) -> usize {
-        points.iter().filter(|k| !self.has(k)).count()
-    }
-
     /// Whether the index has a keypoint within a pixel of `point` and of similar scale.
     pub(super) fn has(&self, point: &Keypoint) -> bool {
         let is_same =

@@ -24,14 +24,20 @@ pub(crate) struct FeatureSets {
 impl FeatureSets {
     /// The keypoints of all bitmaps; a keypoint of several bitmaps is listed once.
     pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
-        let mut index = KeypointIndex::default();
-        let mut all = Vec::with_capacity(self.counts.mtb);
-        for set in &self.mtb {
-            all.extend(set.keypoints.iter().filter(|k| !index.has(k)).copied());
-            index.add(&set.keypoints);
-        }
-        all
+        additional(&[], &self.mtb)
     }
+}
+
+/// The keypoints of `sets` that are neither in `known` nor in an earlier set.
+fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
+    let mut index = KeypointIndex::default();
+    index.add(known);
+    let mut found = Vec::new();
+    for set in sets {
+        found.extend(set.keypoints.iter().filter(|k| !index.has(k)).copied());
+        index.add(&set.keypoints);
+    }
+    found
 }
 
 /// For each of `points`, whether `others` has the same keypoint: within a pixel, and of similar scale.
@@ -105,14 +111,9 @@ pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plan
 /// The number of keypoints of the grey image, of the bitmaps and of both; a keypoint that is found repeatedly counts
 /// once.
 pub(super) fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
-    let (mut of_bitmaps, mut of_all) = (KeypointIndex::default(), KeypointIndex::default());
-    let mut counts = KeypointCounts { plain: plain.len(), mtb: 0, merged: plain.len() };
-    of_all.add(&plain.keypoints);
-    for set in mtb {
-        counts.mtb += of_bitmaps.new_among(&set.keypoints);
-        counts.merged += of_all.new_among(&set.keypoints);
-        of_bitmaps.add(&set.keypoints);
-        of_all.add(&set.keypoints);
+    KeypointCounts {
+        plain: plain.len(),
+        mtb: additional(&[], mtb).len(),
+        merged: plain.len() + additional(&plain.keypoints, mtb).len(),
     }
-    counts
 }

@@ -58,8 +58,9 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
                     None => table.candidates(point).into_iter().flatten().for_each(|j| search.consider(j)),
                     Some((guide, grid)) => {
                         let (x, y) = map(&guide.motion, point.x.into(), point.y.into());
-                        let near = grid.near(x, y).into_iter().flatten().map(|&j| j as usize);
-                        near.filter(|&j| may_match(point, &table.points[j])).for_each(|j| search.consider(j));
+                        grid.near(x, y)
+                            .filter(|&j| may_match(point, &table.points[j]))
+                            .for_each(|j| search.consider(j));
                     }
                 }
                 let best = search.if_unambiguous(ratio);
@@ -259,15 +260,14 @@ impl Grid {
     }
 
     /// The keypoints in the cells around (x, y): includes all within the radius.
-    fn near(&self, x: f64, y: f64) -> Vec<&[u32]> {
-        let (column, row) = ((x / self.cell).floor() as i64, (y / self.cell).floor() as i64);
-        let mut near = Vec::with_capacity(9);
-        for r in (row - 1).max(0)..=(row + 1).min(self.rows - 1) {
-            for c in (column - 1).max(0)..=(column + 1).min(self.columns - 1) {
-                near.push(&self.cells[(r * self.columns + c) as usize][..]);
-            }
-        }
-        near
+    fn near(&self, x: f64, y: f64) -> impl Iterator<Item = usize> {
+        let around = |v: f64, count: i64| {
+            let cell = (v / self.cell).floor() as i64;
+            cell.saturating_sub(1).max(0)..=cell.saturating_add(1).min(count - 1)
+        };
+        let (rows, columns) = (around(y, self.rows), around(x, self.columns));
+        let cells = rows.flat_map(move |r| columns.clone().map(move |c| &self.cells[(r * self.columns + c) as usize]));
+        cells.flatten().map(|&j| j as usize)
     }
 }
 

@@ -192,40 +192,37 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Scratch { window, sums, values, positions } = self.scratch;
         let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
-        let footprint = match footprint(self.h, &self.columns, &self.rows, last) {
-            Footprint::Outside => {
-                let lines = self.out.chunks_mut(self.stride).take(self.rows.len());
-                lines.for_each(|line| line[..self.columns.len()].fill([OUTSIDE; 3]));
-                return;
-            }
-            Footprint::Window(across, down) => Some((across, down)),
-            Footprint::TooLarge => None,
-        };
-        if let Some((across, down)) = &footprint {
-            fill(self.source, across, down, window);
-        }
-        let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
-        for (y, line) in self.rows.zip(self.out.chunks_mut(self.stride)) {
-            let line = &mut line[..self.columns.len()];
-            let Some((across, down)) = &footprint else {
-                for (x, pixel) in self.columns.clone().zip(line) {
-                    let (u, v) = map(self.h, x as f64, y as f64);
-                    // False for NaN.
-                    let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
-                    *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+        let footprint = footprint(self.h, &self.columns, &self.rows, last);
+        let width = self.columns.len();
+        let lines = self.rows.zip(self.out.chunks_mut(self.stride).map(|line| &mut line[..width]));
+        match footprint {
+            Footprint::Outside => lines.for_each(|(_, line)| line.fill([OUTSIDE; 3])),
+            Footprint::Window(across, down) => {
+                let Scratch { window, sums, values, positions } = self.scratch;
+                fill(self.source, &across, &down, window);
+                let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
+                for (y, line) in lines {
+                    let (first, origin) = ((self.columns.start, y), (across.start, down.start));
+                    if is_affine {
+                        positions.find::<true>(self.h, first, origin, last);
+                    } else {
+                        positions.find::<false>(self.h, first, origin, last);
+                    }
+                    positions.sum(window, sums, width);
+                    positions.across(sums, self.source.scale, values, line);
                 }
-                continue;
-            };
-            let (first, origin) = ((self.columns.start, y), (across.start, down.start));
-            if is_affine {
-                positions.find::<true>(self.h, first, origin, last);
-            } else {
-                positions.find::<false>(self.h, first, origin, last);
             }
-            positions.sum(window, sums, line.len());
-            positions.across(sums, self.source.scale, values, line);
+            Footprint::TooLarge => {
+                for (y, line) in lines {
+                    for (x, pixel) in self.columns.clone().zip(line) {
+                        let (u, v) = map(self.h, x as f64, y as f64);
+                        // False for NaN.
+                        let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
+                        *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+                    }
+                }
+            }
         }
     }
 }

@@ -86,20 +86,14 @@ impl Surroundings {
             (c - reach).max(1) as usize..((c + reach).min(n as isize - 2) + 1).max(1) as usize
         };
         let (columns, rows) = (within(extremum.x, level.width()), within(extremum.y, level.height()));
-        let weights_x = weights(columns.clone(), extremum.x, falloff);
-        let weights_y = weights(rows.clone(), extremum.y, falloff);
+        let weight = |position: usize, centre: f64| {
+            let d = (position as f64 - centre) as f32;
+            exp_minus(d * d * falloff)
+        };
+        let weights_x = columns.clone().map(|x| weight(x, extremum.x)).collect();
+        let weights_y = rows.clone().map(|y| weight(y, extremum.y)).collect();
         Surroundings { columns, rows, weights_x, weights_y }
     }
-}
-
-/// exp(-d^2 `falloff`) for the distance d of each of `positions` from `centre`.
-fn weights(positions: Range<usize>, centre: f64, falloff: f32) -> Vec<f32> {
-    positions
-        .map(|p| {
-            let d = (p as f64 - centre) as f32;
-            exp_minus(&EXP, d * d * falloff)
-        })
-        .collect()
 }
 
 /// Table entries of exp(-t) per unit of t.
@@ -108,8 +102,8 @@ static EXP: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=(16.0 * STEPS) as usize).map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32).collect());
 
 /// exp(-t) for t >= 0 with a relative error of at most 1/512; 0 for t >= 16.
-fn exp_minus(table: &[f32], t: f32) -> f32 {
-    table.get((t * STEPS + 0.5) as usize).copied().unwrap_or(0.0)
+fn exp_minus(t: f32) -> f32 {
+    EXP.get((t * STEPS + 0.5) as usize).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -150,8 +144,8 @@ mod tests {
     fn the_exponential_is_that_of_the_platform() {
         for i in 0..1000 {
             let t = i as f32 * 0.0159;
-            assert!((exp_minus(&EXP, t) / (-t).exp() - 1.0).abs() < 1.0 / 500.0);
+            assert!((exp_minus(t) / (-t).exp() - 1.0).abs() < 1.0 / 500.0);
         }
-        assert_eq!(exp_minus(&EXP, 1e9), 0.0);
+        assert_eq!(exp_minus(1e9), 0.0);
     }
 }
