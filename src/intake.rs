@@ -111,7 +111,7 @@ fn too_long(path: &Path, length: u64, most: u64) -> Error {
 #[cfg(unix)]
 pub(crate) type Identity = (u64, u64);
 
-/// The identity of the file or folder `path`, through links; none where there is no such file.
+/// The identity of the file or folder `path`, following links; none if it does not exist.
 #[cfg(unix)]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     use std::os::unix::fs::MetadataExt;
@@ -123,7 +123,7 @@ pub(crate) fn identity(path: &Path) -> Option<Identity> {
 #[cfg(not(unix))]
 pub(crate) type Identity = PathBuf;
 
-/// The identity of the file or folder `path`, through links; none where there is no such file.
+/// The identity of the file or folder `path`, following links; none if it does not exist.
 #[cfg(not(unix))]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     std::fs::canonicalize(path).ok()

@@ -83,26 +83,25 @@ pub fn gaussian_pyramid(plane: Plane<f32>, levels: usize) -> Vec<Plane<f32>> {
 pub fn laplacian_pyramid(mut pyramid: Vec<Plane<f32>>) -> Vec<Plane<f32>> {
     for i in 1..pyramid.len() {
         let (finer, coarser) = pyramid.split_at_mut(i);
-        let fine = &mut finer[i - 1];
-        let smooth = expand(&coarser[0], (fine.width(), fine.height()));
-        for (v, s) in fine.as_mut_slice().iter_mut().zip(smooth.as_slice()) {
-            *v -= s;
-        }
+        combine(&mut finer[i - 1], &coarser[0], |v, smooth| *v -= smooth);
     }
     pyramid
 }
 
 /// The image of a Laplacian pyramid; a plane without pixels for a pyramid without levels.
 pub fn collapse(mut pyramid: Vec<Plane<f32>>) -> Plane<f32> {
-    let mut picture = pyramid.pop().unwrap_or_else(|| Plane::filled(0, 0, 0.0));
+    let mut image = pyramid.pop().unwrap_or_else(|| Plane::filled(0, 0, 0.0));
     while let Some(mut level) = pyramid.pop() {
-        let smooth = expand(&picture, (level.width(), level.height()));
-        for (v, s) in level.as_mut_slice().iter_mut().zip(smooth.as_slice()) {
-            *v += s;
-        }
-        picture = level;
+        combine(&mut level, &image, |v, smooth| *v += smooth);
+        image = level;
     }
-    picture
+    image
+}
+
+/// Changes every pixel of `level` by the same pixel of the enlarged next `coarser` level.
+fn combine(level: &mut Plane<f32>, coarser: &Plane<f32>, change: impl Fn(&mut f32, f32)) {
+    let smooth = expand(coarser, (level.width(), level.height()));
+    level.as_mut_slice().iter_mut().zip(smooth.as_slice()).for_each(|(v, &s)| change(v, s));
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Matching of descriptors.
 //!
-//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
+//! In: the [`Features`] of two images. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
 //! Cost: 128 multiply-adds for every pair of keypoints that may match. That is about one pair in ten: a hand-held camera
 //! hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive
 //! Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the nearest to the second

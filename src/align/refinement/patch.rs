@@ -5,7 +5,7 @@
 //! interpolate. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
 //! [`cubic`](crate::align::resampling::cubic)).
 
-use crate::align::resampling::cubic::keys;
+use crate::align::resampling::cubic::interpolate;
 use crate::plane::Plane;
 
 /// Reach of the smoothing, in pixels.
@@ -69,14 +69,9 @@ impl Patch<FRAME_PATCH> {
             return None;
         }
         let (x, y) = (u as i32, v as i32);
-        let (wx, wy) = (keys((u - f64::from(x)) as f32), keys((v - f64::from(y)) as f32));
+        let fraction = [(u - f64::from(x)) as f32, (v - f64::from(y)) as f32];
         let (x, y) = (x as usize, y as usize);
-        let mut sum = 0.0;
-        for (j, w) in wy.iter().enumerate() {
-            let row = &self.0[y + j - 1][x - 1..x + 3];
-            sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
-        }
-        Some(sum)
+        Some(interpolate(fraction, |j| &self.0[y + j - 1][x - 1..x + 3]))
     }
 }
 

@@ -20,18 +20,25 @@ pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
         return None;
     }
     let (x, y) = (u as usize, v as usize);
-    let (wx, wy) = (keys((u - x as f64) as f32), keys((v - y as f64) as f32));
+    let fraction = [(u - x as f64) as f32, (v - y as f64) as f32];
+    Some(interpolate(fraction, |j| &plane.row(y + j - 1)[x - 1..x + 3]))
+}
+
+/// The value between 4 x 4 samples, whose rows are `row(0)` to `row(3)`, at `fraction` from the second in each direction.
+#[inline(always)]
+pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f32]) -> f32 {
+    let [wx, wy] = fraction.map(keys);
     let mut sum = 0.0;
     for (j, w) in wy.iter().enumerate() {
-        let row = &plane.row(y + j - 1)[x - 1..x + 3];
+        let row = row(j);
         sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
     }
-    Some(sum)
+    sum
 }
 
 /// Weights of four samples for a position between the second and the third, `t` from the second (Keys 1981, a = -1/2).
 #[inline(always)]
-pub(crate) fn keys(t: f32) -> [f32; 4] {
+fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
 }

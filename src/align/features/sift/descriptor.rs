@@ -47,8 +47,7 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
         let weights_x = &weights_x[first - columns.start..];
         samples.resize(end - first);
         let (x, gradients) = (extremum.x, &gradients);
-        let samples_here = &mut samples;
-        vectorised(SampleRow { x, dy, sin, cos, angle, first, weight_y, weights_x, gradients, samples: samples_here });
+        vectorised(SampleRow { x, dy, sin, cos, angle, first, weight_y, weights_x, gradients, samples: &mut samples });
         samples.accumulate(&mut histogram);
     }
     let mut vector = [0.0f32; CELLS * CELLS * BINS];
