@@ -189,7 +189,7 @@ fn read_within(
         decoding: first.decoding,
     };
     let budget = Budget::new(limit, demand)?;
-    let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_given);
+    let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_available);
     let scratch = if stay { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
