@@ -42,7 +42,7 @@ impl Tables {
         );
         add(
             "Table 3. Matches with the reference, and inliers among them",
-            "Matches pass the ratio test in both directions. The alignment uses further methods.",
+            "Matches are mutual and pass the ratio test. The alignment uses further methods.",
             &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
             &match_row,
         );

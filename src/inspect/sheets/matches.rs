@@ -39,10 +39,10 @@ pub(in crate::inspect) fn draw(
         .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {
-        notes += &format!(" All are dots; one in {stride} has a line.");
+        notes += &format!(" All matches are drawn as dots, one in {stride} also as a line.");
     }
     if reference.1.brightened || frame.1.brightened {
-        notes += " Dark frames are shown brighter than they are.";
+        notes += " Dark frames are shown brightened.";
     }
     let (left, right) = (reference.1.size(), frame.1.size());
     let mut page = Page::new(title, &legend, (left.0 + GAP + right.0, NAMES + left.1.max(right.1)), &notes);
