@@ -62,9 +62,8 @@ impl FromStr for Crop {
                 Err("the part is empty; give a WIDTH and a HEIGHT of 1 or more".into())
             }
             Some(&[x0, y0, width, height]) => {
-                let end = |from: usize, side: usize| {
-                    from.checked_add(side).ok_or("the part has no end: X + WIDTH or Y + HEIGHT is too large")
-                };
+                let end =
+                    |from: usize, side: usize| from.checked_add(side).ok_or("the part has no end; give a smaller one");
                 Ok(Crop::Part(Rect { x0, y0, x1: end(x0, width)?, y1: end(y0, height)? }))
             }
             _ => {
