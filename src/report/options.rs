@@ -31,7 +31,7 @@ pub struct OptionsReport {
     pub weight: Option<Weight>,
     /// Strength of deghosting, 0..=1; null without deghosting.
     pub deghost_strength: Option<f64>,
-    /// Whether lens flare was subtracted if found.
+    /// Whether lens flare is subtracted.
     pub flare: Option<bool>,
     /// Requested colour space; null for that of the photographs.
     pub colour: Option<Space>,
