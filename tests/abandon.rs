@@ -23,7 +23,7 @@ fn after_the_end_nothing_is_there_and_nothing_comes() {
     is_abandoned(write::commit(vec![pending], true).unwrap_err(), "a.txt");
     is_abandoned(write::rename_all(vec![whole], true).unwrap_err(), "b.txt");
     is_abandoned(Pending::create(&at("c.txt")).unwrap_err(), "c.txt");
-    is_abandoned(write::NewFolder::create(&at("d")).unwrap_err(), "d: is not written");
+    is_abandoned(write::NewFolder::create(&at("d")).unwrap_err(), "d: was not written");
     drop((inside, new));
     assert!(folder.listing().is_empty());
 }

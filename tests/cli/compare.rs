@@ -238,7 +238,7 @@ fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
     folder.put("cut.exr", &whole[..whole.len() / 2]);
     let before = folder.listing();
     for (line, said) in [
-        ("a.exr a.png", "a.exr: holds radiance, and a.png holds a display picture"),
+        ("a.exr a.png", "a.exr: contains radiance, but a.png contains a display picture"),
         ("gone.exr a.exr", "gone.exr: cannot be read"),
         ("a.exr gone.exr", "gone.exr: cannot be read"),
         ("a.exr words.txt", "words.txt: cannot be compared"),

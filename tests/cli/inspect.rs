@@ -142,7 +142,7 @@ fn a_frame_of_something_else_is_drawn_and_degrades() {
     folder.put("noise.jpg", &crate::support::jpeg(&noise, Some(2)));
     let run = folder.line("inspect w3.jpg w4.jpg noise.jpg --reference w3.jpg -d look --strict");
     assert_eq!(run.code, 3, "{run:?}");
-    assert!(run.stderr.contains("noise.jpg: left out") && folder.at("look/noise.edges.png").is_file());
+    assert!(run.stderr.contains("noise.jpg: rejected") && folder.at("look/noise.edges.png").is_file());
 }
 
 #[test]

@@ -107,7 +107,7 @@ fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
         ("compare a.png a.png -q", 2),
     ] {
         let run = folder.line(&format!("{command} --max-memory 100MB"));
-        assert!(run.code == code && run.stderr.contains("allow more with --max-memory"), "{command}: {run:?}");
+        assert!(run.code == code && run.stderr.contains("raise it with --max-memory"), "{command}: {run:?}");
         let needed = run.stderr.split_once("need ").and_then(|(_, rest)| rest.split_once(" MB while"));
         let needed: u64 = needed.and_then(|(megabytes, _)| megabytes.parse().ok()).expect("what it needs");
         // Of a file that can be decoded all else may not fit yet.

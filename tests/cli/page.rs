@@ -269,7 +269,7 @@ fn names_stay_names_and_warnings_are_said() {
     let left_out = said.iter().find(|w| w.contains("stripes.jpg")).unwrap_or_else(|| panic!("{}", run.stderr));
     // What was found, and what to do about it.
     let (what, remedy) = left_out.split_once(": ").and_then(|(_, text)| text.rsplit_once("; ")).expect("a remedy");
-    assert!(html.contains(&format!("<b>Have a look: stripes.jpg.</b> {}", what.replacen('l', "L", 1))), "{what}");
+    assert!(html.contains(&format!("<b>Have a look: stripes.jpg.</b> {}", what.replacen('r', "R", 1))), "{what}");
     let remedy = remedy.replacen("if", "If", 1).replace("--unmoved", "<code>--unmoved</code>");
     let plain = remedy.split(", or").next().expect("its beginning");
     assert!(html.contains(&format!("<span class=\"remedy\">{plain}")), "{plain}");

@@ -240,7 +240,7 @@ fn part_of_the_reference_is_what_the_whole_has_there() {
     assert_eq!(sides, [Some(0), Some(5), Some(120), Some(90)]);
     for (part, said) in [
         ("0,0,301,10", "300 x 200 pixels"),
-        ("0,190,10,11", "no part of the reference"),
+        ("0,190,10,11", "not within the reference"),
         ("5,5,0,5", "empty"),
         ("5,5,5", "X,Y,WIDTH,HEIGHT"),
     ] {

@@ -63,7 +63,7 @@ fn a_reference_that_nothing_agrees_with_is_named() {
     });
     folder.put("strange.jpg", &jpeg(&strange, Some(2)));
     let line = "merge w3.jpg strange.jpg --reference w3.jpg -o a.exr -o a.png";
-    refused(&folder, line, 1, &["w3.jpg", "no other photograph", "--reference", "--align none"]);
+    refused(&folder, line, 1, &["w3.jpg", "no other frame could be aligned", "--reference", "--align none"]);
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
     let aligned = folder.listing().into_iter().find(|(name, _)| name.starts_with("al_")).unwrap().0;
     assert!(has("a.exr") && !has(&aligned), "a frame has no unit");
     run(Options { report: Some(files[2].clone()), ..options(Some(0.25)) }).unwrap();
-    assert!(String::from_utf8_lossy(&folder.bytes("a.html")).contains("exposure of the unit"));
+    assert!(String::from_utf8_lossy(&folder.bytes("a.html")).contains("at unit exposure"));
 
     let given = LoadOptions { ev: Some(vec![-2.0, 0.0, 2.0]), ..LoadOptions::default() };
     let absolute = Calibration { camera: true, factor: None };

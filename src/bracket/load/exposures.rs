@@ -76,11 +76,11 @@ pub(super) fn settle(
         let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
         let odd = with_exif.iter().filter(|&i| !accepted.is_empty() && !accepted.contains(i));
         let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
-        let odd = if odd.is_empty() { String::new() } else { format!("; that of {} is not believed", odd.join(", ")) };
+        let odd = if odd.is_empty() { String::new() } else { format!("; that of {} is ignored", odd.join(", ")) };
         let detail = format!(
-            "{what}{odd}; their steps are about {} EV, give or take {:.0} %",
+            "{what}{odd}; the estimates are {} EV, ± {:.0} %",
             listed.join(", "),
-            100.0 * uncertainty
+            100.0 * uncertainty.abs()
         );
         warnings.push(match contradiction {
             Some(_) => Warning::ExposureContradicted { detail },

@@ -146,7 +146,7 @@ fn one_frame_that_is_at_odds_does_not_spoil_the_others() {
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(1), 5)]);
     let merged = merged(&folder, &names);
     assert!(
-        merged.warns(true, &["contradict the pixels", "that of f3.jpg is not believed"]),
+        merged.warns(true, &["contradict the pixels", "that of f3.jpg is ignored"]),
         "{:?}",
         merged.warnings()
     );
@@ -191,7 +191,7 @@ fn a_blank_frame_beside_good_ones_is_left_out() {
         let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&picture, at)]);
         let merged = merged(&folder, &names);
         assert_eq!(merged.status("f3.jpg"), "rejected");
-        assert!(merged.warns(true, &["f3.jpg: left out"]), "{:?}", merged.warnings());
+        assert!(merged.warns(true, &["f3.jpg: rejected"]), "{:?}", merged.warnings());
         assert!(merged.confidence("f1.jpg").min(merged.confidence("f2.jpg")) > 0.8);
     }
 }
@@ -293,7 +293,7 @@ fn exif_one_frame_wrong_only_that_frame_is_estimated() {
                 folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 1), num * by.0, denom * by.1));
             }
             let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg f4.jpg");
-            let wrong = format!("that of f{}.jpg is not believed", odd + 1);
+            let wrong = format!("that of f{}.jpg is ignored", odd + 1);
             assert!(merged.warns(true, &["contradict the pixels", &wrong]), "{:?}", merged.warnings());
             let files = ["f1.jpg", "f2.jpg", "f3.jpg", "f4.jpg"];
             let expected: Vec<&str> = (0..4).map(|i| if i == odd { "estimated" } else { "exif" }).collect();

@@ -9,7 +9,7 @@ fn one_tone(colours: [[u8; 3]; 3]) -> Merged {
     let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
     let merged = merged(&folder, &names);
     assert!(
-        merged.warns(true, &["enough detail to be aligned", "one tone", "without alignment"]),
+        merged.warns(true, &["enough detail to be aligned", "uniform", "without alignment"]),
         "{:?}",
         merged.warnings()
     );
