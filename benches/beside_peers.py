@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
-"""hdralign beside other programs, and beside itself: wall time, CPU time and peak memory of whole runs.
+"""Measure wall time, CPU time and peak memory of whole runs of hdralign and other programs.
 
-    benches/beside_peers.py [IMAGES...]             beside the peers that are installed
-    benches/beside_peers.py --scaling [IMAGES...]   frames, megapixels, threads and memory against their goals
+    benches/beside_peers.py [IMAGES...]             compare with the installed programs
+    benches/beside_peers.py --scaling [IMAGES...]   compare frames, megapixels, threads and memory with their goals
 
-IMAGES are photographs of one bracket with EXIF, by rising exposure; without any, testdata/window. Runs go in turn (A B C A B C ...), so
-that what else the machine does falls on all alike; figures are medians, after one round that warms up. Both tables are Markdown.
+IMAGES are photographs of one bracket with EXIF data, by rising exposure; the default is testdata/window. The programs run alternately
+(A B C A B C ...), so that other load affects all of them; figures are medians, after one round to warm up. Both tables are Markdown.
 
-Peers, each left out with a line where it is not installed:
-  OpenCV        AlignMTB, CalibrateDebevec, MergeDebevec, Reinhard to .hdr and .png (python3 with cv2; shifts alone); the exposure times
-                are handed to it, which another program would have to read
-  luminance-hdr luminance-hdr-cli with MTB to .exr and .png (shifts alone)
+Programs that are not installed are skipped with a message:
+  OpenCV        AlignMTB, CalibrateDebevec, MergeDebevec, Reinhard to .hdr and .png (python3 with cv2; only shifts); the exposure times
+                are given, other programs have to read them
+  luminance-hdr luminance-hdr-cli with MTB to .exr and .png (only shifts)
   Hugin         align_image_stack and enfuse (a fused picture, no radiance)
 
---scaling takes three of IMAGES and makes brackets of them (needs Pillow and numpy): scaled to 3, 12 and 48 MP with a little noise, for
-scaling takes it away, and at 12 MP repeated under other names to 6, 9 and 12 frames, EXIF kept. Growth is what a frame (megapixel) more
-costs in the second half of the range over what it costs in the first: 1 where time is linear, whatever is spent once.
+--scaling makes brackets from three of IMAGES (needs Pillow and numpy): scaled to 3, 12 and 48 MP, with a little noise because scaling
+removes it, and at 12 MP copied under other names to 6, 9 and 12 frames, with EXIF data. Growth is the cost of an additional frame
+(megapixel) in the second half of the range, divided by that in the first half: 1 if the time is linear, whatever the constant part.
 
-Needs a release build (cargo build --release), or --program. Peak memory is what the system counts: the largest resident set, in 2^20 bytes."""
+Needs a release build (cargo build --release), or --program. Peak memory is the largest resident set, in 2^20 bytes."""
 import argparse
 import importlib.util
 import os
@@ -32,7 +32,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPOSURE_TIME, EXIF_IFD = 33434, 0x8769
-# Bytes in what wait4 counts resident memory in.
+# Unit of the resident memory reported by wait4, in bytes.
 RESIDENT_UNIT = 1 if sys.platform == "darwin" else 1024
 
 OPENCV = """
@@ -51,7 +51,7 @@ cv2.imwrite(folder + "/o.png", np.clip(picture * 255, 0, 255).astype(np.uint8))
 
 @dataclass
 class Figures:
-    """Of one run, or medians of several: seconds, seconds, megabytes (of 2^20 bytes)."""
+    """Figures of one run, or medians of several: seconds, seconds, megabytes (of 2^20 bytes)."""
 
     wall: float
     cpu: float
@@ -60,19 +60,19 @@ class Figures:
 
 @dataclass
 class Job:
-    """Something to be timed: what it is called, and its commands, one after the other; `{out}` in them is a folder of its own."""
+    """A job to measure: its name, and its commands in order; `{out}` in them stands for its own folder."""
 
     name: str
     commands: list
 
 
 def run(job):
-    """One run of `job`: its figures, or in words why there are none."""
+    """Run `job` once; return its figures, or the reason of the failure."""
     figures = Figures(0.0, 0.0, 0.0)
     with tempfile.TemporaryDirectory(dir=SCRATCH) as out:
         for command in job.commands:
             argv = [part.replace("{out}", out) for part in command]
-            # What the first command left, by name: `align_image_stack` numbers its files itself.
+            # The files of the previous command, by name, as `align_image_stack` numbers them itself.
             argv = [p for part in argv for p in (sorted(map(str, Path(out).glob(part[2:]))) if part.startswith("*:") else [part])]
             with open(os.path.join(out, "stderr"), "w+") as stderr:
                 start = time.perf_counter()
@@ -90,14 +90,14 @@ def run(job):
 
 
 def medians(jobs, rounds):
-    """The medians of `jobs` over `rounds` rounds in turn, by name; those that fail are told and left out."""
+    """Return the medians of `jobs` over `rounds` alternating rounds, by name; report and skip those that fail."""
     results = {job.name: [] for job in jobs}
     left = list(jobs)
     for number in range(rounds + 1):
         for job in list(left):
             result = run(job)
             if isinstance(result, str):
-                print(f"left out: {job.name}: {result}", file=sys.stderr)
+                print(f"skipped: {job.name}: {result}", file=sys.stderr)
                 left.remove(job)
                 del results[job.name]
             elif number > 0:
@@ -107,19 +107,19 @@ def medians(jobs, rounds):
 
 
 def exposure_times(images):
-    """Of each photograph, from EXIF, in seconds."""
+    """Return the exposure time of each photograph from EXIF, in seconds."""
     from PIL import Image
 
     return [float(Image.open(path).getexif().get_ifd(EXIF_IFD)[EXPOSURE_TIME]) for path in images]
 
 
 def merge(program, outputs, images, *options):
-    """The command that merges `images`."""
+    """Return the command that merges `images`."""
     return [program, "merge", "-q", *options, *(part for name in outputs for part in ("-o", "{out}/" + name)), *images]
 
 
 def ours(program, images):
-    """Runs of our own."""
+    """Return the jobs of hdralign."""
     align = [program, "align", "-q", "--report", "{out}/r.json", *images]
     return [
         Job("hdralign, .exr + .png", [merge(program, ["a.exr", "a.png"], images)]),
@@ -129,7 +129,7 @@ def ours(program, images):
 
 
 def peers(images):
-    """Those that are installed."""
+    """Return the jobs of the installed programs."""
     found = []
     script = [sys.executable, "-c", OPENCV, "{out}"]
     stack = [["align_image_stack", "-a", "{out}/h_", *images], ["enfuse", "-o", "{out}/e.tif", "*:h_*.tif"]]
@@ -144,12 +144,12 @@ def peers(images):
         found.append(Job("Hugin align_image_stack + enfuse", stack))
     missing = {"OpenCV": has_opencv, "luminance-hdr": shutil.which("luminance-hdr-cli"), "Hugin": shutil.which("align_image_stack") and shutil.which("enfuse")}
     for name in (name for name, there in missing.items() if not there):
-        print(f"left out: {name}: not installed", file=sys.stderr)
+        print(f"skipped: {name}: not installed", file=sys.stderr)
     return found
 
 
 def beside(program, images, rounds):
-    """The table of peers."""
+    """Print the comparison with other programs."""
     jobs = [*ours(program, images), *peers(images)]
     found = medians(jobs, rounds)
     base = found.get(jobs[0].name)
@@ -159,7 +159,7 @@ def beside(program, images, rounds):
 
 
 def scaled(path, megapixels, target):
-    """The photograph `path` at a number of megapixels, EXIF and profile kept, as the JPEG `target`."""
+    """Scale the photograph `path` to a number of megapixels and save it as the JPEG `target`, with EXIF data and profile."""
     import numpy as np
     from PIL import Image
 
@@ -173,7 +173,7 @@ def scaled(path, megapixels, target):
 
 
 def brackets(images, folder):
-    """Brackets of three frames by megapixels, and of 12 MP by frames."""
+    """Make brackets of three frames by megapixels, and of 12 MP by frames."""
     middle = (len(images) - 3) // 2
     three = images[middle : middle + 3]
     by_size = {}
@@ -193,13 +193,13 @@ def brackets(images, folder):
 
 
 def growth(at):
-    """What one more costs in the second half of three points over what it costs in the first."""
+    """Return the increase per unit in the second half of three points, divided by that in the first half."""
     (x0, a), (x1, b), (x2, c) = sorted(at.items())
     return ((c - b) / (x2 - x1)) / ((b - a) / (x1 - x0))
 
 
 def scaling(program, images, rounds):
-    """The table of frames, megapixels, threads and memory."""
+    """Print the table of frames, megapixels, threads and memory."""
     if len(images) < 3:
         sys.exit("--scaling needs three photographs")
     with tempfile.TemporaryDirectory(dir=SCRATCH) as folder:
@@ -240,10 +240,10 @@ def arguments():
     summary, _, rest = __doc__.partition("\n\n")
     parser = argparse.ArgumentParser(description=summary, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("images", nargs="*", metavar="IMAGES", help="photographs of one bracket, by rising exposure [default: testdata/window]")
-    parser.add_argument("-n", "--rounds", type=int, default=5, help="rounds of which medians are taken [default: 5]")
-    parser.add_argument("--scaling", action="store_true", help="frames, megapixels, threads and memory, beside itself")
+    parser.add_argument("-n", "--rounds", type=int, default=5, help="number of measured rounds [default: 5]")
+    parser.add_argument("--scaling", action="store_true", help="compare frames, megapixels, threads and memory with their goals")
     parser.add_argument("--program", default=str(ROOT / "target/release/hdralign"), help="the program [default: target/release/hdralign]")
-    parser.add_argument("--scratch", default=None, metavar="FOLDER", help="where temporary files go [default: the system's place]")
+    parser.add_argument("--scratch", default=None, metavar="FOLDER", help="folder for temporary files [default: that of the system]")
     given = parser.parse_args()
     if given.rounds < 1:
         parser.error("--rounds: give 1 or more")

@@ -1,12 +1,12 @@
-//! The whole line over its codecs alone: `cargo bench --bench codecs`.
+//! Time of the whole pipeline relative to its codecs: `cargo bench --bench codecs`.
 //!
-//! In turn, on one thread and on two, of three frames of 15 MP: the line from the photographs to `.exr` and `.png`; and what no such program
-//! can do without: decoding the same photographs and encoding the same two results, by the library's own readers and writers. Printed
-//! are medians of the wall time and their ratio.
+//! It alternates between the pipeline from three frames of 15 MP to `.exr` and `.png`, and only decoding the same frames
+//! and encoding the same results with the library's readers and writers, on one and on two threads. It prints the medians
+//! of the wall time and their ratio.
 //!
-//! The frames are those of `testdata/window`, enlarged, so that their motion stays that of hands: mirrored tiles move against each other, and
-//! aligning them takes many times as long. They are smoother than photographs, which codecs like: better are photographs of your own, by
-//! their names in HDRALIGN_BENCH_IMAGES, separated by spaces.
+//! The frames are those of `testdata/window`, enlarged to keep the motion of a hand-held camera: mirrored tiles would
+//! move against each other, and aligning them takes many times as long. They are smoother than photographs, which makes
+//! the codecs faster. To use other photographs, list them in HDRALIGN_BENCH_IMAGES, separated by spaces.
 
 use hdralign::bracket::{LoadOptions, load};
 use hdralign::pipeline::{self, Options, Outcome};
@@ -18,12 +18,12 @@ use img_parts::{Bytes, ImageEXIF};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Rounds of which medians are taken, after one that warms up.
+/// Number of measured rounds, after one to warm up.
 const ROUNDS: usize = 7;
-/// Threads.
+/// Numbers of threads.
 const THREADS: [usize; 2] = [1, 2];
 
-/// Frame `i` of the window at four times its width and height, as a JPEG with its EXIF.
+/// Frame `i` of `testdata/window` at four times its width and height, as a JPEG with its EXIF data.
 fn enlarged(i: usize) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("testdata/window/window_{i}.jpg"));
     let small = image::open(&path).expect("a frame of testdata/window").to_rgb8();
@@ -36,7 +36,7 @@ fn enlarged(i: usize) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// The photographs asked for, or those made of the window in `folder`.
+/// The photographs of HDRALIGN_BENCH_IMAGES, or enlarged frames written to `folder`.
 fn photographs(folder: &Path) -> Vec<PathBuf> {
     if let Ok(names) = std::env::var("HDRALIGN_BENCH_IMAGES") {
         return names.split_whitespace().map(PathBuf::from).collect();
@@ -49,7 +49,7 @@ fn photographs(folder: &Path) -> Vec<PathBuf> {
     (2..=4).map(make).collect()
 }
 
-/// Decodes `images` and encodes what came of them, to the same names.
+/// Decodes `images` and encodes the results in `outcome` to the same files.
 fn codecs(images: &[PathBuf], options: &Options, outcome: &Outcome) {
     let (bracket, _) = load(images, &LoadOptions::default()).expect("photographs that were merged");
     let metadata = Metadata::of(bracket.reference());
@@ -71,7 +71,7 @@ fn median(mut times: Vec<f64>) -> f64 {
 }
 
 fn main() {
-    // As criterion does: a name on the command line chooses benches, and `cargo test --benches` only sees that they run.
+    // As criterion: a name on the command line selects benches, and `cargo test --benches` only checks that they run.
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if arguments.iter().any(|a| !a.starts_with('-') && !"codecs".contains(a.as_str())) {
         return;
@@ -102,7 +102,7 @@ fn main() {
         let (whole, alone) = (median(whole), median(alone));
         let (width, height) = (outcome.report.width_px, outcome.report.height_px);
         println!(
-            "codecs/{} frames of {width} x {height}, {threads} thread(s): line {whole:.3} s, codecs alone {alone:.3} s, ratio {:.2}",
+            "codecs/{} frames of {width} x {height}, {threads} thread(s): pipeline {whole:.3} s, codecs alone {alone:.3} s, ratio {:.2}",
             images.len(),
             whole / alone
         );

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""The bitmap search beside OpenCV's AlignMTB: the same two planes of 12 MP and of 1024 x 768, one thread each, in one run.
+"""Compare the bitmap search with OpenCV's AlignMTB on the same planes of 12 MP and 1024 x 768, with one thread each.
 
     benches/mtb_beside_opencv.py        (needs numpy and opencv-python, with its photo module)
 
-The planes are those of the group "mtb" of benches/stages.rs: frames 3 and 4 of testdata/window, mirrored. OpenCV finds shifts alone."""
+The planes are those of the group "mtb" of benches/stages.rs: frames 3 and 4 of testdata/window, mirrored. OpenCV only finds shifts."""
 import os, re, subprocess, time
 from pathlib import Path
 import cv2

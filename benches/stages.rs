@@ -1,6 +1,6 @@
-//! How long each stage takes, in elements (pixels) a second: `cargo bench --bench stages`, with a name to choose one.
+//! Time of each stage, in elements (pixels) per second: `cargo bench --bench stages [NAME]`.
 //!
-//! The planes and frames are those of `testdata/window`, mirrored to both sides to about 3.8 MP.
+//! The planes and frames are those of `testdata/window`, mirrored along both axes to about 3.8 MP.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::check_tiles;
@@ -36,7 +36,7 @@ fn paths() -> Vec<PathBuf> {
     (1..=5).map(|i| folder.join(format!("window_{i}.jpg"))).collect()
 }
 
-/// The bracket as it is, 0.96 MP.
+/// The bracket in its original size, 0.96 MP.
 fn small() -> Bracket {
     load(&paths(), &LoadOptions::default()).expect("testdata/window loads").0
 }
@@ -69,7 +69,7 @@ fn pixels(bracket: &Bracket) -> u64 {
     (bracket.width() * bracket.height()) as u64
 }
 
-/// `plane` mirrored to all sides and cut to a size, from `left` pixels on.
+/// `plane` repeated by mirroring, cropped to a size from column `left` on.
 fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) -> Plane<u8> {
     let fold = |i: usize, n: usize| if (i / n).is_multiple_of(2) { i % n } else { n - 1 - i % n };
     Plane::from_rows(width, height, |y, row| {
@@ -79,7 +79,7 @@ fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) 
     })
 }
 
-/// The bitmap search from two grey planes to the motion: `benches/mtb_beside_opencv.py` runs it beside `cv2.AlignMTB`.
+/// The bitmap search from two grey planes to the shift; `benches/mtb_beside_opencv.py` compares it with `cv2.AlignMTB`.
 fn bitmaps(c: &mut Criterion) {
     let bracket = small();
     let [reference, frame] = [2, 3].map(|i| bracket.frames()[i].grey().expect("in memory"));
@@ -115,10 +115,8 @@ fn alignment(c: &mut Criterion) {
     group.throughput(Throughput::Elements(all));
     group.bench_function("grey pyramid of a frame", |b| b.iter(|| grey_pyramid(black_box(&bracket.frames()[3]))));
     group.bench_function("smoothed", |b| {
-        let levels = Plane::from_rows(bracket.width(), bracket.height(), |y, row| {
-            row.iter_mut().zip(frame.level(0).row(y)).for_each(|(v, &code)| *v = f32::from(code));
-        });
-        b.iter(|| gaussian(black_box(&levels), 1.6));
+        let values = frame.level(0).map(f32::from);
+        b.iter(|| gaussian(black_box(&values), 1.6));
     });
     let options = MtbOptions::default();
     let start = bitmaps::search(&reference, &frame, 0, &options).transform();
@@ -153,7 +151,7 @@ fn alignment(c: &mut Criterion) {
 }
 
 fn features(c: &mut Criterion) {
-    // On the level on which the ladder seeks them.
+    // On the level on which features are detected.
     let bracket = small();
     let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey().expect("in memory")));
     let options = SiftOptions::default();
@@ -161,10 +159,10 @@ fn features(c: &mut Criterion) {
     let level = first.level(1);
     group.throughput(Throughput::Elements((level.width() * level.height()) as u64));
     group.bench_function("sift", |b| b.iter(|| detect(black_box(level), &options)));
-    // With none to be kept, none is described: the scale space and its extrema alone.
+    // Without descriptors: only the scale space and its extrema.
     let undescribed = SiftOptions { max_keypoints: 0, ..options.clone() };
     group.bench_function("sift detect", |b| b.iter(|| detect(black_box(level), &undescribed)));
-    // As the bitmaps are looked at.
+    // As for bitmaps.
     let single = SiftOptions { double: false, ..options.clone() };
     group.bench_function("sift not doubled", |b| b.iter(|| detect(black_box(level), &single)));
     let sets: [Features; 2] = [detect(level, &options), detect(second.level(1), &options)];
@@ -176,7 +174,7 @@ fn features(c: &mut Criterion) {
         .map(|m| (place(&sets[0], m.reference), place(&sets[1], m.frame)))
         .collect();
     let guide = ransac::search(&pairs, &RansacOptions::default()).map(|c| Guide { motion: c.homography, radius: 10.0 });
-    let guide = guide.expect("the window's frames match");
+    let guide = guide.expect("the frames of testdata/window match");
     group.bench_function("match guided", |b| b.iter(|| match_mutual(black_box(&sets[0]), &sets[1], 0.8, Some(&guide))));
     group.throughput(Throughput::Elements(pairs.len() as u64));
     group.bench_function("lmeds", |b| b.iter(|| lmeds::search(black_box(&pairs), &RansacOptions::default())));
@@ -230,14 +228,14 @@ fn radiance(c: &mut Criterion) {
     ] {
         let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
         let options = write::Options { exr, ..write::Options::default() };
-        // Dropped, the file is gone: what is measured is the encoding and the system's buffers.
+        // The files are removed when dropped, so this measures the encoding and the system's buffers.
         group.bench_function(format!("write {what}"), |b| {
             b.iter(|| write::write(&paths, black_box(&map), &picture, &metadata, &options));
         });
     }
 }
 
-/// Decoding alone, and radiance maps in each encoding, written and read again.
+/// Decoding, and writing and reading of radiance maps in each encoding.
 fn files(c: &mut Criterion) {
     let images = paths();
     let mut group = c.benchmark_group("files");
@@ -272,7 +270,7 @@ fn files(c: &mut Criterion) {
     }
 }
 
-/// From photographs to files, on one thread and on two: `benches/codecs.rs` holds larger ones beside their codecs alone.
+/// From photographs to files, on one and on two threads; `benches/codecs.rs` compares larger ones with their codecs.
 fn line(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let images = paths();
@@ -286,7 +284,9 @@ fn line(c: &mut Criterion) {
     group.throughput(Throughput::Elements(5 * pixels(&small())));
     for (name, options) in [("window, 1 thread", options(1)), ("window, 2 threads", options(2))] {
         group.bench_function(name, |b| {
-            b.iter(|| pipeline::run(black_box(&images), &options, &pipeline::unwatched).expect("the window merges"));
+            b.iter(|| {
+                pipeline::run(black_box(&images), &options, &pipeline::unwatched).expect("testdata/window is merged")
+            });
         });
     }
 }

@@ -1,5 +1,5 @@
-//! Fills a folder with a card dump to try `hdralign batch` on: brackets with all their EXIF, each of other content, made from
-//! `testdata/window`.
+//! Fills a folder with photographs as copied from a memory card, to try `hdralign batch`: brackets with EXIF data and
+//! different content, made from `testdata/window`.
 //!
 //!     cargo run --release --example card_dump -- FOLDER --brackets 40 --frames 3 --width 960 --broken 17
 
@@ -10,15 +10,15 @@ use card::Card;
 use clap::Parser;
 use std::path::PathBuf;
 
-/// Fills a folder with a card dump to try `hdralign batch` on
+/// Fill a folder with photographs as copied from a memory card, to try `hdralign batch`
 #[derive(Parser)]
 struct Args {
-    /// Where to write it; it is made if it is not there
+    /// Output folder, created if necessary
     folder: PathBuf,
-    /// How many brackets
+    /// Number of brackets
     #[arg(long, value_name = "N", default_value_t = 40)]
     brackets: usize,
-    /// Frames of a bracket
+    /// Number of frames per bracket
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(2..=9))]
     frames: u8,
     /// Stops between frames
@@ -27,10 +27,10 @@ struct Args {
     /// Width of the photographs in pixels
     #[arg(long, value_name = "PX", default_value_t = 960, value_parser = clap::value_parser!(u32).range(64..=1200))]
     width: u32,
-    /// The last frame of this bracket, from 1, ends in the middle of its picture; may be repeated
+    /// Truncate the last frame of bracket K, counted from 1; may be repeated
     #[arg(long, value_name = "K")]
     broken: Vec<usize>,
-    /// A folder on the card for every so many brackets, as DCIM/100CARD, DCIM/101CARD, ...
+    /// Start a new folder (DCIM/100CARD, DCIM/101CARD, ...) after every N brackets
     #[arg(long, value_name = "N")]
     folders_of: Option<usize>,
 }
@@ -38,7 +38,7 @@ struct Args {
 fn main() {
     let args = Args::parse();
     let frames = usize::from(args.frames);
-    // The window's darkest frame is four stops below the middle one.
+    // The darkest frame of testdata/window is four stops below the middle one.
     let step = args.step.unwrap_or(2.0_f64.min(4.0 / (frames / 2) as f64));
     let mut card = Card::new(args.width);
     for k in 0..args.brackets {

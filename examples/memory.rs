@@ -1,8 +1,9 @@
-//! Merges a bracket without any file of its own: reads the photographs with the `image` crate, merges them, and shows statistics of the radiance.
+//! Merges a bracket in memory: reads the photographs with the `image` crate, merges them, and prints statistics of the
+//! radiance.
 //!
 //!     cargo run --release --example memory -- testdata/window/*.jpg -- -4 -2 0 2 4
 //!
-//! Before `--` are the photographs, after it their exposures in EV.
+//! The photographs are before `--`, their exposures in EV after it.
 
 use hdralign::bracket::exposure::Exposure;
 use hdralign::bracket::{Bracket, Frame, ReferenceChoice};

@@ -1,7 +1,7 @@
-//! What can go wrong, and what the caller should know although it went right.
+//! Errors and warnings.
 //!
-//! [`Error`] stops a run: it names the file or the option, says what is wrong and what to do about it.
-//! [`Warning`] does not: it travels in the report, and those that [degrade](Warning::degrades) the result make `--strict` exit with 3.
+//! An [`Error`] stops a run; its text has the file or option, what is wrong and what to do. A [`Warning`] is part of the
+//! report; warnings that [degrade](Warning::degrades) the result make `--strict` exit with 3.
 
 mod warning;
 
@@ -9,10 +9,10 @@ use std::io;
 use std::path::PathBuf;
 pub use warning::Warning;
 
-/// The result of every fallible call of this crate.
+/// The result of all fallible functions of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Why a run stopped. The text names the file and the remedy; nothing was left half-written.
+/// The reason why a run stopped. No incomplete files are left behind.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -21,36 +21,36 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// A file was written, cut or exchanged while it was read, or between two looks at it.
-    #[error("{}: was changed while it was read; wait until it is whole, and start again", path.display())]
+    /// A file was written, truncated or replaced while it was read, or between two accesses.
+    #[error("{}: was changed while it was read; wait until it is complete, then start again", path.display())]
     Changed {
         /// The file.
         path: PathBuf,
     },
-    /// The content is none of the formats that are read, whatever the extension says.
-    #[error("{}: is not a JPEG, PNG or TIFF picture ({found}); convert it first, or leave it out", path.display())]
+    /// The content is not in a supported format, whatever the extension is.
+    #[error("{}: is not a JPEG, PNG or TIFF image ({found}); convert it, or leave it out", path.display())]
     UnknownFormat {
         /// The file.
         path: PathBuf,
         /// What the first bytes look like, in words.
         found: String,
     },
-    /// The format is known but the content is damaged or of a kind that is not supported.
+    /// The content is damaged, or a variant of the format that is not supported.
     #[error("{}: cannot be decoded as {format}: {reason}", path.display())]
     Decode {
         /// The file.
         path: PathBuf,
-        /// The format by content: `JPEG`, `PNG`, `TIFF`.
+        /// The format, detected from the content: `JPEG`, `PNG`, `TIFF`.
         format: &'static str,
-        /// What is wrong with it, and the remedy.
+        /// What is wrong, and what to do.
         reason: String,
     },
-    /// A file that should hold a radiance map holds something else, whatever the extension says.
+    /// A file is not a radiance map, whatever the extension is.
     #[error(
-        "{}: is {found}, not a radiance map; give an .exr, an .hdr or a floating-point .tif, or make one of a bracket with `hdralign merge`",
+        "{}: is {found}, not a radiance map; give an .exr, .hdr or floating-point .tif file, or create one from a bracket with `hdralign merge`",
         path.display()
     )]
     NotRadiance {
@@ -59,9 +59,9 @@ pub enum Error {
         /// What the first bytes look like, in words.
         found: &'static str,
     },
-    /// A file that should be compared is of none of the formats that are read.
+    /// A file to compare is not in a supported format.
     #[error(
-        "{}: cannot be compared ({found}); give an .exr, .hdr or .tif of radiance, or a .png, .jpg or .tif picture",
+        "{}: cannot be compared ({found}); give a radiance map (.exr, .hdr, .tif) or a picture (.png, .jpg, .tif)",
         path.display()
     )]
     NotComparable {
@@ -70,30 +70,30 @@ pub enum Error {
         /// What the first bytes look like, in words.
         found: String,
     },
-    /// A radiance map and a display picture were to be compared.
+    /// A radiance map cannot be compared with a display picture.
     #[error(
-        "{}: holds {kind}, and {} holds {other_kind}; compare radiance with radiance, or pictures with pictures (`hdralign tonemap` makes one)",
+        "{}: contains {kind}, but {} contains {other_kind}; compare two radiance maps or two pictures (`hdralign tonemap` creates pictures)",
         path.display(),
         other.display()
     )]
     KindsDiffer {
-        /// The file expected.
+        /// The expected file.
         path: PathBuf,
-        /// What it holds, in words.
+        /// Its content, in words.
         kind: &'static str,
-        /// The file there is.
+        /// The actual file.
         other: PathBuf,
-        /// What it holds, in words.
+        /// Its content, in words.
         other_kind: &'static str,
     },
-    /// A bracket needs at least two frames.
-    #[error("a bracket needs at least two photographs, {given} given; name them all")]
+    /// The bracket has less than two frames.
+    #[error("a bracket needs at least two photographs, {given} given; name all of its photographs")]
     TooFewFrames {
-        /// How many were given.
+        /// The number of given files.
         given: usize,
     },
-    /// Frames of one bracket must have one size.
-    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have one size (orientation applied)",
+    /// The frames have different sizes.
+    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have the same size (orientation applied)",
             path.display(), size.0, size.1, other.display(), other_size.0, other_size.1)]
     SizeMismatch {
         /// The frame that differs.
@@ -105,7 +105,7 @@ pub enum Error {
         /// Width and height of the first frame, in pixels.
         other_size: (usize, usize),
     },
-    /// The same file was given more than once, perhaps by two names.
+    /// The same file was given more than once, perhaps under two names.
     #[error("{}: is the same file as {}; give each photograph once", path.display(), other.display())]
     SameFile {
         /// The later name.
@@ -113,23 +113,23 @@ pub enum Error {
         /// The earlier name.
         other: PathBuf,
     },
-    /// No exposure is known and none can be had from the file.
-    #[error("{}: {reason}; give the exposures with -e, in EV and in the order of the files, as in `-e=-2,0,2`", path.display())]
+    /// The exposure is neither given nor in the file.
+    #[error("{}: {reason}; give the exposures with -e, in EV and in the order of the files, for example `-e=-2,0,2`", path.display())]
     NoExposure {
         /// The file.
         path: PathBuf,
-        /// What was looked for and not found.
+        /// What is missing.
         reason: String,
     },
-    /// No frame could be placed beside the reference: there is nothing to merge.
-    #[error("{}: no other photograph could be aligned to it ({reason}); choose another with --reference, or, from a tripod, give --align none", reference.display())]
+    /// No frame could be aligned to the reference, so there is nothing to merge.
+    #[error("{}: no other frame could be aligned to it ({reason}); choose another reference with --reference, or give --align none if the camera was on a tripod", reference.display())]
     NothingAligned {
         /// The reference.
         reference: PathBuf,
-        /// Why one of the others was left out.
+        /// Why one of the other frames was rejected.
         reason: String,
     },
-    /// A frame was placed where it has no pixel in common with the reference and the other frames.
+    /// A frame has no pixel in common with the reference and the other frames.
     #[error(
         "{}: does not overlap {} and the other frames; exclude it with --leave-out, or correct its transform in the file of transforms",
         path.display(),
@@ -141,52 +141,52 @@ pub enum Error {
         /// The reference.
         reference: PathBuf,
     },
-    /// An option has a value that cannot be used, by itself or with these inputs.
+    /// The value of an option is invalid, in general or for these inputs.
     #[error("{option}: {reason}")]
     Option {
-        /// The option as it is typed: `--reference`.
+        /// The option as typed, for example `--reference`.
         option: &'static str,
-        /// What is wrong and what would be right.
+        /// What is wrong, and what to do.
         reason: String,
     },
-    /// An output exists already.
+    /// An output file already exists.
     #[error("{}: exists already; choose another name, or replace it with --force", path.display())]
     OutputExists {
         /// The file.
         path: PathBuf,
     },
-    /// A result of hdralign's is there, of other photographs.
+    /// A result of other photographs has the same name.
     #[error(
-        "{}: is the result of other photographs of the same names; choose another folder, or a name that tells them apart (`--name` has {{date}} and {{time}}), or replace it with --force",
+        "{}: is the result of other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
         path.display()
     )]
     OtherPhotographs {
         /// The file.
         path: PathBuf,
     },
-    /// A result was made of a photograph that is there, but does not go with the others any more.
+    /// A photograph of an earlier result exists but is no longer detected as part of the bracket.
     #[error(
-        "{}: was made of {photograph} too, which is there but is found in the bracket no more; is it damaged? copy it again, or replace the result with --force",
+        "{}: was made with {photograph}, which exists but is no longer detected as part of the bracket; copy the photograph again if it is damaged, or replace the result with --force",
         path.display()
     )]
     FrameLost {
         /// The report of the result.
         path: PathBuf,
-        /// The name of the photograph.
+        /// The photograph.
         photograph: String,
     },
-    /// A result was changed since hdralign wrote it.
-    #[error("{}: was changed since hdralign wrote it, and is kept; move it away, or replace it with --force", path.display())]
+    /// A result was modified after hdralign wrote it.
+    #[error("{}: was changed since hdralign wrote it, and is not replaced; move it, or replace it with --force", path.display())]
     OutputChanged {
         /// The file.
         path: PathBuf,
     },
-    /// The extension of an output is none of those written.
+    /// The extension of an output is unknown.
     #[error("{}: the extension must be one of {known}", path.display())]
     UnknownExtension {
         /// The file.
         path: PathBuf,
-        /// The extensions that would do.
+        /// The known extensions.
         known: &'static str,
     },
     /// A result could not be written.
@@ -194,88 +194,88 @@ pub enum Error {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system or the encoder said.
+        /// The error of the system or the encoder.
         source: io::Error,
     },
-    /// The system refused threads.
+    /// The threads could not be started.
     #[error(
         "{threads} threads could not be started: {source}; give fewer with --threads, or allow more (`ulimit -u`, `ulimit -v`)"
     )]
     Threads {
-        /// How many there should have been.
+        /// The requested number.
         threads: usize,
-        /// What the system said.
+        /// The error of the system.
         source: rayon::ThreadPoolBuildError,
     },
-    /// The caller broke the run off.
+    /// The caller cancelled the run.
     #[error("the run was cancelled")]
     Cancelled,
-    /// The process gives up what it writes, as [`abandon`](crate::write::abandon) told it.
-    #[error("{}: is not written, for the run was interrupted; start it again", path.display())]
+    /// The output was abandoned by [`abandon`](crate::write::abandon).
+    #[error("{}: was not written, because the run was interrupted; start it again", path.display())]
     Abandoned {
-        /// The file, or the first of those that were to be named together.
+        /// The file, or the first of the files to commit together.
         path: PathBuf,
     },
-    /// What does not fit into the memory allowed could not be put on disk, or had again.
+    /// The scratch file for values beyond the memory limit could not be created, written or read.
     #[error(
-        "{}: cannot hold what does not fit into the memory allowed: {source}; make room there, name another folder with --scratch, or allow more with --max-memory",
+        "{}: the scratch file cannot be used: {source}; free space there, name another folder with --scratch, or raise the memory limit with --max-memory",
         folder.display()
     )]
     Scratch {
         /// The folder of the scratch file.
         folder: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// A file of transforms could not be used.
-    #[error("{}: is no usable file of transforms: {reason}", path.display())]
+    /// A file of transforms is invalid.
+    #[error("{}: is not a usable file of transforms: {reason}", path.display())]
     TransformsFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
         reason: String,
     },
-    /// No bracket was found.
-    #[error("{}: no bracket was found: {reason}; `hdralign batch FOLDER --dry-run` lists all", path.display())]
+    /// A folder contains no bracket.
+    #[error("{}: no bracket was found: {reason}; `hdralign batch FOLDER --dry-run` shows how the photographs were grouped", path.display())]
     NoBracket {
         /// The first of the folders.
         path: PathBuf,
-        /// What was found instead.
+        /// What was found.
         reason: String,
     },
-    /// A file of steps could not be used.
-    #[error("{}: line {line}: is no plan: {reason}; make one by `hdralign batch --plan FOLDER`", path.display())]
+    /// A plan of batch jobs is invalid.
+    #[error("{}: line {line}: is not a valid plan: {reason}; create one with `hdralign batch --plan FOLDER`", path.display())]
     PlanFile {
         /// The file.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// What is wrong.
         reason: String,
     },
-    /// The brackets do not tell the camera's response.
-    #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of still scenes, several stops wide", path.display())]
+    /// The camera's response cannot be recovered from the brackets.
+    #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of static scenes that span several stops", path.display())]
     NoResponse {
         /// The first photograph.
         path: PathBuf,
         /// Why not.
         reason: String,
     },
-    /// The frames are locally processed, so that there is no response.
-    #[error("{}: the frames are locally processed by the camera: their brightness does not follow the exposure, and there is no response to save; merge without `--save-response` or `--shared-response`, or calibrate by frames of which the camera's HDR is off", path.display())]
+    /// The frames are locally processed by the camera, so they have no response.
+    #[error("{}: the frames are locally processed by the camera, so there is no response to save; merge without `--save-response` or `--shared-response`, or use frames taken with the camera's HDR mode off", path.display())]
     LocallyProcessed {
         /// The first photograph.
         path: PathBuf,
     },
-    /// A saved response curve could not be used.
-    #[error("{}: is no usable response file: {reason}", path.display())]
+    /// A response file is invalid.
+    #[error("{}: is not a usable response file: {reason}", path.display())]
     ResponseFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
         reason: String,
     },
-    /// The format asked for does not hold the response curve.
+    /// The requested format cannot represent the response curve.
     #[error("{}: the response cannot be saved in this format: {reason}; save it as .json", path.display())]
     ResponseFormat {
         /// The file.
@@ -286,13 +286,13 @@ pub enum Error {
 }
 
 impl Error {
-    /// Whether a result could not be written for want of space: what is written next would fail as well.
+    /// Whether a file could not be written because the disk is full; further files would fail as well.
     pub fn is_disk_full(&self) -> bool {
         let is_space = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
         matches!(self, Error::Write { source, .. } if is_space(source.kind()))
     }
 
-    /// Whether the command line, rather than a file or the machine, is at fault: exit code 2 instead of 1.
+    /// Whether the command line is wrong, rather than a file or the machine: exit code 2 instead of 1.
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
@@ -305,18 +305,20 @@ impl Error {
     }
 }
 
-/// `advice`, but where a name was refused by the program itself, which then says what to do, and where the system says more.
+/// What to do if a file cannot be accessed: `advice`, unless the kind of error allows more specific advice.
+///
+/// Empty if the program itself refused the file, because that reason includes what to do.
 fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
-    let is_told = matches!(source.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory);
+    let has_advice = matches!(source.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory);
     match source.raw_os_error() {
-        None if is_told && source.get_ref().is_some() => "",
+        None if has_advice && source.get_ref().is_some() => "",
         Some(TOO_MANY_OPEN) if cfg!(unix) => "; allow more open files (`ulimit -n`)",
         Some(INPUT_OUTPUT) if cfg!(unix) => "; the disk or the card may be damaged: copy the file again",
         _ => advice,
     }
 }
 
-/// What to do where a file could not be written.
+/// What to do if a file cannot be written.
 fn write_remedy(source: &io::Error) -> &'static str {
     use io::ErrorKind::{AlreadyExists, FileTooLarge, InvalidFilename, IsADirectory, NotADirectory};
     use io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
@@ -326,15 +328,15 @@ fn write_remedy(source: &io::Error) -> &'static str {
         ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
-        // Of folders alone: a file that exists is another error.
+        // Only for folders; existing files are `Error::OutputExists`.
         AlreadyExists | NotADirectory => "; it is in the place of a folder: name another, or move the file away",
         IsADirectory if source.raw_os_error().is_some() => "; a folder has that name: move it away, or choose another",
         _ => remedy(source, "; check the folder, its permissions and the space left"),
     }
 }
 
-/// EMFILE of Linux, macOS and the BSDs.
+/// EMFILE on Linux, macOS and the BSDs.
 const TOO_MANY_OPEN: i32 = 24;
 
-/// EIO of the same.
+/// EIO on Linux, macOS and the BSDs.
 const INPUT_OUTPUT: i32 = 5;

@@ -1,7 +1,7 @@
-//! Intake: files into memory, whole and unchanged.
+//! Reading of complete files into memory.
 //!
-//! In: a path, and how long the file may be. Out: all of its bytes, of one moment: a file that is written, cut or exchanged meanwhile is an
-//! error, for half of one photograph and half of another is none. Cost: one read. Pipes are read to their end, as far as allowed.
+//! In: a path, and the largest size. Out: all bytes of the file at one moment: a file that is written, truncated or
+//! replaced while it is read is an error. Cost: one read. Pipes are read to their end or to the largest size.
 
 use crate::error::{Error, Result};
 use std::fs::{File, Metadata};
@@ -9,24 +9,24 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// The most bytes of a response, a file of transforms, a report: those that are written take under a megabyte.
+/// Largest size of response files, files of transforms and reports, in bytes: written files are below a megabyte.
 pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 
-/// The most bytes of a plan: some 2 kB to a step.
+/// Largest size of a plan, in bytes: a job takes about 2 kB.
 pub(crate) const MOST_OF_A_PLAN: u64 = 1 << 30;
 
-/// All bytes of the file `path`, of which there may be `most`.
+/// All bytes of the file `path`, at most `most`.
 ///
 /// # Errors
-/// [`Error::Read`], also for folders, for what is longer, and where the memory for it is not given; [`Error::Changed`].
+/// [`Error::Read`], also for folders, larger files and if there is not enough memory; [`Error::Changed`].
 pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
     whole_if(path, most, |_| Ok(()))
 }
 
-/// Bytes by which a format is known.
+/// Number of bytes from which a format is recognised.
 const BEGIN: u64 = 512;
 
-/// As [`whole`], of what `is_wanted` by its first bytes; nothing more is read of others, which may have no end.
+/// As [`whole`], if `is_wanted` accepts the first bytes; otherwise no more is read, as the file may be endless.
 ///
 /// # Errors
 /// Those of [`whole`] and of `is_wanted`.
@@ -37,27 +37,31 @@ pub(crate) fn whole_if(path: &Path, most: u64, is_wanted: impl FnOnce(&[u8]) -> 
     let is_file = before.is_file();
     let length = if is_file { before.len() } else { 0 };
     if length > most {
-        return Err(unreadable(too_long(length, most)));
+        return Err(too_long(path, length, most));
     }
     let mut bytes = Vec::new();
     let expected = usize::try_from(length).unwrap_or(usize::MAX).saturating_add(1);
-    bytes.try_reserve_exact(expected).map_err(|_| unreadable(not_given(length)))?;
-    // One more than there should be: a file that grows is seen by it, and one that has no end as well.
+    if bytes.try_reserve_exact(expected).is_err() {
+        let mb = length.div_ceil(1_000_000);
+        let reason = "but the system does not provide that much memory; close other programs, or raise `ulimit -v`";
+        return Err(refused(path, format!("it has {mb} MB, {reason}")));
+    }
+    // One byte more than expected, to detect growing and endless files.
     let read = if is_file { length.saturating_add(1) } else { most.saturating_add(1) };
     (&mut file).take(read.min(BEGIN)).read_to_end(&mut bytes).map_err(unreadable)?;
     is_wanted(&bytes)?;
     (&mut file).take(read.saturating_sub(BEGIN)).read_to_end(&mut bytes).map_err(unreadable)?;
     if !is_file && bytes.len() as u64 > most {
-        return Err(unreadable(too_long(bytes.len() as u64, most)));
+        return Err(too_long(path, bytes.len() as u64, most));
     }
     let after = file.metadata().map_err(unreadable)?;
-    if is_file && (bytes.len() as u64 != length || !is_same(&before, &after)) {
+    if is_file && (bytes.len() as u64 != length || state(&before) != state(&after)) {
         return Err(Error::Changed { path: path.to_owned() });
     }
     Ok(bytes)
 }
 
-/// As [`whole`], for text; what is no UTF-8 in it becomes a replacement character.
+/// As [`whole`], for text; invalid UTF-8 becomes replacement characters.
 ///
 /// # Errors
 /// Those of [`whole`].
@@ -66,56 +70,48 @@ pub(crate) fn text(path: &Path, most: u64) -> Result<String> {
     Ok(String::from_utf8(bytes).unwrap_or_else(|e| String::from_utf8_lossy(e.as_bytes()).into_owned()))
 }
 
-/// The file `path`, open, if it is no folder.
+/// Opens the file `path`, which must not be a folder.
 ///
 /// # Errors
 /// [`Error::Read`].
 pub(crate) fn open(path: &Path) -> Result<File> {
-    let unreadable = |source| Error::Read { path: path.to_owned(), source };
     if path.is_dir() {
-        let reason = "it is a folder; name the files in it, as in `folder/*.jpg`";
-        return Err(unreadable(io::Error::new(io::ErrorKind::IsADirectory, reason)));
+        return Err(refused(path, "it is a folder; name the files in it, as in `folder/*.jpg`".into()));
     }
-    File::open(path).map_err(unreadable)
+    File::open(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
-/// As [`open`], but of what can be read from any place again: no pipe and no device, which may never end, or keep who opens them waiting.
+/// As [`open`], but refuses pipes and devices: they may block or be endless, and cannot be read twice.
 ///
 /// # Errors
 /// [`Error::Read`].
 pub(crate) fn open_regular(path: &Path) -> Result<File> {
-    let unreadable = |source| Error::Read { path: path.to_owned(), source };
-    let metadata = std::fs::metadata(path).map_err(unreadable)?;
+    let metadata = std::fs::metadata(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
     if !metadata.is_file() && !metadata.is_dir() {
-        let reason = "it is a pipe or a device; name a file";
-        return Err(unreadable(io::Error::new(io::ErrorKind::InvalidInput, reason)));
+        return Err(refused(path, "it is a pipe or a device; name a file".into()));
     }
     open(path)
 }
 
-fn too_long(length: u64, most: u64) -> io::Error {
-    let mb = |bytes: u64| bytes.div_ceil(1_000_000);
-    let reason = format!(
-        "it is of {} MB or more, and {} MB may be read; it is no such file, or allow more with --max-pixels and --max-memory",
-        mb(length),
-        mb(most)
-    );
-    io::Error::new(io::ErrorKind::InvalidInput, reason)
+/// An error whose reason includes what to do; [`Error::Read`] adds no advice to this kind.
+fn refused(path: &Path, reason: String) -> Error {
+    Error::Read { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) }
 }
 
-fn not_given(length: u64) -> io::Error {
-    let mb = length.div_ceil(1_000_000);
+fn too_long(path: &Path, length: u64, most: u64) -> Error {
+    let [length, most] = [length, most].map(|bytes| bytes.div_ceil(1_000_000));
     let reason = format!(
-        "it is of {mb} MB, and the system does not give that much memory; end other programs, or raise `ulimit -v`"
+        "it has {length} MB or more, but at most {most} MB are read; name another file, or allow more with --max-pixels \
+         and --max-memory"
     );
-    io::Error::new(io::ErrorKind::InvalidInput, reason)
+    refused(path, reason)
 }
 
-/// What tells one file from another, by whatever name: device and inode. Hard links are one file, too.
+/// Identity of a file that does not depend on its name: device and inode. Hard links are the same file.
 #[cfg(unix)]
 pub(crate) type Identity = (u64, u64);
 
-/// The identity of the file or folder `path`, through links; none where there is no such file.
+/// The identity of the file or folder `path`, following links; none if it does not exist.
 #[cfg(unix)]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     use std::os::unix::fs::MetadataExt;
@@ -123,42 +119,44 @@ pub(crate) fn identity(path: &Path) -> Option<Identity> {
     Some((metadata.dev(), metadata.ino()))
 }
 
-/// What tells one file from another, by whatever name: the path that the system gives it.
+/// Identity of a file that does not depend on its name: its canonical path.
 #[cfg(not(unix))]
 pub(crate) type Identity = PathBuf;
 
-/// The identity of the file or folder `path`, through links; none where there is no such file.
+/// The identity of the file or folder `path`, following links; none if it does not exist.
 #[cfg(not(unix))]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     std::fs::canonicalize(path).ok()
 }
 
-fn is_same(a: &Metadata, b: &Metadata) -> bool {
-    a.len() == b.len() && a.modified().ok() == b.modified().ok()
+/// Length and time of the last modification, by which changes of a file are detected.
+type State = (u64, Option<SystemTime>);
+
+fn state(metadata: &Metadata) -> State {
+    (metadata.len(), metadata.modified().ok())
 }
 
-/// A file at one moment: by this it is known again.
+/// The state of a file at one moment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Stamp {
     path: PathBuf,
-    length: u64,
-    modified: Option<SystemTime>,
+    state: State,
 }
 
 impl Stamp {
-    /// Of the file `path`, now.
+    /// The current state of the file `path`.
     ///
     /// # Errors
     /// [`Error::Read`].
     pub(crate) fn of(path: &Path) -> Result<Stamp> {
         let metadata = std::fs::metadata(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        Ok(Stamp { path: path.to_owned(), length: metadata.len(), modified: metadata.modified().ok() })
+        Ok(Stamp { path: path.to_owned(), state: state(&metadata) })
     }
 
-    /// Refuses a file that is another now, or is gone.
+    /// Checks that the file is unchanged.
     ///
     /// # Errors
-    /// [`Error::Changed`].
+    /// [`Error::Changed`] if it was changed or removed.
     pub(crate) fn check(&self) -> Result<()> {
         match Stamp::of(&self.path) {
             Ok(now) if now == *self => Ok(()),
@@ -195,7 +193,7 @@ mod tests {
         assert!(unwanted.is_err());
     }
 
-    /// A sparse file takes no room on the disk, whatever it says of its length.
+    /// With a sparse file, which takes no space on the disk.
     #[test]
     fn an_absurd_length_is_refused_before_it_is_read() {
         let dir = tempfile::tempdir().unwrap();
@@ -203,10 +201,10 @@ mod tests {
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
         let error = whole(&path, 1 << 30).unwrap_err().to_string();
         assert!(error.contains("1099512 MB") && error.contains("1074 MB"), "{error}");
-        // Allowed, but no machine gives it: the address space of a process ends at 2^47.
+        // Allowed, but not available on a usual machine.
         File::create(&path).unwrap().set_len(1 << 42).unwrap();
-        if !crate::limits::is_given(1 << 42) {
-            assert!(whole(&path, 1 << 50).unwrap_err().to_string().contains("does not give that much memory"));
+        if !crate::limits::is_available(1 << 42) {
+            assert!(whole(&path, 1 << 50).unwrap_err().to_string().contains("does not provide that much memory"));
         }
     }
 
@@ -214,18 +212,18 @@ mod tests {
     #[test]
     fn what_has_no_end_is_left_at_the_limit() {
         let error = whole(Path::new("/dev/zero"), 5_000_000).unwrap_err().to_string();
-        assert!(error.contains("6 MB or more, and 5 MB may be read"), "{error}");
+        assert!(error.contains("6 MB or more, but at most 5 MB are read"), "{error}");
         assert!(open_regular(Path::new("/dev/zero")).unwrap_err().to_string().contains("a pipe or a device"));
     }
 
-    /// Files that say nothing of their length and are longer: those of /proc are seen as files that grew.
+    /// Files of /proc have length 0 by their metadata, so they seem to grow.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_file_that_grows_is_refused() {
         assert!(matches!(whole(Path::new("/proc/self/status"), 1 << 20), Err(Error::Changed { .. })));
     }
 
-    /// Each change comes after the first bytes were read and before the others are.
+    /// Each change happens after the first bytes were read and before the rest.
     #[test]
     fn file_changed_between_two_reads_is_refused() {
         use std::io::Write;
@@ -240,7 +238,7 @@ mod tests {
         let changes: [(&str, &dyn Fn()); 3] = [("append", &append), ("cut", &cut), ("overwrite", &overwrite)];
         for (name, change) in changes {
             std::fs::write(&path, vec![1; length]).unwrap();
-            // Two writes within one tick of the clock are of one time.
+            // Two writes within one tick of the clock have the same time.
             write().set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
             let changed = |_: &[u8]| {
                 change();
@@ -248,7 +246,7 @@ mod tests {
             };
             assert!(matches!(whole_if(&path, 1 << 20, changed), Err(Error::Changed { .. })), "{name}");
         }
-        // Another file under the same name is not the one that is open.
+        // A file that replaces the open one by name does not change it.
         std::fs::write(&path, vec![1; length]).unwrap();
         let replace = |_: &[u8]| {
             std::fs::write(dir.path().join("b"), [2]).unwrap();

@@ -1,6 +1,7 @@
-//! Aligns a bracket of differently exposed photographs, recovers the camera's response, merges to linear radiance, and tone-maps.
+//! Aligns a bracket of differently exposed photographs, recovers the camera's response, merges the frames to linear
+//! radiance, and tone-maps it.
 //!
-//! From files to files, as `hdralign merge` does it:
+//! From files to files, as `hdralign merge`:
 //!
 //! ```no_run
 //! use hdralign::pipeline::{self, Options};
@@ -16,7 +17,7 @@
 //! # }
 //! ```
 //!
-//! From memory to memory, without any file; the caller may cancel, and chooses the thread pool:
+//! From memory to memory, without files. The caller may cancel the run and chooses the thread pool:
 //!
 //! ```
 //! use hdralign::bracket::{Bracket, Frame, ReferenceChoice, exposure::Exposure};
@@ -62,30 +63,33 @@
 //!
 //! # The pipeline
 //!
-//! [`pipeline::run`] is the whole of it: [load](bracket::load) → [align](align::align) → [response](response::recover) →
-//! [merge](merge::merge) → [tonemap](tonemap::tonemap) → [write](write::write) → [report](report::Report). Each stage borrows what it needs
-//! and gives back a whole new value; each can be called by itself.
+//! [`pipeline::run`] runs all stages: [load](bracket::load) → [align](align::align) → [response](response::recover) →
+//! [merge](merge::merge) → [tonemap](tonemap::tonemap) → [write](write::write) → [report](report::Report). Each stage
+//! borrows its input and returns a new value; each can be called separately.
 //!
-//! # Words
+//! # Terms
 //!
-//! - **Frame**: one photograph of a **bracket**, as the code values that the camera wrote; the **reference** is the frame that the others
-//!   are aligned to.
-//! - **Code value** Z: what is in the file, 0..=255 or 0..=65535, encoded by the camera.
-//! - **Exposure** X = E Δt: the light that fell on a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**: log2 of it.
-//! - **Response** g(Z) = ln X: what a code value means. **Radiance** E: what is left when the exposure is divided out.
+//! - **Frame**: one photograph of a **bracket**, as pixel values of the camera. The other frames are aligned to the
+//!   **reference** frame.
+//! - **Pixel value** (code value) Z: the stored integer, 0..=255 or 0..=65535, encoded by the camera.
+//! - **Exposure** X = E Δt: the light collected by a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**: log2
+//!   of the relative exposure.
+//! - **Response** g(Z) = ln X: the logarithmic exposure of a pixel value. **Radiance** E: exposure divided by time.
 //! - **Transform**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
-//! - **MTB**: median threshold bitmap (Ward 2003): which pixels are brighter than the median; with it the exclusion bitmap of those too near.
+//! - **MTB**: median threshold bitmap (Ward 2003), the pixels brighter than the median. The exclusion bitmap marks pixels
+//!   close to the median.
 //!
-//! # The layers
+//! # Layers
 //!
-//! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`]; the program's `cli` comes last. Inside a stage, `mod.rs` has the types and the entry.
+//! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`], [`plane`],
+//! `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`],
+//! [`tonemap`], [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`];
+//! the program's `cli` is the last one. In the folder of a stage, `mod.rs` has the types and the entry function.
 //!
-//! # The same bytes
+//! # Reproducible results
 //!
-//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map over fixed bands
-//! folded in order, and exp, ln, pow and their like come from one portable implementation.
+//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map over
+//! fixed bands folded in order, and exp, ln, pow and similar functions come from one portable implementation.
 
 pub mod align;
 pub mod batch;

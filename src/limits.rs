@@ -1,17 +1,17 @@
-//! Limits: what a file may ask for, held against what it says of itself before anything is allocated for it.
+//! Limits on the size of images, checked against the header of a file before memory is allocated for it.
 //!
-//! In: sizes out of headers. Out: whether they are allowed, or why not and what to do about it. Cost: none to speak of. A file of a few
-//! kilobytes can say to hold terabytes, and can pack gigabytes of zeros; what is believed of it is bounded here.
+//! In: sizes from headers. Out: nothing, or the reason and what to do. Cost: negligible. The header of a file of a few
+//! kilobytes can claim terabytes, and compressed data can expand to gigabytes of zeros.
 
 use std::hint::black_box;
 
-/// What files may ask for.
+/// Limits for input files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Limits {
-    /// The most pixels that a picture may have. Default: [`MAX_PIXELS`](Self::MAX_PIXELS).
+    /// Largest number of pixels of an image. Default: [`MAX_PIXELS`](Self::MAX_PIXELS).
     pub max_pixels: u64,
-    /// The most memory that one file and its picture may take while it is decoded, and what is made of it then, in bytes. Default: as much as the
-    /// system gives.
+    /// Most memory for one file and its decoded image, and for what is computed from it, in bytes. Default: no limit but
+    /// that of the system.
     pub memory: Option<u64>,
 }
 
@@ -21,20 +21,21 @@ impl Default for Limits {
     }
 }
 
-/// What the system must be able to give beside a picture, so that it is refused here rather than where nothing can be done about it.
+/// Memory that must be available in addition to an image, in bytes: without it, a later allocation would abort the
+/// process.
 const BESIDE: u64 = 16 << 20;
 
 impl Limits {
-    /// 500 million: more than any camera makes, those that shift their sensor (400 million) included; 1.5 GB at 8 bit.
+    /// 500 million: more than any camera produces, including those that shift the sensor (400 million); 1.5 GB at 8 bits.
     pub const MAX_PIXELS: u64 = 500_000_000;
 
-    /// Bytes that a pixel takes in a file at most, in the formats that are read: four floats.
-    const MOST_OF_A_PIXEL: u64 = 16;
+    /// Largest number of bytes per pixel in the formats that are read: four floats.
+    const BYTES_PER_PIXEL: u64 = 16;
 
-    /// Refuses sizes that are empty or of too many pixels.
+    /// Checks the number of pixels.
     ///
     /// # Errors
-    /// The reason and the remedy.
+    /// The reason and what to do, if there are none or too many.
     pub(crate) fn check_size(&self, width: usize, height: usize) -> Result<(), String> {
         let pixels = width as u128 * height as u128;
         if pixels == 0 {
@@ -42,7 +43,8 @@ impl Limits {
         }
         if pixels > u128::from(self.max_pixels) {
             return Err(format!(
-                "it says to be {width}x{height} pixels, more than the {} allowed; if it is, allow it with --max-pixels, as in `--max-pixels {}M`; else it is damaged, copy it again",
+                "it has {width}x{height} pixels by its header, more than the {} allowed; if that is right, give \
+                 `--max-pixels {}M`; otherwise it is damaged, copy the file again",
                 words(self.max_pixels),
                 pixels.div_ceil(1_000_000)
             ));
@@ -50,23 +52,23 @@ impl Limits {
         Ok(())
     }
 
-    /// These limits where so many `bytes` of the memory are held already.
+    /// These limits with `bytes` less memory, because they are in use already.
     pub(crate) fn beside(&self, bytes: u64) -> Limits {
         Limits { memory: self.memory.map(|memory| memory.saturating_sub(bytes)), ..*self }
     }
 
-    /// Refuses what takes `bytes` while it is decoded, where that is more than is allowed or than the system gives.
+    /// Checks that decoding an image of `size` pixels may take `bytes` of memory.
     ///
     /// # Errors
-    /// The reason and the remedy.
+    /// The reason and what to do, if that exceeds the limit or what the system provides.
     pub(crate) fn check_memory(&self, size: (usize, usize), bytes: u64) -> Result<(), String> {
         self.check_memory_while("decoded", size, bytes)
     }
 
-    /// The same of what is `done` to the picture, in a word.
+    /// As [`check_memory`](Self::check_memory) for another operation; `done` is its past participle, for the message.
     ///
     /// # Errors
-    /// The reason and the remedy.
+    /// Those of [`check_memory`](Self::check_memory).
     pub(crate) fn check_memory_while(
         &self,
         done: &str,
@@ -78,54 +80,57 @@ impl Limits {
         if let Some(allowed) = self.memory.filter(|&allowed| bytes > allowed) {
             let allowed = allowed / 1_000_000;
             return Err(format!(
-                "{}, more than the {allowed} MB that the memory allowed leaves for it; allow more with --max-memory, or scale it down",
+                "{}, more than the {allowed} MB that remain of the memory limit; raise it with --max-memory, or scale the \
+                 image down",
                 needs()
             ));
         }
-        if !is_given(bytes) {
-            let reason = "and the system does not give that much memory; end other programs, raise `ulimit -v`, or scale all frames down";
-            return Err(format!("{}, {reason}", needs()));
+        if !is_available(bytes) {
+            return Err(format!(
+                "{}, but the system does not provide that much memory; close other programs, raise `ulimit -v`, or scale \
+                 all frames down",
+                needs()
+            ));
         }
         Ok(())
     }
 
-    /// The most bytes that a file is read of: what its pixels could take unpacked, and as much again as cameras write beside them.
+    /// Largest size of a file, in bytes: that of its uncompressed pixels, and 256 MiB for other data of the camera.
     pub(crate) fn most_bytes(&self) -> u64 {
-        let by_pixels = self.max_pixels.saturating_mul(Limits::MOST_OF_A_PIXEL).saturating_add(256 << 20);
+        let by_pixels = self.max_pixels.saturating_mul(Limits::BYTES_PER_PIXEL).saturating_add(256 << 20);
         self.memory.map_or(by_pixels, |memory| memory.min(by_pixels))
     }
 }
 
-/// Whether the system gives `bytes` of memory, and a little beside. None of them are touched, so it costs no more than to ask.
-pub(crate) fn is_given(bytes: u64) -> bool {
+/// Whether the system provides `bytes` of memory and [`BESIDE`]. The memory is not touched, so the check is cheap.
+pub(crate) fn is_available(bytes: u64) -> bool {
     let Ok(bytes) = usize::try_from(bytes.saturating_add(BESIDE)) else { return false };
-    let mut asked: Vec<u8> = Vec::new();
-    let given = asked.try_reserve_exact(bytes).is_ok();
-    // What is never looked at need not be asked for, a compiler would say.
-    black_box(asked.as_ptr());
-    given
+    let mut reserved: Vec<u8> = Vec::new();
+    let is_available = reserved.try_reserve_exact(bytes).is_ok();
+    // Prevents the compiler from removing the unused allocation.
+    black_box(reserved.as_ptr());
+    is_available
 }
 
-/// How many bytes deflate makes of one at best: 258 of 2 bits (RFC 1951).
+/// Largest expansion by deflate: 258 bytes from 2 bits (RFC 1951).
 pub(crate) const DEFLATE: u64 = 1032;
 
-/// The same of a TIFF's packings (TIFF 6.0, sections 9 and 13); of those that know no bound, any.
+/// Largest expansion by a TIFF compression (TIFF 6.0, sections 9 and 13); no bound for unknown ones.
 pub(crate) fn tiff_packing(compression: u32) -> u64 {
     match compression {
         1 => 1,
         32773 => 64,
-        // A code of 12 bits stands for less than 4096 bytes.
+        // A code of 12 bits represents less than 4096 bytes.
         5 => 4096 * 2 / 3,
         8 | 32946 => DEFLATE,
         _ => u64::MAX,
     }
 }
 
-/// Refuses a file of `length` bytes that cannot hold `bytes` of pixels by a packing that makes of one byte `most` at best: what is not there
-/// needs no room.
+/// Checks that a file of `length` bytes can contain `bytes` of pixels, compressed by a factor of at most `most`.
 ///
 /// # Errors
-/// The reason and the remedy.
+/// The reason and what to do, if the file is too short.
 pub(crate) fn check_length(length: usize, bytes: u64, most: u64) -> Result<(), String> {
     if bytes / most > length as u64 {
         return Err("it is too short for its size (truncated); copy the file again".into());
@@ -133,29 +138,29 @@ pub(crate) fn check_length(length: usize, bytes: u64, most: u64) -> Result<(), S
     Ok(())
 }
 
-/// Room for `count` values that are about to be decoded.
+/// An empty vector with capacity for `count` values.
 ///
 /// # Errors
-/// The reason and the remedy.
+/// The reason and what to do, if the system does not provide the memory.
 pub(crate) fn reserved<T>(count: usize) -> Result<Vec<T>, String> {
     let mut values = Vec::new();
-    let refused =
-        |_| "the system does not give the memory for its pixels; end other programs, or scale all frames down";
-    values.try_reserve_exact(count).map_err(refused)?;
-    Ok(values)
+    match values.try_reserve_exact(count) {
+        Ok(()) => Ok(values),
+        Err(_) => Err("not enough memory for its pixels; close other programs, or scale all frames down".into()),
+    }
 }
 
-/// The same, all of them zero.
+/// A vector of `count` default values.
 ///
 /// # Errors
-/// The reason and the remedy.
+/// Those of [`reserved`].
 pub(crate) fn room<T: Copy + Default>(count: usize) -> Result<Vec<T>, String> {
     let mut values = reserved(count)?;
     values.resize(count, T::default());
     Ok(values)
 }
 
-/// `count` as people say it.
+/// `count` in words, in whole millions from a million on.
 fn words(count: u64) -> String {
     if count >= 1_000_000 { format!("{} million", count / 1_000_000) } else { count.to_string() }
 }
@@ -187,10 +192,10 @@ mod tests {
             "{reason}"
         );
         assert!(reason.contains("--max-memory"), "{reason}");
-        // More than an address can tell apart.
+        // More than the address space.
         let reason = Limits::default().check_memory((1, 1), 1 << 60).unwrap_err();
-        assert!(reason.contains("the system does not give"), "{reason}");
-        assert!(is_given(1 << 20) && !is_given(u64::MAX));
+        assert!(reason.contains("the system does not provide"), "{reason}");
+        assert!(is_available(1 << 20) && !is_available(u64::MAX));
     }
 
     #[test]
@@ -199,7 +204,7 @@ mod tests {
         assert!(check_length(99, 100 * DEFLATE, DEFLATE).unwrap_err().contains("truncated"));
         assert!(check_length(99, 100, tiff_packing(1)).is_err() && check_length(9, 100, tiff_packing(34712)).is_ok());
         assert_eq!(room::<u16>(3).unwrap(), [0; 3]);
-        assert!(room::<u64>(usize::MAX / 8).unwrap_err().contains("does not give the memory"));
+        assert!(room::<u64>(usize::MAX / 8).unwrap_err().contains("not enough memory"));
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! `hdralign`, the program: arguments in, exit code out.
+//! The program `hdralign`: parses the arguments, runs a command and returns the exit code.
 
 mod cli;
 
-/// Pictures come and go by the stage: this one gives their memory back, where the system's keeps it between the smaller things.
+/// Returns the memory of frames to the system after each stage; many system allocators keep it, due to fragmentation.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -44,76 +44,76 @@ pub use memory::merge_bracket;
 pub use threads::start_threads;
 pub use tonemapping::{TonemapOptions, tonemap_file};
 
-/// What is done to a bracket, and where the results go.
+/// Processing options of a bracket, and the output files.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// How files are read, and what is given of exposures and the reference.
+    /// Options for reading files, and exposures and reference frame given by the user.
     pub load: LoadOptions,
-    /// How frames are aligned.
+    /// Alignment.
     pub align: AlignOptions,
     /// Exposure correction.
     pub exposures: Exposures,
     /// Method used to recover the camera response.
     pub response: ResponseModel,
-    /// A response saved before; it takes the place of [`response`](Self::response).
+    /// File of a saved response; overrides [`response`](Self::response).
     pub response_file: Option<PathBuf>,
     /// Weighting function.
     pub weight: Weight,
     /// Deghosting, and its strength.
     pub deghost: Deghost,
-    /// The motion mask is written here, as a grey PNG; it needs [`deghost`](Self::deghost).
+    /// Output file of the motion mask, a grey PNG; requires [`deghost`](Self::deghost).
     pub ghost_mask: Option<PathBuf>,
     /// Whether lens flare is subtracted.
     pub flare: bool,
-    /// Which part of the reference the results show.
+    /// Part of the reference that the results show.
     pub crop: Crop,
-    /// The linear colour space of the results; none for that of the reference's profile.
+    /// Linear colour space of the results; `None` for that of the profile of the reference.
     pub colour: Option<Space>,
     /// Calibration of radiance to cd/m2.
     pub calibration: Calibration,
-    /// The relative exposure t * ISO / N^2, in s, at which radiance 1 gives the middle code, so that brackets can be
-    /// compared (normalisation); none for that of the bracket's own reference. Not with [`calibration`](Self::calibration).
+    /// Relative exposure t * ISO / N^2, in s, at which radiance 1 has the middle code value, so that brackets can be
+    /// compared (normalisation); `None` for that of the reference. Not with [`calibration`](Self::calibration).
     pub unit_exposure: Option<f64>,
     /// Tone mapping operator, or exposure fusion.
     pub rendering: Rendering,
-    /// How files are encoded, and whether those that exist are replaced.
+    /// Encoding of the files, and whether existing files are replaced.
     pub write: write::Options,
-    /// Radiance maps and pictures, by extension.
+    /// Output files of radiance maps and pictures; the extension selects the format.
     pub outputs: Vec<PathBuf>,
-    /// Pictures, whatever the extension: a `.tif` too.
+    /// Output files that are always pictures, even with the extension `.tif`.
     pub pictures: Vec<PathBuf>,
-    /// The response is saved here, by extension as JSON, `.rsp` or `.csv`.
+    /// Output file of the response; the extension selects JSON, `.rsp` or `.csv`.
     pub save_response: Option<PathBuf>,
-    /// Aligned frames are saved under this prefix, as TIFF.
+    /// Prefix of the output files of the aligned frames, in TIFF format.
     pub save_aligned: Option<PathBuf>,
-    /// Transforms: taken from this file where it exists, else written to it, as JSON. It is never replaced.
+    /// JSON file of transforms: read if it exists, otherwise written. It is never replaced.
     pub transforms: Option<PathBuf>,
-    /// The report is written here, by extension as JSON or as a page to look at (`.html`).
+    /// Output file of the report; the extension selects JSON or HTML.
     pub report: Option<PathBuf>,
-    /// Threads that compute; none for as many as there are cores. The results are the same.
+    /// Number of threads; `None` for one per core. The results do not depend on it.
     pub threads: Option<usize>,
 }
 
 impl Options {
-    /// The stages that need memory in a run that aligns.
+    /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift);
         Stages { features, ..Stages::default() }
     }
 
-    /// The stages that need memory in a run that merges.
+    /// Returns the stages that determine the memory of a run that merges.
     pub(crate) fn merging(&self) -> Stages {
         let fusing = matches!(self.rendering, Rendering::Fused(_));
         Stages { merging: true, deghosting: self.deghost.is_on(), fusing, ..self.aligning() }
     }
 
-    /// The radiance maps and pictures.
+    /// Returns the output files of radiance maps and pictures.
     fn results(&self) -> Result<Vec<Output>> {
         Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
     }
 }
 
-/// What a run makes, beside its files.
+/// The result of a run in memory.
 #[derive(Debug, Clone)]
 pub struct Outcome {
     /// Linear radiance.
@@ -124,7 +124,7 @@ pub struct Outcome {
     pub report: Report,
 }
 
-/// A stage of a run, in their order.
+/// A stage of a run, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Reading and decoding.
@@ -137,7 +137,7 @@ pub enum Stage {
     Merge,
     /// Tone mapping.
     Tonemap,
-    /// Gathering and drawing the evidence of the alignment, for a page or for `inspect`.
+    /// Collecting and drawing the evidence for the alignment, for an HTML report or for `inspect`.
     Inspect,
     /// Writing.
     Write,
@@ -152,16 +152,16 @@ pub enum Progress {
     Decoded(usize),
 }
 
-/// The caller's function that progress is reported to, from any thread. Where it breaks, the run is cancelled before the
-/// next stage: with [`Error::Cancelled`], and without any file.
+/// Callback that receives the progress, from any thread. If it returns `Break`, the run is cancelled before the next stage
+/// with [`Error::Cancelled`] and writes no file.
 pub type Watch<'a> = &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync);
 
-/// The [`Watch`] of a caller that needs no progress and never cancels.
+/// A [`Watch`] that ignores the progress and never cancels.
 pub fn unwatched(_: Progress) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// Tells `watch` that `stage` begins.
+/// Reports the start of `stage` to `watch`.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
@@ -169,10 +169,11 @@ fn announce(watch: Watch, stage: Stage) -> Result<()> {
     if watch(Progress::Begins(stage)).is_break() { Err(Error::Cancelled) } else { Ok(()) }
 }
 
-/// Aligns, calibrates, merges, tone-maps and writes the bracket `images`; gives the report.
+/// Aligns, calibrates, merges, tone-maps and writes the bracket `images`, and returns the report.
 ///
-/// No file gets its name before all are complete: on an error no output exists that did not before. The result does not depend on the order
-/// of `images` (but for exposures and a reference given by it), on the number of threads, on the memory allowed, or on the machine.
+/// Files are renamed to their names only when all are complete: on an error there are no new output files. The result does
+/// not depend on the order of `images` (except for exposures and a reference given by position), on the number of threads,
+/// on the memory limit, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
@@ -180,17 +181,17 @@ pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Report
     prepare(images, options, watch)?.commit()
 }
 
-/// The report of a run, and its files, which are complete but for their names.
+/// The report of a run, and its complete temporary files, not yet renamed.
 #[derive(Debug)]
 pub struct Prepared<R> {
-    /// What was done; the outputs in it are not there yet.
+    /// The report; the outputs that it lists do not exist yet.
     pub report: R,
     files: Vec<Pending>,
     overwrite: bool,
 }
 
 impl<R> Prepared<R> {
-    /// Waits until all is on the disk, and gives the files with the report.
+    /// Waits until all files are on the disk, and returns them with the report.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -199,17 +200,17 @@ impl<R> Prepared<R> {
         Ok((self.report, files))
     }
 
-    /// Gives all files their names.
+    /// Renames all files to their final names.
     ///
     /// # Errors
-    /// [`Error::OutputExists`] where a target has appeared meanwhile and may not be replaced; [`Error::Write`].
+    /// [`Error::OutputExists`] if a target was created meanwhile and may not be replaced; [`Error::Write`].
     pub fn commit(self) -> Result<R> {
         write::commit(self.files, self.overwrite)?;
         Ok(self.report)
     }
 }
 
-/// As [`run`], but the files have no names yet: their bytes are on their way to the disk, and waiting for them takes no core.
+/// Like [`run`], but does not rename the files or wait until they are on the disk.
 ///
 /// # Errors
 /// Those of [`run`].
@@ -217,7 +218,7 @@ pub fn prepare(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Pr
     Ok(merge_files(images, options, watch, false)?.0)
 }
 
-/// As [`run`], and gives the results in memory too, whatever memory is allowed.
+/// Like [`run`], and also returns the results in memory, regardless of the memory limit.
 ///
 /// # Errors
 /// Those of [`run`].
@@ -234,7 +235,7 @@ struct InMemory {
 }
 
 impl InMemory {
-    /// With the report, when the files have got their names.
+    /// Renames the files, then returns the results with the report.
     fn outcome(self, prepared: Prepared<Report>) -> Result<Outcome> {
         let (radiance, display) = (self.radiance.whole()?, DisplayImage { pixels: self.display });
         Ok(Outcome { radiance, display, report: prepared.commit()? })
@@ -297,7 +298,7 @@ fn merge_loaded(
     let frames = run.write_frames(&aligned)?;
     let metadata = stages::metadata(aligned.bracket.reference(), radiance.photographed, options);
     let report = report::of_merge(&aligned, camera, &radiance, &picture, options);
-    // The encoders need the memory of the frames.
+    // Frees the frames, because the encoders need the memory.
     drop(aligned);
     let (mut files, display) = run.write_results(&radiance, &picture, metadata, is_kept)?;
     files.extend(response_file.into_iter().chain(frames));
@@ -307,7 +308,7 @@ fn merge_loaded(
     Ok((run.report(report, files)?, InMemory { radiance: radiance.rows, display }))
 }
 
-/// Aligns the bracket `images`, writes aligned frames and the report where asked for, and gives the report.
+/// Aligns the bracket `images`, writes the requested aligned frames and report, and returns the report.
 ///
 /// # Errors
 /// See [`Error`].
@@ -322,11 +323,12 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: Watch) -> Result
     })
 }
 
-/// Aligns the bracket `images` and writes the evidence of that into `folder`: tables, bitmaps and drawings. Of `options` those for loading,
-/// alignment, threads and overwriting count. Gives the tables, which name the files.
+/// Aligns the bracket `images` and writes the evidence for the alignment into `folder`: tables, bitmaps and drawings.
+///
+/// Uses only the options for loading, alignment, threads and overwriting. Returns the tables, which list the files.
 ///
 /// # Errors
-/// See [`Error`]; on any of them nothing is there that was not before.
+/// See [`Error`]; on an error there are no new files.
 pub fn inspect(images: &[PathBuf], options: &Options, folder: &Path, watch: Watch) -> Result<Tables> {
     in_pool(options.threads, || {
         options.align.validate()?;
@@ -342,7 +344,7 @@ pub fn inspect(images: &[PathBuf], options: &Options, folder: &Path, watch: Watc
     })
 }
 
-/// Whether the options that concern no file are within their ranges.
+/// Checks the ranges of the options that do not name files.
 fn validate(options: &Options) -> Result<()> {
     options.align.validate()?;
     options.rendering.validate()?;

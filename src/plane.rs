@@ -1,15 +1,15 @@
-//! [`Plane`], the one picture buffer, and the bands in which all parallel work goes.
+//! [`Plane`], the image buffer, and the bands of rows for parallel work.
 //!
-//! In: sizes and closures. Out: the same bytes on any number of threads, because the bands are fixed by the height alone, each is
-//! computed by itself, and results are kept or folded in index order. Cost: what the closures cost.
+//! In: sizes and closures. Out: the same bytes on any number of threads, because the bands depend only on the height,
+//! each is computed independently, and results are collected or folded in index order. Cost: that of the closures.
 
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rows in a band: the unit of parallel work. Part of the result's definition, never of the machine's.
+/// Rows per band, the unit of parallel work. Results depend on it, so it does not depend on the machine.
 pub const BAND_ROWS: usize = 64;
 
-/// A picture of `T`, row-major; x to the right, y down; (0, 0) is the centre of the top-left pixel.
+/// An image of `T`, row-major; x to the right, y down; (0, 0) is the centre of the top-left pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane<T> {
     width: usize,
@@ -18,12 +18,12 @@ pub struct Plane<T> {
 }
 
 impl<T> Plane<T> {
-    /// A plane over `data`, which must hold `width * height` values by rows.
+    /// A plane with the values of `data`, by rows.
     ///
     /// # Panics
-    /// When the length does not fit the size: that is a fault of the caller, never of a file.
+    /// If `data` does not have `width * height` values.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
-        assert_eq!(data.len(), width * height, "a plane of {width}x{height} needs that many values");
+        assert_eq!(data.len(), width * height, "a plane of {width}x{height} needs as many values");
         Plane { width, height, data }
     }
 
@@ -47,7 +47,7 @@ impl<T> Plane<T> {
         &mut self.data
     }
 
-    /// The values, by rows.
+    /// Converts the plane to its values, by rows.
     pub fn into_vec(self) -> Vec<T> {
         self.data
     }
@@ -57,7 +57,7 @@ impl<T> Plane<T> {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// Rows `rows`, one after the other.
+    /// The values of rows `rows`.
     pub fn rows(&self, rows: Range<usize>) -> &[T] {
         &self.data[rows.start * self.width..rows.end * self.width]
     }
@@ -72,10 +72,10 @@ impl<T: image::Primitive> From<Plane<[T; 3]>> for image::ImageBuffer<image::Rgb<
 where
     image::Rgb<T>: image::Pixel<Subpixel = T>,
 {
-    /// RGB by rows, as an image of the `image` crate: `Rgb32FImage` of radiance, `RgbImage` of a picture.
+    /// Converts to an image of the `image` crate: `Rgb32FImage` for radiance, `RgbImage` for 8-bit values.
     fn from(plane: Plane<[T; 3]>) -> Self {
         let (width, height) = (plane.width() as u32, plane.height() as u32);
-        // It has as many values as it has pixels, times three.
+        // Never fails: there are three values per pixel.
         image::ImageBuffer::from_raw(width, height, plane.into_vec().into_flattened()).unwrap_or_default()
     }
 }
@@ -87,22 +87,33 @@ impl<T: Copy> Plane<T> {
     }
 }
 
+impl<T: Copy + Sync> Plane<T> {
+    /// The plane of `convert` of every value, computed in parallel by bands.
+    pub fn map<U: Copy + Default + Send>(&self, convert: impl Fn(T) -> U + Sync) -> Plane<U> {
+        Plane::from_rows(self.width, self.height, |y, row| {
+            for (to, &from) in row.iter_mut().zip(self.row(y)) {
+                *to = convert(from);
+            }
+        })
+    }
+}
+
 impl<T: Clone> Plane<T> {
-    /// A plane with `value` everywhere.
+    /// A plane with `value` in all pixels.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
         Plane { width, height, data: vec![value; width * height] }
     }
 }
 
 impl<T: Copy + Default + Send> Plane<T> {
-    /// A plane whose rows `fill(y, row)` computes, in parallel by bands.
+    /// A plane whose rows are computed by `fill(y, row)`, in parallel by bands.
     pub fn from_rows(width: usize, height: usize, fill: impl Fn(usize, &mut [T]) + Sync) -> Self {
         let mut plane = Plane::filled(width, height, T::default());
         plane.fill_rows(fill);
         plane
     }
 
-    /// Computes every row anew by `fill(y, row)`, in parallel by bands.
+    /// Computes every row by `fill(y, row)`, in parallel by bands.
     pub fn fill_rows(&mut self, fill: impl Fn(usize, &mut [T]) + Sync) {
         let width = self.width;
         self.fill_bands(|rows, band| {
@@ -112,13 +123,14 @@ impl<T: Copy + Default + Send> Plane<T> {
         });
     }
 
-    /// Computes every band anew by `fill(rows, values)`, in parallel.
+    /// Computes every band by `fill(rows, values)`, in parallel.
     pub fn fill_bands(&mut self, fill: impl Fn(Range<usize>, &mut [T]) + Sync) {
         self.fill_bands_with(|| (), |(), rows, values| fill(rows, values));
     }
 
-    /// As [`fill_bands`](Self::fill_bands), but that `fill` is lent what `scratch` makes, for one band after the other: buffers whose
-    /// contents must not matter.
+    /// As [`fill_bands`](Self::fill_bands), with buffers from `scratch` that are reused for several bands.
+    ///
+    /// Results must not depend on the previous contents of the buffers.
     pub fn fill_bands_with<S>(
         &mut self,
         scratch: impl Fn() -> S + Sync + Send,
@@ -135,30 +147,28 @@ impl<T: Copy + Default + Send> Plane<T> {
     }
 }
 
-/// The number of bands of a picture `height` rows high.
-pub fn band_count(height: usize) -> usize {
-    height.div_ceil(BAND_ROWS)
-}
-
-/// The rows of band `band` in a picture `height` rows high; the last may be short.
-pub fn band_rows(band: usize, height: usize) -> Range<usize> {
+/// The rows of band `band` of an image with `height` rows; the last band may be smaller.
+fn band_rows(band: usize, height: usize) -> Range<usize> {
     band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height)
 }
 
-/// `map` of every band's rows, computed in parallel, given back in order.
+/// Results of `map` for the rows of every band, computed in parallel and returned in order.
 pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync) -> Vec<R> {
-    (0..band_count(height)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
+    (0..height.div_ceil(BAND_ROWS)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
 }
 
-/// `map` of each of so many items, at most `at_once` of them at a time, given back in order. Parallel work within an item may begin another: without
-/// a bound all of them may be under way, however few the threads.
+/// Results of `map` for 0..`count`, at most `at_once` at a time, returned in order.
+///
+/// The bound limits memory: a thread that waits for parallel work within an item may start another item, so without it
+/// all items might be in progress on any number of threads.
 pub fn map_at_once<R: Send>(count: usize, at_once: usize, map: impl Fn(usize) -> R + Sync) -> Vec<R> {
     let at_once = at_once.clamp(1, count.max(1));
-    let some = |first| (first..count.min(first + at_once)).into_par_iter().map(&map).collect::<Vec<R>>();
-    (0..count).step_by(at_once).flat_map(some).collect()
+    let group = |first| (first..count.min(first + at_once)).into_par_iter().map(&map).collect::<Vec<R>>();
+    (0..count).step_by(at_once).flat_map(group).collect()
 }
 
-/// `map` of every band's rows, computed in parallel, then `fold`ed in index order: sums of floats come out the same on any machine.
+/// Folds the results of `map` for the rows of every band in index order, so that sums of floats are the same on any
+/// machine. `map` runs in parallel.
 pub fn fold_bands<R: Send, A>(
     height: usize,
     map: impl Fn(Range<usize>) -> R + Sync,
@@ -186,7 +196,7 @@ mod tests {
         let (going, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let map = |i: usize| {
             most.fetch_max(1 + going.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
-            // A thread that waits for this may take up another item.
+            // A thread that waits for this may start another item.
             let sum: usize = (0..1000).into_par_iter().map(|k| k % 7).sum();
             going.fetch_sub(1, Ordering::SeqCst);
             sum * i

@@ -1,8 +1,8 @@
-//! Pictures made smaller and smoother: 2x2 halving, and the separable Gaussian.
+//! Downsampling and smoothing of planes: 2x2 averages, the separable Gaussian and the binomial filter.
 //!
-//! In: a [`Plane`]. Out: a smaller or smoother one. Cost: a third of the picture for a whole pyramid of halves; two passes of
-//! 2 ceil(4 sigma) + 1 multiply-adds a pixel for the Gaussian. Source: Ward 2003, section 2 (pyramid by averaging); Lowe 2004,
-//! section 3 (the Gaussian scale space is separable).
+//! In: a [`Plane`]. Out: a smaller or smoother one. Cost: the levels of a pyramid have a third of the pixels of the
+//! image in all; two passes of 2 ceil(4 sigma) + 1 multiply-adds per pixel for the Gaussian. Source: Ward 2003, section
+//! 2 (pyramid by averaging); Lowe 2004, section 3 (the Gaussian scale space is separable).
 
 pub(crate) mod burt_adelson;
 pub(crate) mod cells;
@@ -10,13 +10,13 @@ pub(crate) mod cells;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 
-/// Half the picture: every pixel the rounded mean of four. An odd last column or row is dropped.
+/// Halves width and height: every pixel is the rounded mean of four. An odd last column or row is dropped.
 pub fn halve(plane: &Plane<u8>) -> Plane<u8> {
     let (width, height) = (plane.width() / 2, plane.height() / 2);
     Plane::from_rows(width, height, |y, row| halve_rows(plane.row(2 * y), plane.row(2 * y + 1), row))
 }
 
-/// A row of half the picture from the two rows that it lies on, which are at least twice as long.
+/// Computes a row of the halved image from the two rows above each other, which must be at least twice as long.
 pub fn halve_rows(upper: &[u8], lower: &[u8], half: &mut [u8]) {
     vectorised(Halves { upper, lower, half });
 }
@@ -40,7 +40,7 @@ impl Loops for Halves<'_> {
     }
 }
 
-/// `plane` and its halves, the largest first, as long as the short side of the next is at least `least_side`.
+/// The pyramid of `plane`, the largest level first; the short side of all other levels is at least `least_side`.
 pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
     let mut levels = vec![plane];
     while let Some(last) = levels.last()
@@ -51,7 +51,7 @@ pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
     levels
 }
 
-/// Every second pixel of every second row: the next octave of a scale space that is smooth enough already (Lowe 2004, section 3.3).
+/// Every second pixel of every second row, without smoothing: the next octave of a scale space (Lowe 2004, section 3.3).
 pub fn every_second(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width().div_ceil(2), plane.height().div_ceil(2));
     Plane::from_rows(width, height, |y, row| {
@@ -61,7 +61,7 @@ pub fn every_second(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// Twice the picture by linear interpolation: pixel (2x, 2y) of the result is pixel (x, y).
+/// Doubles width and height by linear interpolation: pixel (2x, 2y) of the result is pixel (x, y).
 pub fn double(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(2 * width, 2 * height, |y, row| {
@@ -76,7 +76,8 @@ pub fn double(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// The plane convolved with a Gaussian of standard deviation `sigma` pixels, cut off at 4 sigma; the border pixel stands for those beyond.
+/// The plane convolved with a Gaussian of standard deviation `sigma` pixels, truncated at 4 sigma; the border is
+/// repeated.
 pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     let half = half_kernel(sigma);
     let (width, height, reach) = (plane.width(), plane.height(), half.len() - 1);
@@ -94,7 +95,8 @@ pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     smooth
 }
 
-/// A row of a smoothed plane: first down the rows about it into `column`, then along that, whose ends go on as far as the kernel reaches.
+/// Computes a row of a smoothed plane: first along the columns into `column`, which is extended by the reach of the
+/// kernel at both ends, then along the row.
 struct SmoothRow<'a> {
     half: &'a [f32],
     above_and_below: &'a [&'a [f32]],
@@ -109,23 +111,24 @@ impl Loops for SmoothRow<'_> {
     fn run(self) {
         let SmoothRow { half, above_and_below, column, out } = self;
         let (width, reach) = (out.len(), half.len() - 1);
-        weigh(half, &mut column[reach..reach + width], |k| above_and_below[k]);
+        weighted_sum(half, &mut column[reach..reach + width], |k| above_and_below[k]);
         let (first, last) = (column[reach], column[reach + width - 1]);
         column[..reach].fill(first);
         column[reach + width..].fill(last);
-        weigh(half, out, |k| &column[k..]);
+        weighted_sum(half, out, |k| &column[k..]);
     }
 }
 
-/// Every `out[x]` the weighed sum of the values `at(k)[x]`, k from 0 to twice the kernel's reach: the middle one, then pairs from it outwards.
+/// Computes the weighted sum of `at(k)[x]` for every `x`, k from 0 to twice the reach of the kernel. The order of the sum
+/// is the centre, then pairs from there outwards.
 #[inline(always)]
-fn weigh<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
+fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
     let (n, reach) = (out.len(), half.len() - 1);
     let pair = |k: usize| (half[k], &at(reach - k)[..n], &at(reach + k)[..n]);
     for (o, v) in out.iter_mut().zip(at(reach)) {
         *o = half[0] * v;
     }
-    // Three pairs at a time, so that the sums are fetched and put back less often.
+    // Three pairs at a time, so that the sums are loaded and stored less often.
     let mut k = 1;
     while k + 2 <= reach {
         let ((p, a, b), (q, c, d), (r, e, f)) = (pair(k), pair(k + 1), pair(k + 2));
@@ -142,23 +145,22 @@ fn weigh<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
     }
 }
 
-/// The levels that `table` gives to the plane's codes, smoothed by the binomial kernel (1, 4, 6, 4, 1) / 16 along both axes, whose standard
-/// deviation is 1 pixel; the border pixel stands for those beyond (Burt & Adelson 1983).
+/// The values of `table` for the plane's pixels, smoothed by the binomial kernel (1, 4, 6, 4, 1) / 16 along both axes.
+///
+/// The standard deviation of the kernel is 1 pixel; the border is repeated (Burt & Adelson 1983).
 pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     let mut smooth = Plane::filled(width, height, 0.0f32);
     smooth.fill_bands(|rows, band| {
-        let at = |y: isize| plane.row(y.clamp(0, height as isize - 1) as usize);
-        let levels = |y: isize| -> Vec<f32> { at(y).iter().map(|&v| table[usize::from(v)]).collect() };
-        let first = rows.start as isize;
-        let mut window: [Vec<f32>; 5] = std::array::from_fn(|k| levels(first + k as isize - 2));
+        let first = rows.start;
+        let mut window: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; width]);
         let mut column = vec![0.0f32; width + 4];
         for (y, out) in rows.zip(band.chunks_exact_mut(width)) {
-            if y as isize > first {
-                window.rotate_left(1);
-                for (l, &v) in window[4].iter_mut().zip(at(y as isize + 2)) {
-                    *l = table[usize::from(v)];
-                }
+            window.rotate_left(1);
+            let missing = if y == first { 0 } else { 4 };
+            for (k, row) in window.iter_mut().enumerate().skip(missing) {
+                let from = plane.row((y + k).saturating_sub(2).min(height - 1));
+                row.iter_mut().zip(from).for_each(|(to, &v)| *to = table[usize::from(v)]);
             }
             vectorised(BinomialRow { window: window.each_ref().map(|row| &row[..]), column: &mut column, out });
         }
@@ -166,7 +168,7 @@ pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
     smooth
 }
 
-/// A row of a plane smoothed by the binomial kernel: first down the five rows about it into `column`, then along that.
+/// Computes a row of a plane smoothed by the binomial kernel: first along the columns into `column`, then along the row.
 struct BinomialRow<'a> {
     window: [&'a [f32]; 5],
     column: &'a mut [f32],
@@ -194,7 +196,7 @@ impl Loops for BinomialRow<'_> {
     }
 }
 
-/// The Gaussian's weights from its centre outwards; all of them, both sides, sum to 1.
+/// Weights of the Gaussian from its centre outwards; those of both sides together sum to 1.
 fn half_kernel(sigma: f64) -> Vec<f32> {
     let reach = libm::ceil(4.0 * sigma) as usize;
     let raw: Vec<f64> = (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
@@ -218,7 +220,7 @@ mod tests {
         for (width, height) in [(16, 2), (37, 5), (64, 4), (131, 7)] {
             let plane = Plane::from_rows(width, height, |y, row| {
                 for (x, v) in row.iter_mut().enumerate() {
-                    // Black and white among them: nothing may carry into a neighbour.
+                    // Includes black and white, so that a carry into a neighbour would be found.
                     *v = ((x * 97 + y * 61) % 260).saturating_sub(4).min(255) as u8;
                 }
             });
@@ -266,7 +268,7 @@ mod tests {
                             weight += g(dx) * g(dy);
                         }
                     }
-                    // 2 x 17 roundings, at the most, of values below 32 in single precision: 34 * 32 * 2^-24 = 6.5e-5.
+                    // At most 2 x 17 roundings of values below 32 in single precision: 34 * 32 * 2^-24 = 6.5e-5.
                     assert!((f64::from(fast.at(x as usize, y as usize)) - sum / weight).abs() < 6.5e-5);
                 }
             }
@@ -292,7 +294,7 @@ mod tests {
                         sum += wx * wy / 256.0 * f64::from(table[usize::from(plane.at(u as usize, v as usize))]);
                     }
                 }
-                // Some ten roundings of values below 256 in single precision: 10 * 256 * 2^-24.
+                // About ten roundings of values below 256 in single precision: 10 * 256 * 2^-24.
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }

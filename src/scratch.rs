@@ -1,7 +1,7 @@
-//! Scratch: values that do not fit into the memory allowed, on disk for as long as they are needed.
+//! Scratch files: temporary storage for values that do not fit into the memory limit.
 //!
-//! In: values, and a folder with room for them. Out: any part of them again. Cost: that of the system's file cache, some GB/s while it
-//! has room. The file has no name (where the system can do so): it is gone with the process, however that ends.
+//! In: values, and a folder with enough space. Out: any part of them. Cost: that of the system's file cache, some GB/s
+//! while it has space. The file has no name if the system supports that, so it disappears with the process in any case.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;
@@ -11,21 +11,21 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// How much memory may be used, and where the rest goes.
+/// The memory limit, and the folder for values beyond it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MemoryLimit {
-    /// Bytes, of the whole process at its peak. What cannot be done within it is refused.
+    /// Peak memory of the process, in bytes. Runs that need more are refused.
     pub bytes: u64,
     /// The folder of the scratch file.
     pub folder: PathBuf,
 }
 
 impl MemoryLimit {
-    /// Bytes that the program and its tables take, and what the allocator keeps from stage to stage, beside those of the threads that compute:
-    /// measured.
+    /// Bytes of the program, its tables and memory that the allocator keeps between stages, without that of the worker
+    /// threads. Measured.
     pub const PROGRAM: u64 = 24 << 20;
 
-    /// What is left for pixels.
+    /// Bytes available for pixels.
     pub fn for_pixels(&self) -> u64 {
         self.bytes.saturating_sub(MemoryLimit::PROGRAM)
     }
@@ -39,22 +39,24 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// An empty one in `folder`.
+    /// Creates an empty scratch file in `folder`.
     ///
     /// # Errors
-    /// [`Error::Scratch`].
+    /// [`Error::Scratch`] if the file cannot be created.
     pub fn in_folder(folder: &Path) -> Result<Arc<Self>> {
-        // The folder of a file that is named without one.
+        // The parent of a file name without a folder is empty.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        let file = tempfile::tempfile_in(folder);
-        let file = file.map_err(|source| Error::Scratch { folder: folder.to_owned(), source })?;
-        Ok(Arc::new(Scratch { folder: folder.to_owned(), file: Mutex::new(file) }))
+        let folder = folder.to_owned();
+        match tempfile::tempfile_in(&folder) {
+            Ok(file) => Ok(Arc::new(Scratch { folder, file: Mutex::new(file) })),
+            Err(source) => Err(Error::Scratch { folder, source }),
+        }
     }
 
-    /// Puts `values` behind what is there.
+    /// Appends `values` to the file.
     ///
     /// # Errors
-    /// [`Error::Scratch`], as when the disk is full.
+    /// [`Error::Scratch`] if they cannot be written, for example because the disk is full.
     pub fn put<T: Pod>(self: &Arc<Self>, values: &[T]) -> Result<Kept<T>> {
         let put = |file: &mut File| {
             let at = file.seek(SeekFrom::End(0))?;
@@ -66,40 +68,40 @@ impl Scratch {
     }
 
     fn with_file<R>(&self, work: impl FnOnce(&mut File) -> std::io::Result<R>) -> Result<R> {
-        // Every use begins by seeking: what a panic left of another's does not matter.
+        // Every access seeks first, so the file remains usable after a panic elsewhere.
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         work(&mut file).map_err(|source| Error::Scratch { folder: self.folder.clone(), source })
     }
 }
 
-/// Values on a scratch file.
+/// Values in a scratch file.
 #[derive(Debug, Clone)]
 pub struct Kept<T> {
     scratch: Arc<Scratch>,
-    /// The place of the first, in bytes.
+    /// Offset of the first value, in bytes.
     at: u64,
     count: usize,
     kind: std::marker::PhantomData<T>,
 }
 
 impl<T: Pod> Kept<T> {
-    /// How many there are.
+    /// The number of values.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there are none.
+    /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Puts `values` in their place.
+    /// Overwrites the values with `values`.
     ///
     /// # Errors
-    /// [`Error::Scratch`].
+    /// [`Error::Scratch`] if they cannot be written.
     ///
     /// # Panics
-    /// When they are not as many: a fault of the caller.
+    /// If the number of values differs.
     pub fn replace(&self, values: &[T]) -> Result<()> {
         assert_eq!(values.len(), self.count);
         self.scratch.with_file(|file| {
@@ -108,13 +110,13 @@ impl<T: Pod> Kept<T> {
         })
     }
 
-    /// Those of `range`.
+    /// Reads the values of `range`.
     ///
     /// # Errors
-    /// [`Error::Scratch`].
+    /// [`Error::Scratch`] if they cannot be read.
     ///
     /// # Panics
-    /// When `range` is beyond them: a fault of the caller.
+    /// If `range` exceeds the number of values.
     pub fn get(&self, range: Range<usize>) -> Result<Vec<T>> {
         assert!(range.start <= range.end && range.end <= self.count, "{range:?} of {}", self.count);
         let mut values = vec![T::zeroed(); range.len()];

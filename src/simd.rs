@@ -1,35 +1,36 @@
-//! Vector instructions: the one place where the processor is asked what it has.
+//! Vector instructions: selects code for the instruction set of the processor.
 //!
-//! In: [`Loops`] over plain slices. Out: what they give, computed by code that the compiler made for the widest vectors this processor has
-//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by the scalar arm. Cost: a few nanoseconds a call: give it a row or more.
+//! In: [`Loops`] over slices. Out: their result, computed by code compiled for the widest vectors of this processor
+//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by scalar code. Cost: a few nanoseconds per call, so a call should
+//! process at least a row.
 //!
-//! The arms differ in nothing but speed: Rust neither reorders sums of floats nor fuses a product with a sum, whatever instructions it may
-//! use, so the loops give the same bytes on every arm. [`choose`] lets tests and benches hold them side by side.
+//! The arms differ only in speed: Rust neither reorders sums of floats nor fuses multiplications with additions, so the
+//! results have the same bytes on every arm. With [`choose`], tests and benches compare the arms.
 
 use pulp::{Arch, NullaryFnOnce};
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// For which processor loops are run.
+/// The instruction set for which loops are compiled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Arm {
-    /// The widest that this processor has.
+    /// The widest that this processor supports.
     #[default]
     Native,
     /// AVX-512 of x86 (x86-64-v4).
     Avx512,
-    /// AVX2 of x86, with fused products that nothing here uses (x86-64-v3).
+    /// AVX2 of x86 (x86-64-v3); its fused multiply-add is not used.
     Avx2,
     /// NEON of 64-bit ARM.
     Neon,
-    /// The least that every processor of the target has.
+    /// The instructions that every processor of the target supports.
     Scalar,
 }
 
 impl Arm {
-    /// All, the widest first; which of them are here, [`choose`] tells.
+    /// All arms, in the order of their discriminants; this processor may not support all of them (see [`choose`]).
     pub const ALL: [Arm; 5] = [Arm::Native, Arm::Avx512, Arm::Avx2, Arm::Neon, Arm::Scalar];
 
-    /// What pulp calls it; none where this processor does not have it.
+    /// The corresponding value of pulp; none if this processor does not support the arm.
     #[inline]
     fn arch(self) -> Option<Arch> {
         match self {
@@ -47,39 +48,42 @@ impl Arm {
     }
 }
 
-/// The chosen one's place in [`Arm::ALL`].
+/// Index of the chosen arm in [`Arm::ALL`].
 static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
 
-/// From now on all of the process runs on `arm`, if this processor has it; whether it has. The results are the same: it is for tests and
-/// benches.
-#[must_use = "an arm that is not here is not chosen"]
+/// Selects `arm` for the whole process if this processor supports it; returns whether it does.
+///
+/// The results do not depend on the arm: this is for tests and benches.
+#[must_use = "an arm that the processor does not support is not chosen"]
 pub fn choose(arm: Arm) -> bool {
-    let is_here = arm.arch().is_some();
-    if is_here {
+    let is_supported = arm.arch().is_some();
+    if is_supported {
         CHOSEN.store(arm as u8, Ordering::Relaxed);
     }
-    is_here
+    is_supported
 }
 
-/// Loops over plain slices that are worth the widest vectors.
+/// Loops over slices that benefit from vector instructions.
 pub trait Loops {
-    /// What they give.
+    /// The result.
     type Output;
 
-    /// Runs them. Mark it, and whatever it calls, `#[inline(always)]`: only what is inlined is compiled for the arm (a closure that is
-    /// long is not). Start no parallel work inside.
+    /// Runs the loops.
+    ///
+    /// Mark it and all functions that it calls `#[inline(always)]`: only inlined code is compiled for the arm (long closures
+    /// are not inlined). Do not start parallel work inside.
     fn run(self) -> Self::Output;
 }
 
-/// What `loops` give, run on the chosen arm.
+/// Runs `loops` on the chosen arm and returns their result.
 #[inline]
 pub fn vectorised<L: Loops>(loops: L) -> L::Output {
     let chosen = Arm::ALL[usize::from(CHOSEN.load(Ordering::Relaxed))];
-    // It was here when it was chosen.
+    // The arm was supported when it was chosen.
     chosen.arch().unwrap_or_default().dispatch(Native(loops))
 }
 
-/// What pulp calls with the processor's features enabled.
+/// The function that pulp calls with the processor's features enabled.
 struct Native<L>(L);
 
 impl<L: Loops> NullaryFnOnce for Native<L> {
@@ -91,56 +95,57 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
-/// 2^23 and 2^52: from there on floats are whole, and what is added to them stands in their last bits. Vectors have no casts that mind
-/// what is out of range, as Rust's do.
+/// 2^23 and 2^52: from there on floats are integers, and a number added to them is in their last bits. This replaces
+/// Rust's saturating casts, for which there are no vector instructions.
 const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);
 
-/// `value`, which is in 0..2^22, rounded down.
+/// `value` rounded down; it must be in 0..2^22.
 #[inline(always)]
 pub fn floor32(value: f32) -> f32 {
     let near = (value + WHOLE.0) - WHOLE.0;
     if near > value { near - 1.0 } else { near }
 }
 
-/// `whole`, which is a whole number in 0..2^23, as an integer.
+/// `whole` as an integer; it must be an integer in 0..2^23.
 #[inline(always)]
 pub fn integer32(whole: f32) -> u32 {
     (whole + WHOLE.0).to_bits() & 0x7f_ffff
 }
 
-/// `value`, which is in 0..2^51, rounded down.
+/// `value` rounded down; it must be in 0..2^51.
 #[inline(always)]
 pub fn floor64(value: f64) -> f64 {
     let near = (value + WHOLE.1) - WHOLE.1;
     if near > value { near - 1.0 } else { near }
 }
 
-/// `whole`, which is a whole number in 0..2^52, as an integer.
+/// `whole` as an integer; it must be an integer in 0..2^52.
 #[inline(always)]
 pub fn integer64(whole: f64) -> u64 {
     (whole + WHOLE.1).to_bits() & ((1 << 52) - 1)
 }
 
-/// The larger, of numbers that are some: vectors do it in one step. Of no number, no number.
+/// The larger value, in one vector instruction. NaN if `value` is NaN.
 #[inline(always)]
 pub fn at_least(value: f32, least: f32) -> f32 {
     if value < least { least } else { value }
 }
 
-/// The smaller, as [`at_least`].
+/// The smaller value, as [`at_least`].
 #[inline(always)]
 pub fn at_most(value: f32, most: f32) -> f32 {
     if value > most { most } else { value }
 }
 
-/// log2 of `value`, which is positive, normal and finite, within 2e-7 of it or of 1.
+/// log2 of `value`, which must be positive, normal and finite. The error is at most 2e-7, or 2e-7 of the result if that
+/// is larger.
 #[inline(always)]
 pub fn log2(value: f32) -> f32 {
     // value = 2^e m with m between sqrt(1/2) and sqrt(2), so that the series of the area tangent below is short.
     let bits = value.to_bits().wrapping_sub(ROOT_OF_HALF) as i32;
     let e = bits >> 23;
     let m = f32::from_bits(value.to_bits().wrapping_sub((e << 23) as u32));
-    // ln m = 2 (t + t^3/3 + t^5/5 + ..), t = (m - 1) / (m + 1), |t| < 0.172: what is left out is below 4e-8.
+    // ln m = 2 (t + t^3/3 + t^5/5 + ..), t = (m - 1) / (m + 1), |t| < 0.172: the truncation error is below 4e-8.
     let t = (m - 1.0) / (m + 1.0);
     let t2 = t * t;
     let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (1.0 / 5.0 + t2 * (1.0 / 7.0)));
@@ -150,13 +155,13 @@ pub fn log2(value: f32) -> f32 {
 /// sqrt(1/2), as bits.
 const ROOT_OF_HALF: u32 = 0x3f35_04f3;
 
-/// 2 to the power of `value`, which is in -126..=127, within 3e-7 of it.
+/// 2 to the power of `value`, which must be in -126..=127, with a relative error of at most 3e-7.
 #[inline(always)]
 pub fn exp2(value: f32) -> f32 {
-    // 2^value = 2^e 2^f with f within half of 0, so that the series of the exponential is short; 127 is the exponent's bias.
+    // 2^value = 2^e 2^f with |f| <= 1/2, so that the series of the exponential is short; 127 is the exponent's bias.
     let biased = floor32(value + 127.5);
     let x = (value - (biased - 127.0)) * std::f32::consts::LN_2;
-    // The exponential's own; |x| < 0.347: what is left out is below 1.3e-7.
+    // The series of the exponential; |x| < 0.347: the truncation error is below 1.3e-7.
     let high = 1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x * (1.0 / 720.0)));
     let series = 1.0 + x * (1.0 + x * (0.5 + x * high));
     f32::from_bits(integer32(biased) << 23) * series
@@ -184,7 +189,7 @@ mod tests {
         let here = Arm::ALL.into_iter().filter(|&arm| choose(arm)).inspect(|arm| {
             assert_eq!(vectorised(Polynomial(&values)), textbook, "{arm:?}");
         });
-        assert!(here.count() >= 2, "what the processor has, and what all have");
+        assert!(here.count() >= 2, "the native arm and the scalar one");
         assert!(choose(Arm::default()));
     }
 

@@ -1,45 +1,26 @@
-//! Statistics: order statistics and robust weights that every stage uses.
+//! Order statistics and robust weights, used by all stages.
 //!
-//! In: values in any order. Out: the value of a rank, the median; weights. Cost: some ns a value. Source: Hoare 1961, "Algorithm 65: find";
-//! Beaton & Tukey 1974, "The fitting of power series" (the biweight).
+//! In: values in any order. Out: the value of a rank, the median; weights. Cost: a few ns per value. Source: Hoare 1961,
+//! "Algorithm 65: find"; Beaton & Tukey 1974, "The fitting of power series" (the biweight).
 
-use std::cmp::Ordering;
-
-/// Numbers with a total order.
-pub trait Ordered: Copy {
-    /// As `total_cmp` of the standard library.
-    fn order(&self, other: &Self) -> Ordering;
-}
-
-impl Ordered for f32 {
-    fn order(&self, other: &Self) -> Ordering {
-        self.total_cmp(other)
-    }
-}
-
-impl Ordered for f64 {
-    fn order(&self, other: &Self) -> Ordering {
-        self.total_cmp(other)
-    }
-}
-
-/// The value of `rank` of `values`, the smallest being of rank 0; none where there are not so many.
-pub fn of_rank<T: Ordered>(values: impl IntoIterator<Item = T>, rank: usize) -> Option<T> {
+/// The value with rank `rank` (0 for the smallest) in the total order of floats; none if there are not enough `values`.
+pub fn of_rank<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>, rank: usize) -> Option<T> {
     let mut values: Vec<T> = values.into_iter().collect();
-    (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, T::order).1)
+    let order = |a: &T, b: &T| (*a).into().total_cmp(&(*b).into());
+    (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, order).1)
 }
 
-/// The median of `values`, of an even number the upper one; none of none.
-pub fn median<T: Ordered>(values: impl IntoIterator<Item = T>) -> Option<T> {
+/// The median of `values`, the upper one of an even number; none if there are no values.
+pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Option<T> {
     let values: Vec<T> = values.into_iter().collect();
     let middle = values.len() / 2;
     of_rank(values, middle)
 }
 
-/// Standard deviations of a normal distribution in its median absolute deviation: the normal quantile of 3/4.
+/// Median absolute deviation of a normal distribution, in standard deviations: the normal quantile of 3/4.
 pub const MEDIAN_DEVIATION: f64 = 0.6745;
 
-/// Tukey's biweight of a residual that is `t` of the reach: 1 for 0, 0 from 1 on and of what is not a number.
+/// Tukey's biweight of a residual `t`, relative to the reach: 1 for 0, and 0 from 1 on and for NaN.
 pub fn biweight(t: f64) -> f64 {
     let inside = (1.0 - t * t).max(0.0);
     inside * inside
@@ -58,7 +39,7 @@ mod tests {
             (median([3.0, 1.0, 2.0]), median([4.0f32, 1.0, 3.0, 2.0]), median::<f64>([])),
             (Some(2.0), Some(3.0), None)
         );
-        // -0 before 0, and what is not a number last.
+        // -0 is before 0, and NaN is last.
         assert_eq!(of_rank([f32::NAN, 0.0, -0.0], 0).map(f32::to_bits), Some((-0.0f32).to_bits()));
     }
 

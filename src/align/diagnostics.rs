@@ -18,28 +18,27 @@ use crate::align::transform::{Transform, distance, level_to_full, map};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// The bitmaps of one frame, on the level on which frames are compared.
+/// The bitmaps of one frame, on the level on which agreement is measured.
 #[derive(Debug, Clone)]
 pub struct FrameBitmaps {
     /// The threshold's percentile.
     pub percentile: Percentile,
-    /// The threshold, and the grey values about it that do not count.
+    /// The threshold, and the grey values around it that are excluded.
     pub zone: Zone,
-    /// What is brighter, and what counts.
+    /// The threshold bitmap and the exclusion bitmap.
     pub bitmaps: ThresholdBitmaps,
     /// Pixels of the full size along a pixel of the bitmaps.
     pub scale: f64,
 }
 
 impl FrameBitmaps {
-    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`; that of the reference is its
-    /// own.
+    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`, which may be the same frame.
     pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let [_, frame] = Self::pair(reference, frame, options);
         frame
     }
 
-    /// The bitmaps of both, as the search has them on the level on which frames are compared.
+    /// The bitmaps of both frames, as in the search.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
         let pair = bitmaps::BitmapPair::new(reference, frame, level, options.mtb.exclusion);
@@ -52,7 +51,7 @@ impl FrameBitmaps {
         })
     }
 
-    /// The share of all pixels that are too near the threshold to count.
+    /// The share of all pixels that are excluded, 0..=1.
     pub fn excluded_share(&self) -> f64 {
         let exclusion = &self.bitmaps.exclusion;
         let (width, height) = (exclusion.width(), exclusion.height());
@@ -61,49 +60,50 @@ impl FrameBitmaps {
     }
 }
 
-/// The motions of one kind that were tried, and what differed.
+/// The share of differing pixels as a function of one parameter of the motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     /// The motions, rising: degrees for a rotation, pixels of the full size for a shift.
     pub at: Vec<f64>,
-    /// The share of the pixels counting in both bitmaps that differ; 0..=1.
+    /// The share of the compared pixels that differ, 0..=1.
     pub share: Vec<f64>,
 }
 
 impl Curve {
-    /// Where the share is least; of equals the first.
+    /// The motion with the least share; the first of several.
     pub fn lowest(&self) -> f64 {
         let best = self.at.iter().zip(&self.share).reduce(|best, here| if here.1 < best.1 { here } else { best });
         best.map_or(0.0, |(at, _)| *at)
     }
 }
 
-/// What differs between two frames' bitmaps under the motion found, and about it.
+/// The share of differing pixels between the bitmaps of two frames at the estimated motion, and around it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct XorCurves {
-    /// Shift and rotation about which was tried: right and down in pixels of the full size, and degrees.
+    /// The motion at the centre of the curves: shift right and down in pixels of the full size, and rotation in
+    /// degrees.
     pub centre: [f64; 3],
-    /// The share that differs where nothing moves.
+    /// The share that differs without motion.
     pub before: f64,
-    /// ... and under the motion.
+    /// The share that differs at the estimated motion.
     pub after: f64,
-    /// Turned, by angles from -`max` to `max`, shifted as found.
+    /// By the rotation, at the estimated shift.
     pub by_angle: Curve,
-    /// Shifted to the right, turned as found.
+    /// By the shift to the right, at the estimated rotation.
     pub by_dx: Curve,
-    /// Shifted downwards, turned as found.
+    /// By the shift downwards, at the estimated rotation.
     pub by_dy: Curve,
 }
 
-/// Steps of a rotation, in degrees: over the whole range, and near the motion found.
+/// Steps of the rotation, in degrees: over the whole range, and near the estimated motion.
 const ANGLE_STEP: f64 = 0.1;
 const FINE_ANGLE_STEP: f64 = 0.02;
 const FINE_REACH: f64 = 0.4;
-/// How far shifts are tried, in pixels of the level.
+/// Range of the shifts, in pixels of the level.
 const SHIFT_REACH: i64 = 40;
 
-/// The share of pixels that differ when `frame` is turned and shifted about the motion of `transform`, or about what
-/// its bitmaps say by themselves where there is none.
+/// The share of pixels that differ when `frame` is rotated and shifted around the motion of `transform`, or around the
+/// result of its own bitmap search if there is none.
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -141,7 +141,7 @@ pub fn xor_curves(
     }
 }
 
-/// Angles over the whole range that is searched, and more of them near `found`, which is one of them, in degrees.
+/// Angles over the whole range searched, closer together near `found`, which is one of them; in degrees.
 fn angles(found: f64, most: f64) -> Vec<f64> {
     let reach = most.max(1.0).max(1.2 * found.abs());
     let coarse = (reach / ANGLE_STEP).floor() as i64;
@@ -156,15 +156,15 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
 /// Which keypoints are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureKind {
-    /// Those of the plain picture.
+    /// Keypoints of the grey picture.
     Plain,
-    /// Those of its median threshold bitmap.
+    /// Keypoints of its median threshold bitmaps.
     Mtb,
-    /// Both, each kind with its own.
+    /// Both, each kind matched with its own kind.
     Merged,
 }
 
-/// The keypoints of one frame, on the level on which features are sought.
+/// The features of one frame, on the level on which they are detected.
 #[derive(Debug, Clone)]
 pub struct FrameFeatures {
     sets: FeatureSets,
@@ -183,24 +183,24 @@ impl FrameFeatures {
         }
     }
 
-    /// No features of `frame`, for who does not look at them.
+    /// An empty set of features of `frame`, where they are not needed.
     pub fn none(frame: &GreyPyramid) -> Self {
         let level = measured_level(frame);
         let sets = FeatureSets { plain: Features::default(), mtb: Vec::new(), counts: KeypointCounts::default() };
         FrameFeatures { sets, to_full: level_to_full(level), size: frame.size(level) }
     }
 
-    /// Width and height of the level that they were sought on, in pixels.
+    /// Width and height of the level on which they were detected, in pixels.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
 
-    /// How many there are.
+    /// Number of keypoints of each kind.
     pub fn counts(&self) -> KeypointCounts {
         self.sets.counts
     }
 
-    /// Keypoints of the plain picture and of the bitmaps, in pixels of the full size; what several bitmaps have, once.
+    /// Keypoints of the grey picture and of the bitmaps, in pixels of the full size; duplicates of bitmaps only once.
     pub fn keypoints(&self) -> [Vec<Keypoint>; 2] {
         let full = |k: &Keypoint| {
             let (x, y) = map(&self.to_full, k.x.into(), k.y.into());
@@ -209,14 +209,14 @@ impl FrameFeatures {
         [self.sets.plain.keypoints.iter().map(full).collect(), self.sets.of_bitmaps().iter().map(full).collect()]
     }
 
-    /// Which keypoints of the plain picture a bitmap has as well, and the other way round: within a pixel of the level,
-    /// and of like scale, as they are counted.
+    /// Whether each keypoint of the grey picture is also in a bitmap, and the other way round: within a pixel of the
+    /// level and with a similar scale, as in [`counts`](Self::counts).
     pub fn found_twice(&self) -> [Vec<bool>; 2] {
         let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
         [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
     }
 
-    /// Those of one kind, the others left out.
+    /// The features of one kind.
     fn only(&self, kind: FeatureKind) -> FeatureSets {
         let (plain, mtb) = match kind {
             FeatureKind::Plain => (self.sets.plain.clone(), vec![Features::default(); self.sets.mtb.len()]),
@@ -230,11 +230,11 @@ impl FrameFeatures {
 /// The matches of a frame's keypoints with the reference's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matching {
-    /// The reference's place and the frame's, in pixels of the full size.
+    /// Positions in the reference and in the frame, in pixels of the full size.
     pub pairs: Vec<PointPair>,
     /// Whether each is an inlier of the robust estimator.
     pub inlier: Vec<bool>,
-    /// The motion that those agree on.
+    /// The transform of the inliers.
     pub transform: Option<Transform>,
 }
 
@@ -245,8 +245,8 @@ impl Matching {
     }
 }
 
-/// Matches keypoints, by [`FeatureKind`], and asks which agree: once, by the ratio alone, without the help that
-/// [`align`](crate::align::align) gives.
+/// Matches keypoints, by [`FeatureKind`], and finds the inliers: once, by the ratio test alone, without the further
+/// steps of [`align`](crate::align::align).
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
     let of = |kind| features::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
@@ -262,7 +262,7 @@ pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &Ali
     })
 }
 
-/// The root mean square distance over a picture of `size` of where two transforms put a pixel, in pixels.
+/// The root mean square distance between the positions of a pixel under two transforms, over a picture of `size`.
 pub fn distance_px(a: &Transform, b: &Transform, size: (usize, usize)) -> f64 {
     distance(a, b, size.0, size.1)
 }

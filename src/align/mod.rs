@@ -1,8 +1,8 @@
 //! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
-//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest sufficient
-//! [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the first
-//! method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
+//! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest
+//! sufficient [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the
+//! first method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
 //!
 //! The sub-modules, each using only those before it:
 //!
@@ -65,19 +65,20 @@ pub enum AlignMode {
 /// How frames are aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignOptions {
-    /// Which methods.
+    /// The alignment method.
     pub mode: AlignMode,
-    /// The bitmaps and their search.
+    /// Options of the bitmaps and their search.
     pub mtb: MtbOptions,
-    /// The detector.
+    /// Options of the feature detector.
     pub sift: SiftOptions,
-    /// A match must be nearer than this share of the second nearest (Lowe 2004, section 7.1).
+    /// Largest ratio of the distances of a descriptor to the nearest and the second nearest of a match (Lowe 2004,
+    /// section 7.1).
     pub ratio: f64,
-    /// Transforms that are preset instead of estimated; of several for one frame the first counts.
+    /// Transforms that are preset instead of estimated; of several for one frame the first is used.
     pub given: Vec<Preset>,
-    /// The method of the robust fit.
+    /// The robust estimator.
     pub robust: RobustMethod,
-    /// The robust fit; its threshold is in pixels of the level on which features are sought.
+    /// Options of the robust estimator; its threshold is in pixels of the level on which features are detected.
     pub ransac: RansacOptions,
 }
 
@@ -129,11 +130,11 @@ impl AlignOptions {
     }
 }
 
-/// Places every frame of `bracket`.
+/// Aligns every frame of `bracket` to its reference.
 ///
 /// # Errors
 /// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
-/// common; [`Error::Scratch`]. A frame that cannot be placed is no error: it is [rejected](Placement::Rejected) with a warning.
+/// common; [`Error::Scratch`]. A frame that cannot be aligned is not an error: it is [rejected](Placement::Rejected) with a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::given(bracket, &options.given)?;

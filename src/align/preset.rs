@@ -8,40 +8,41 @@ use crate::bracket::Bracket;
 use crate::error::{Error, Result};
 use std::path::PathBuf;
 
-/// A frame whose place is given.
+/// A frame whose transform is preset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preset {
-    /// Its file, or the name of it.
+    /// Its file, or the name of the file.
     pub path: PathBuf,
-    /// Its place.
+    /// Its transform, or that it is excluded.
     pub place: PresetTransform,
 }
 
-/// See [`Preset`].
+/// The preset transform of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PresetTransform {
-    /// None: excluded by the user.
+    /// The frame is excluded by the user.
     Excluded,
-    /// That of the reference: the user states that it did not move.
+    /// The user states that the frame did not move.
     Unmoved,
-    /// As it was found before.
+    /// A placement that was estimated earlier.
     Known(Placement, FeatureCounts),
 }
 
 impl PresetTransform {
-    /// As a placement.
+    /// The placement, and the numbers of keypoints and inliers.
     pub(crate) fn found(&self) -> Found {
         let placement = match self {
             PresetTransform::Known(placement, features) => return (placement.clone(), *features),
             PresetTransform::Unmoved => Placement::by_user(Transform::Identity),
-            PresetTransform::Excluded => Placement::excluded(RejectedBy::User, "left out, as was asked".into()),
+            PresetTransform::Excluded => Placement::excluded(RejectedBy::User, "excluded by the user".into()),
         };
         (placement, FeatureCounts::default())
     }
 }
 
-/// For every frame of `bracket` the placement that is `given`, if one is; the first of several counts, and any before
-/// that of a frame that is excluded by itself.
+/// The preset placement of each frame of `bracket`, if there is one.
+///
+/// The first of several for a frame is used. A preset overrides the exclusion of a frame because of the flash.
 ///
 /// # Errors
 /// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid
@@ -56,7 +57,7 @@ pub(crate) fn given(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Fo
         };
         let wrong = |reason: String| Error::Option { option, reason };
         let Some(i) = bracket.named(path) else {
-            // A file of transforms may hold more frames than are merged now.
+            // A file of transforms may contain frames that are not in this bracket.
             if matches!(place, PresetTransform::Known(..)) {
                 continue;
             }
@@ -83,12 +84,17 @@ pub(crate) fn given(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Fo
     Ok(found)
 }
 
-/// Whether `placement` can be of a frame of this size; if not, why. A camera sees no corner behind it, and nothing
+/// Checks whether `placement` is possible for a frame of this size.
+///
+/// The confidence must be within 0..=1. All corners must be in front of the camera, and the picture must not be
 /// mirrored.
+///
+/// # Errors
+/// The reason, in words.
 pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> std::result::Result<(), String> {
     let confidence = placement.confidence();
     if !(0.0..=1.0).contains(&confidence) {
-        return Err(format!("its confidence is {confidence}, and not within 0..1"));
+        return Err(format!("its confidence is {confidence}, which is not within 0..1"));
     }
     let Some(transform) = placement.transform() else { return Ok(()) };
     let h = transform.matrix(width, height);
@@ -101,6 +107,6 @@ pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> s
     if is_sane {
         return Ok(());
     }
-    Err("its homography is none: nine finite numbers that keep the picture in front of the camera and do not mirror it"
+    Err("its homography is invalid: give nine finite numbers that keep the picture in front of the camera and do not mirror it"
         .into())
 }

@@ -1,18 +1,19 @@
-//! A scene for the tests of this stage: random, smooth, with edges, at many scales, and known at every place, not only
-//! at pixels, so that a photograph of it under any transform and exposure can be computed without resampling.
+//! A random scene for the tests of the alignment, smooth, with edges, at many scales. Its radiance is known at every
+//! position, so that photographs under any transform and exposure are computed without resampling.
 //!
 //! In: a seed, a transform, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
 
-/// What there is to see.
+/// A random scene.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scene {
     seed: u64,
 }
 
-/// How it is photographed: the camera's response is x^(1/2.2), radiance 1 at 0 EV gives code 117, and 5.6 is clipped.
+/// The exposure and noise of a photograph: the camera's response is x^(1/2.2), radiance 1 at 0 EV gives code 117, and
+/// 5.6 is clipped.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
     /// Exposure.

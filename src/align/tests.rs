@@ -1,4 +1,4 @@
-//! Whole brackets: every frame's placement.
+//! Placements of the frames of whole brackets.
 
 use super::*;
 use crate::align::scene::{Scene, Shot, rigid, shift};

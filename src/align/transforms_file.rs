@@ -1,7 +1,7 @@
-//! The file of transforms: an alignment that is saved and used again.
+//! The file of transforms: an alignment that is saved to be used again.
 //!
-//! In and out: [`SavedAlignment`], the placements of a bracket, and JSON of the schema `hdralign-transforms/1`; every
-//! number comes back as it was. In: [`Preset`] places. Out: the frames of a bracket that they are of. Cost: none.
+//! In and out: [`SavedAlignment`], the placements of a bracket, and JSON of the schema `hdralign-transforms/1`. All
+//! numbers are read exactly as they were written. Cost: negligible.
 //!
 //! ```json
 //! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
@@ -24,7 +24,7 @@ use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The version of the format; a reader refuses any other.
+/// The schema of the format; files of other schemas are rejected.
 pub const SCHEMA: &str = "hdralign-transforms/1";
 
 /// The placements of a bracket, to be saved and used again.
@@ -38,7 +38,7 @@ pub struct SavedAlignment {
     pub frames: Vec<Preset>,
 }
 
-/// The file, as it is written.
+/// The content of the file.
 #[derive(Serialize, Deserialize)]
 struct Document {
     schema: String,
@@ -52,20 +52,13 @@ struct Document {
 struct FrameDocument {
     file: String,
     status: Status,
-    #[serde(default)]
     rejected_by: Option<RejectedBy>,
-    #[serde(default)]
     model: Option<Model>,
     homography: Option<[f64; 9]>,
-    #[serde(default)]
     error_px: Option<f64>,
-    #[serde(default)]
     confidence: Option<f64>,
-    #[serde(default)]
     inliers: Option<usize>,
-    #[serde(default)]
     keypoints: Option<KeypointCounts>,
-    #[serde(default)]
     reason: Option<String>,
 }
 
@@ -76,7 +69,7 @@ struct Header {
 }
 
 impl SavedAlignment {
-    /// The places of all frames of `bracket` by `alignment`.
+    /// The placements of all frames of `bracket` by `alignment`.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
         let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
         let known = |i: usize| PresetTransform::Known(alignment.placements[i].clone(), alignment.features[i]);
@@ -114,11 +107,11 @@ impl SavedAlignment {
             reference: text(&self.reference),
             frames: self.frames.iter().map(frame).collect(),
         };
-        // Strings and finite numbers alone: nothing in it can fail to be written.
+        // Strings and finite numbers cannot fail to be serialised.
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
-    /// The places in the file `path`.
+    /// Reads the file `path`.
     ///
     /// # Errors
     /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
@@ -126,12 +119,11 @@ impl SavedAlignment {
         Self::from_json(&intake::text(path, intake::MOST_OF_A_TEXT)?, path)
     }
 
-    /// The places in `text`, the content of the file `path`.
+    /// Parses `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where the text is no JSON, of another schema, a confidence is not within 0..1, or a
-    /// homography is none: nine finite numbers that keep the picture's corners in front of the camera and its sides the
-    /// right way round.
+    /// [`Error::TransformsFile`] if the text is not JSON or has another schema, a confidence is not within 0..1, or a
+    /// homography is invalid: not nine finite numbers, with a corner behind the camera, or mirrored.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header =
@@ -149,27 +141,27 @@ impl SavedAlignment {
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
     }
 
-    /// Whether it, the content of the file `path`, can be of the photographs `images`.
+    /// Checks whether this content of the file `path` is for the photographs `images`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where its reference is none of them.
+    /// [`Error::TransformsFile`] if its reference is not among them.
     pub fn check_names(&self, images: &[PathBuf], path: &Path) -> Result<()> {
         let images: Vec<&Path> = images.iter().map(PathBuf::as_path).collect();
         if bracket::named(&images, &self.reference).is_some() {
             return Ok(());
         }
         let reason = format!(
-            "it is of other photographs: its reference, {}, is not among these; name another file to have one made for these",
+            "it is for other photographs: its reference, {}, is not among these; name another file to create one for these",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })
     }
 
-    /// Whether it can be of `bracket`.
+    /// Checks whether this content of the file `path` is for `bracket`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] where the frames are of another size, the reference is another, or none of the frames
-    /// is in it.
+    /// [`Error::TransformsFile`] if the frames have another size, the reference is another, or none of the frames is in the
+    /// file.
     pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
         let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
         let (width, height) = (bracket.width(), bracket.height());
@@ -186,13 +178,13 @@ impl SavedAlignment {
             ));
         }
         if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
-            return wrong("it speaks of none of these photographs; remove it to have one made for them".into());
+            return wrong("it contains none of these photographs; remove it to create one for them".into());
         }
         Ok(())
     }
 }
 
-/// The placement that `frame` stands for, or what is wrong with it.
+/// The placement that `frame` describes, or what is wrong with it.
 fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Found, String> {
     let features = FeatureCounts { inliers: frame.inliers, keypoints: frame.keypoints };
     let placement = if frame.status.rejected_by().is_some() {

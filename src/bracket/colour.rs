@@ -1,11 +1,11 @@
-//! Colour spaces of linear light: which red, green, blue and white numbers are of, and the way from one set to another.
+//! Linear RGB colour spaces and conversions between them.
 //!
-//! In: chromaticities. Out: matrices to CIE XYZ and between sets of primaries. Cost: nothing to speak of.
+//! In: chromaticities. Out: matrices to CIE XYZ and between sets of primaries. Cost: negligible.
 //! Source: SMPTE RP 177-1993 (matrix from primaries); Lam 1985 (Bradford's adaptation, as in ICC.1:2022, annex E); the standards named
 //! at each set; ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
-//! Chromaticities are rounded to floats before anything is computed of them, as every file format has them no finer: what is read back
-//! from a file then gives the same numbers to the bit.
+//! Chromaticities are rounded to `f32` before use, because no file format stores them more precisely: values read back from a file then
+//! give bit-identical results.
 
 mod profile;
 mod transfer;
@@ -57,16 +57,16 @@ impl Primaries {
     pub const ACES_AP1: Primaries =
         Primaries { red: [0.713, 0.293], green: [0.165, 0.830], blue: [0.128, 0.044], white: [0.32168, 0.33767] };
 
-    /// ACES2065-1 (AP0; SMPTE ST 2065-1), the ACES white: it holds every colour, and its blue has a negative y.
+    /// ACES2065-1 (AP0; SMPTE ST 2065-1), the ACES white. It contains every colour; its blue has a negative y.
     pub const ACES_AP0: Primaries =
         Primaries { red: [0.7347, 0.2653], green: [0.0, 1.0], blue: [0.0001, -0.0770], white: [0.32168, 0.33767] };
 
-    /// Whether no coordinate is negative, as formats that write chromaticities as unsigned fractions need it.
+    /// Whether no coordinate is negative, as required by formats that store chromaticities as unsigned fractions.
     pub fn are_positive(&self) -> bool {
         self.all().iter().all(|v| *v >= 0.0)
     }
 
-    /// Whether no coordinate differs by more than `tolerance`; profiles round, and 0.005 is below what can be seen.
+    /// Whether no coordinate differs by more than `tolerance`; 0.005 covers the rounding of profiles and is not visible.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
         self.all().iter().zip(other.all()).all(|(a, b)| (a - b).abs() <= tolerance)
     }
@@ -76,7 +76,7 @@ impl Primaries {
         [rx, ry, gx, gy, bx, by, wx, wy]
     }
 
-    /// The standard set that this is, if any: profiles round to a few units in the fourth place.
+    /// Returns the standard set within 0.005 of these primaries, if any.
     pub fn nearest_standard(&self) -> Option<Primaries> {
         Space::of(self).map(Space::primaries)
     }
@@ -100,13 +100,12 @@ impl Primaries {
     }
 }
 
-/// The light that an sRGB code stands for, both on the scale 0..=1 (IEC 61966-2-1:1999, section 5.2): what a display shows for it, and what
-/// a camera's picture is taken to mean where nothing better is known.
+/// Decodes an sRGB value to linear, both 0..=1 (IEC 61966-2-1:1999, section 5.2).
 pub fn srgb_to_linear(encoded: f64) -> f64 {
     if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
 }
 
-/// The inverse of [`srgb_to_linear`]; outside 0..=1 the nearest end.
+/// The inverse of [`srgb_to_linear`]; the input is clamped to 0..=1.
 pub fn linear_to_srgb(linear: f64) -> f64 {
     let linear = linear.clamp(0.0, 1.0);
     if linear <= 0.0031308 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 }
@@ -145,12 +144,12 @@ impl Space {
         }
     }
 
-    /// The space with these primaries, if they are one's within what profiles round (0.005).
+    /// Returns the space whose primaries are within 0.005 of these, if any.
     pub fn of(primaries: &Primaries) -> Option<Space> {
         Space::iter().find(|space| primaries.is_close(&space.primaries(), 0.005))
     }
 
-    /// The id by which newer readers of OpenEXR know it (`colorInteropID`); ProPhoto has none.
+    /// The `colorInteropID` of the space in OpenEXR; ProPhoto has none.
     pub fn interop_id(self) -> Option<&'static str> {
         match self {
             Space::Srgb => Some("lin_rec709_scene"),
@@ -163,19 +162,19 @@ impl Space {
     }
 }
 
-/// The way of linear colours from one space to another: a matrix, by rows.
+/// Conversion of linear RGB between colour spaces: a matrix, by rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conversion([[f32; 3]; 3]);
 
 impl Conversion {
-    /// From linear RGB of `from` to that of `to`; white is taken to white, by Bradford's transform where they differ. `None` where one of
-    /// the two spans no space.
+    /// Converts linear RGB of `from` to that of `to`. White is mapped to white, by Bradford's transform where they differ. `None` where
+    /// one of the two spans no space.
     pub fn between(from: &Primaries, to: &Primaries) -> Option<Self> {
         let matrix = to.to_xyz()?.try_inverse()? * adaptation(from.white, to.white)? * from.to_xyz()?;
         Self::of(matrix)
     }
 
-    /// As [`between`](Self::between), after which `light`, an xy beside the white of `to`, is taken to that white, at the same luminance.
+    /// Same as [`between`](Self::between), followed by an adaptation of `light`, an xy chromaticity, to the white of `to`.
     pub fn balanced(from: &Primaries, to: &Primaries, light: [f64; 2]) -> Option<Self> {
         let adapted = adaptation(light, to.white)? * adaptation(from.white, to.white)?;
         Self::of(to.to_xyz()?.try_inverse()? * adapted * from.to_xyz()?)
@@ -189,7 +188,7 @@ impl Conversion {
     /// The colour `c` in the other space.
     #[inline(always)]
     pub fn apply(&self, c: [f32; 3]) -> [f32; 3] {
-        // Written out: a closure over the rows is not inlined where loops are vectorised.
+        // Written out because a closure over the rows is not inlined in vectorised loops.
         let [p, q, r] = &self.0;
         [
             p[0] * c[0] + p[1] * c[1] + p[2] * c[2],
@@ -264,7 +263,7 @@ fn xyz([x, y]: [f64; 2]) -> Vector3<f64> {
     Vector3::new(x / y, 1.0, (1.0 - x - y) / y)
 }
 
-/// Bradford's transform of XYZ under one white to that under another: cone responses scaled by the ratio of the whites'.
+/// Bradford's transform of XYZ from one white to another: cone responses scaled by the ratio of the whites.
 fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix3<f64>> {
     let cones = |white: [f64; 2]| BRADFORD * xyz(white.map(|v| f64::from(v as f32)));
     let ratio = cones(to).component_div(&cones(from));

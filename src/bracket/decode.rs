@@ -1,10 +1,10 @@
-//! Decoding: the bytes of a file to code values, oriented, with the metadata that came along.
+//! Decodes image files to pixel values with the orientation applied, and reads their metadata.
 //!
-//! In: a JPEG, PNG or TIFF, known by its content and never by its name. Out: interleaved RGB at the file's own depth, 8 or 16 bit;
-//! grey is repeated, alpha dropped (a bracket has no background to be laid over), CMYK taken to RGB without its profile.
-//! Cost: that of the decoders; 8-bit samples are written once, 16-bit ones once more, and once more again where the EXIF turns the picture.
+//! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the file, 8 or 16 bits;
+//! grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: that of the decoders, one more copy for 16-bit
+//! samples, and one more where the orientation is not 1.
 //!
-//! Damage is an error, never a grey filler: what could not be decoded was never photographed.
+//! Damage is an error; missing image data is never replaced by a filler.
 
 mod fields;
 mod jpeg;
@@ -22,48 +22,48 @@ use std::io::{BufRead, BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-/// A decoded file: pixels as they are to be seen, and its metadata unread.
+/// A decoded file: pixel values with the orientation applied, and metadata not yet interpreted.
 pub(super) struct Decoded {
-    /// In pixels, orientation applied.
+    /// Width in pixels, orientation applied.
     pub width: usize,
-    /// In pixels, orientation applied.
+    /// Height in pixels, orientation applied.
     pub height: usize,
     /// Interleaved RGB.
     pub samples: Samples,
-    /// Bytes that it took while it was decoded, with the file.
+    /// Memory in bytes needed to decode it, including the file.
     pub decoding: u64,
-    /// What EXIF there is.
+    /// Its EXIF, if any.
     pub exif: Option<Exif>,
     /// An RGB or unknown ICC profile, as found.
     pub icc: Option<Vec<u8>>,
-    /// Whether the file has alpha, which is left out.
+    /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
-    /// What was ignored, in words.
+    /// Descriptions of what was ignored.
     pub notes: Vec<String>,
 }
 
-/// What a format's decoder gives: the picture as stored.
+/// Result of a decoder: the image as stored.
 struct Stored {
     width: usize,
     height: usize,
     samples: Samples,
-    /// Bytes that it took while it was decoded, with the file.
+    /// Memory in bytes needed to decode it, including the file.
     decoding: u64,
-    /// EXIF from its TIFF header on; a TIFF file is its own.
+    /// EXIF block from its TIFF header on; for a TIFF, the whole file.
     exif: Option<Vec<u8>>,
-    /// Which directory of that block is the picture's: 0, unless the first is a thumbnail's.
+    /// Index of the directory of that block that describes the image: 0 unless the first is a thumbnail.
     directory: u16,
     icc: Option<Vec<u8>>,
-    /// Whether there was more than colour.
+    /// Whether the file has an alpha channel, which is dropped.
     has_alpha: bool,
-    /// What was ignored, in words.
+    /// Descriptions of what was ignored.
     notes: Vec<String>,
 }
 
-/// Why a file was refused, in words for [`Error::Decode`].
+/// Why a file was rejected; the text of [`Error::Decode`].
 type Reason = String;
 
-/// Whether `begin`, the first bytes of the file `path`, are those of a format that is decoded.
+/// Checks that `begin`, the first bytes of the file `path`, belong to a supported format.
 ///
 /// # Errors
 /// [`Error::UnknownFormat`].
@@ -71,13 +71,13 @@ pub(super) fn check_format(path: &Path, begin: &[u8]) -> Result<()> {
     sniff::format(begin).map(|_| ()).map_err(|found| Error::UnknownFormat { path: path.into(), found })
 }
 
-/// Decodes `bytes`, the content of the file `path`, if it asks for no more than `limits`.
+/// Decodes `bytes`, the content of the file `path`, within `limits`.
 ///
 /// # Errors
 /// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and excessive sizes.
 pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Decoded> {
     let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
-    // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
+    // A decoder that panics on a damaged file must fail that file only.
     let stored = catch_unwind(AssertUnwindSafe(|| match format {
         Format::Jpeg => jpeg::decode(bytes, limits),
         Format::Png => png::decode(&bytes, limits),
@@ -96,7 +96,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    // Where it is turned it is there twice.
+    // Rotation needs a second copy.
     let turning = if turn == 1 { 0 } else { 2 * samples.bytes() };
     Ok(Decoded {
         width,
@@ -114,23 +114,23 @@ fn orientation(exif: Option<&Exif>) -> u32 {
     exif.and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0)).unwrap_or(1)
 }
 
-/// What a file says of itself before its picture.
+/// Header data of a file.
 pub(super) struct Head {
-    /// In pixels, orientation applied: as [`decode`] gives it.
+    /// Width in pixels, orientation applied: the same as from [`decode`].
     pub width: usize,
-    /// In pixels, orientation applied.
+    /// Height in pixels, orientation applied.
     pub height: usize,
     /// Bits per sample; fewer than 8 count as 8.
     pub depth: u8,
-    /// What EXIF there is.
+    /// Its EXIF, if any.
     pub exif: Option<Exif>,
-    /// The program that the file names outside of its EXIF.
+    /// The writing program as named outside of EXIF.
     pub software: Option<String>,
-    /// Why [`decode`] would refuse it for its kind.
+    /// Why [`decode`] would reject this kind of image, if it would.
     pub refused: Option<Error>,
 }
 
-/// What a format's walk finds.
+/// Header data found by the reader of a format.
 struct Found {
     width: usize,
     height: usize,
@@ -140,14 +140,14 @@ struct Found {
     refused: Option<Reason>,
 }
 
-/// Bytes read at a time: the EXIF of most cameras is a few times as long, the way from chunk to chunk much shorter.
+/// Bytes read at a time: a fraction of most EXIF blocks, and much more than a chunk header.
 const AT_ONCE: usize = 8192;
 
-/// Reads what `file`, the content of the file `path`, says of itself, without its pixels; of the EXIF of a TIFF, the `wanted` tags. Damage of
-/// the pixels is not seen.
+/// Reads the header of `file`, the content of the file `path`, without decoding pixels; from the EXIF of a TIFF, only the `wanted` tags.
+/// Damage of the pixel data is not detected.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size cannot be told, is none or is more than `limits` has.
+/// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size is unknown, zero or beyond `limits`.
 pub(super) fn head(path: &Path, file: impl Read + Seek, wanted: &[Tag], limits: &Limits) -> Result<Head> {
     let unreadable = |source| Error::Read { path: path.into(), source };
     let mut reader = BufReader::with_capacity(AT_ONCE, file);
@@ -180,14 +180,14 @@ fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
     }
 }
 
-/// RGB from CMYK inks, of which `max` is full cover, with no profile: each ink takes away its complement.
-fn cmyk_to_rgb<T: Copy + Into<u32> + TryFrom<u32>>(inks: &[T], channels: usize, max: u32) -> Vec<T> {
+/// Converts CMYK to RGB without a profile, where `max` is full ink: each channel is (1 - ink) * (1 - black).
+fn cmyk_to_rgb<T: Copy + Into<u32> + TryFrom<u32>>(inks: &[T], max: u32) -> Vec<T> {
     let light = |ink: T, black: T| {
         let product = (max - ink.into()) as u64 * (max - black.into()) as u64;
         let value = ((product + u64::from(max) / 2) / u64::from(max)) as u32;
         T::try_from(value).unwrap_or(ink)
     };
-    inks.chunks_exact(channels).flat_map(|p| [light(p[0], p[3]), light(p[1], p[3]), light(p[2], p[3])]).collect()
+    inks.chunks_exact(4).flat_map(|p| [light(p[0], p[3]), light(p[1], p[3]), light(p[2], p[3])]).collect()
 }
 
 #[cfg(test)]

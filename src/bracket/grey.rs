@@ -1,17 +1,17 @@
-//! Grey: the picture in which motion is sought, row by row.
+//! Grey values for the alignment, row by row.
 //!
-//! In: a row of interleaved RGB codes. Out: Ward's grey (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth. Cost: that
-//! of reading the codes.
+//! In: a row of interleaved RGB pixel values. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for either depth. Cost:
+//! that of reading the pixel values.
 
 use super::{Codes, Window};
 use crate::simd::{Loops, vectorised};
 
 impl Window<'_> {
-    /// Row `y` of the frame's [`grey`](super::Frame::grey) into `out`, or where there are `stops` of
-    /// [`grey_brightened`](super::Frame::grey_brightened).
+    /// Writes row `y` of the frame's [`grey`](super::Frame::grey) to `out`, or of
+    /// [`grey_brightened`](super::Frame::grey_brightened) where `stops` is given.
     ///
     /// # Panics
-    /// Where the window has no such row, or `out` is not as long as the frame is wide.
+    /// If the window has no such row, or the length of `out` is not the width of the frame.
     pub fn grey_row(&self, y: usize, stops: Option<u32>, out: &mut [u8]) {
         assert_eq!(out.len(), self.width(), "a row is as long as the frame is wide");
         let first = 3 * self.width() * (y - self.rows().start);
@@ -23,7 +23,7 @@ impl Window<'_> {
     }
 }
 
-/// A row of codes of 8 bit, and where its grey goes. All sums fit 16 bits: the weights add up to 256.
+/// A row of 8-bit pixel values and its output. All sums fit 16 bits, since the weights add up to 256.
 struct GreyOfEight<'a> {
     rgb: &'a [u8],
     stops: Option<u32>,
@@ -47,7 +47,7 @@ impl Loops for GreyOfEight<'_> {
     }
 }
 
-/// A row of codes of 16 bit, and where its grey goes.
+/// A row of 16-bit pixel values and its output.
 struct GreyOfSixteen<'a> {
     rgb: &'a [u16],
     stops: Option<u32>,

@@ -1,8 +1,8 @@
-//! A photograph's header: what it says of itself, without its pixels.
+//! Reads the header of a photograph without decoding its pixels.
 //!
-//! In: a path. Out: a [`Header`]: the size as the decoder would give it, the camera, the time, the exposure, and what bracketing left behind.
-//! Cost: some 10 to 60 kB read, by seeking, and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's own directory, which
-//! says which frame of an automatic bracket it is and the number of the body, P. Harvey's ExifTool, "Canon Tags".
+//! In: a path. Out: a [`Header`]: the size as decoded, camera, time, exposure, and bracketing data. Cost: some 10 to 60 kB read, with seeks,
+//! and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's maker note, which holds the position in an automatic bracket and
+//! the serial number, P. Harvey's ExifTool, "Canon Tags".
 
 use super::Capture;
 use super::decode;
@@ -17,23 +17,23 @@ use exif::{Exif, In, Tag, Value};
 use std::io::{Read, Seek};
 use std::path::Path;
 
-/// What set the exposure.
+/// How the exposure was set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExposureMode {
-    /// The camera, as a bracket: EXIF says "auto bracket", or Canon's notes give the frame a place in one.
+    /// Automatic bracketing, according to EXIF ExposureMode or to a non-zero bracket value in Canon's maker note.
     AutoBracket,
-    /// The photographer.
+    /// Manual exposure.
     Manual,
-    /// The meter.
+    /// Automatic exposure.
     Automatic,
 }
 
-/// What a photograph says of itself.
+/// Header data of a photograph.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Header {
-    /// In pixels, orientation applied.
+    /// Width in pixels, orientation applied.
     pub width: usize,
-    /// In pixels, orientation applied.
+    /// Height in pixels, orientation applied.
     pub height: usize,
     /// Bits per sample: 8 or 16.
     pub depth: u8,
@@ -43,27 +43,27 @@ pub struct Header {
     pub make: Option<String>,
     /// EXIF Model.
     pub model: Option<String>,
-    /// The number of the body.
+    /// Serial number of the camera body.
     pub serial: Option<String>,
     /// EXIF LensModel.
     pub lens: Option<String>,
     /// EXIF FocalLength, in millimetres.
     pub focal_length_mm: Option<f64>,
-    /// When it was taken.
+    /// Time of the exposure.
     pub taken: Option<Moment>,
-    /// How it was exposed.
+    /// Exposure tags.
     pub exposure: ExposureTags,
     /// Exposure compensation, in stops.
     pub bias_stops: Option<f64>,
-    /// What set the exposure, where that is known.
+    /// How the exposure was set, where known.
     pub mode: Option<ExposureMode>,
-    /// By how many stops an automatic bracket departs from its middle here, where the camera says so.
+    /// Offset in stops from the middle of an automatic bracket, from Canon's maker note.
     pub bracket_stops: Option<f64>,
     /// The program that wrote the file.
     pub software: Option<String>,
 }
 
-/// The tags that a header is made of: those that are fetched one by one from a TIFF.
+/// The tags read for a header; from a TIFF, they are read one by one.
 const WANTED: [Tag; 25] = [
     Tag::Make,
     Tag::Model,
@@ -93,17 +93,17 @@ const WANTED: [Tag; 25] = [
 ];
 
 impl Header {
-    /// Reads what the photograph `path` says of itself, which may ask for what `limits` allow.
+    /// Reads the header of the photograph `path` within `limits`.
     ///
     /// # Errors
     /// [`Error::Read`](crate::error::Error::Read); [`Error::UnknownFormat`](crate::error::Error::UnknownFormat) and
-    /// [`Error::Decode`](crate::error::Error::Decode) for what the decoder would refuse as well, by its kind or by its size. Our own results
-    /// are no photographs, but have a header.
+    /// [`Error::Decode`](crate::error::Error::Decode) where the decoder would reject the kind or size of the image as well. Results of hdralign
+    /// are not rejected.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
         Header::of(path, intake::open_regular(path)?, limits)
     }
 
-    /// As [`read`](Self::read), of `file`, the content of the file `path`.
+    /// Same as [`read`](Self::read), from `file`, the content of the file `path`.
     pub(super) fn of(path: &Path, file: impl Read + Seek, limits: &Limits) -> Result<Self> {
         let head = decode::head(path, file, &WANTED, limits)?;
         let exif = head.exif.as_ref();
@@ -140,13 +140,13 @@ impl Header {
         }
     }
 
-    /// Whether hdralign wrote it: a result, and no photograph. Results name the program and its version.
+    /// Whether the file is a result of hdralign, according to the program and version in its Software tag.
     pub fn is_ours(&self) -> bool {
         let version = self.software.as_deref().and_then(|by| by.strip_prefix(concat!(env!("CARGO_PKG_NAME"), " ")));
         version.is_some_and(|version| version.starts_with(|c: char| c.is_ascii_digit()))
     }
 
-    /// The relative exposure in EV, as written; `None` where the file does not say how long it was exposed.
+    /// Relative exposure in EV, as written; `None` where the file has no exposure time.
     pub fn ev(&self) -> Option<f64> {
         self.exposure.ev()
     }
@@ -156,7 +156,7 @@ fn number(exif: Option<&Exif>, tag: Tag) -> Option<f64> {
     exif.and_then(|e| first_number(&e.get_field(tag, In::PRIMARY)?.value))
 }
 
-/// What Canon writes beside EXIF, into the maker's note: a directory as those of a TIFF, with offsets from the begin of the block.
+/// Values from Canon's maker note: a TIFF directory with offsets from the start of the EXIF block.
 #[derive(Default)]
 struct Canon {
     bracket_stops: Option<f64>,
@@ -181,7 +181,7 @@ impl Canon {
         let begin = *at as usize;
         let count = usize::from(short(begin)?).min(note.len() / 12);
         let entry = |tag: u16| (0..count).map(|i| begin + 2 + 12 * i).find(|&at| short(at) == Some(tag));
-        // ShotInfo: shorts, of which the 18th is AEBBracketValue.
+        // ShotInfo is an array of shorts; index 17 is AEBBracketValue.
         let bracket_stops = || {
             let entry = entry(4)?;
             let is_there = short(entry + 2)? == 3 && long(entry + 4)? > 17;
@@ -196,7 +196,7 @@ impl Canon {
     }
 }
 
-/// Stops by Canon's count: 32 to a stop, with 12 and 20 for the thirds.
+/// Converts Canon's exposure unit to stops: 32 per stop, with 12 and 20 for the thirds.
 fn canon_stops(value: i16) -> f64 {
     let (whole, part) = (value.unsigned_abs() & !31, value.unsigned_abs() & 31);
     let part = match part {
@@ -236,7 +236,7 @@ mod tests {
             assert!((read(value).bracket_stops.unwrap() - stops).abs() < 1e-12, "{value}");
         }
         assert_eq!(read(0).serial.as_deref(), Some("1130415723"));
-        // Offsets that lead nowhere say nothing.
+        // Offsets outside the block are ignored.
         assert_eq!(Canon::read(&canon(u32::MAX - 40, 32)).unwrap().bracket_stops, None);
     }
 }

@@ -1,8 +1,8 @@
-//! The bracket: differently exposed photographs of one scene, decoded and ordered.
+//! Brackets: differently exposed photographs of one scene, decoded and sorted by exposure.
 //!
-//! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the code values the camera wrote (8 or 16 bit,
-//! camera-encoded, orientation applied): three values a pixel, never floats; in memory, or on disk where memory is limited. Cost: that of the
-//! decoders, one frame per thread.
+//! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the pixel values that the camera wrote (8 or 16 bit,
+//! camera-encoded, orientation applied), three per pixel and never floats, in memory or, where memory is limited, on disk. Cost: that of
+//! the decoders, one frame per thread.
 
 pub mod colour;
 mod decode;
@@ -35,10 +35,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use window::Store;
 
-/// Extensions of the photographs that are taken from a folder, in any case.
+/// File extensions of the photographs read from a folder, compared without case.
 pub(crate) const EXTENSIONS: [&str; 7] = ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff"];
 
-/// The code values of a picture: interleaved RGB by rows, three to a pixel.
+/// Pixel values: interleaved RGB by rows.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {
     /// 0..=255.
@@ -48,7 +48,7 @@ pub enum Samples {
 }
 
 impl Samples {
-    /// The largest code value: 255 or 65535.
+    /// The largest possible pixel value: 255 or 65535.
     pub fn max(&self) -> u16 {
         match self {
             Samples::Eight(_) => u8::MAX.into(),
@@ -56,7 +56,7 @@ impl Samples {
         }
     }
 
-    /// How many values there are: three times the pixels.
+    /// Number of values: three per pixel.
     pub fn len(&self) -> usize {
         match self {
             Samples::Eight(v) => v.len(),
@@ -64,12 +64,12 @@ impl Samples {
         }
     }
 
-    /// Whether there are none.
+    /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What they take in memory.
+    /// Size in memory, in bytes.
     pub(crate) fn bytes(&self) -> u64 {
         match self {
             Samples::Eight(v) => v.len() as u64,
@@ -78,7 +78,7 @@ impl Samples {
     }
 }
 
-/// What the camera noted beside the exposure: carried over to the outputs.
+/// Capture data other than the exposure; copied to the outputs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Capture {
     /// EXIF Make.
@@ -87,49 +87,49 @@ pub struct Capture {
     pub model: Option<String>,
     /// EXIF DateTimeOriginal, as `YYYY:MM:DD HH:MM:SS`.
     pub date: Option<String>,
-    /// The moment of the exposure, to the digits that the camera writes.
+    /// Time of the exposure, to the precision that the camera writes.
     pub taken: Option<header::Moment>,
     /// EXIF LensModel.
     pub lens: Option<String>,
     /// EXIF FocalLength, in millimetres.
     pub focal_length_mm: Option<f64>,
-    /// All of the EXIF that is true of the results too, as a TIFF block; where it was taken only if that was asked for.
+    /// The EXIF fields that are valid for the results too, as a TIFF block; with the GPS position only on request.
     pub exif: Option<Vec<u8>>,
 }
 
-/// Rows that are read at once of a frame of which all rows are wanted one by one: bands enough for all threads.
+/// Rows read at a time when a whole frame is processed by rows: enough bands for all threads.
 const READ_ROWS: usize = 16 * BAND_ROWS;
 
-/// One photograph, decoded.
+/// One decoded photograph of a bracket.
 #[derive(Debug, Clone)]
 pub struct Frame {
     path: PathBuf,
     width: usize,
     height: usize,
     store: Store,
-    /// How much it shows: see [`reference::well_exposed`].
+    /// Number of well-exposed pixels sampled: see [`reference::well_exposed`].
     well_exposed: u64,
-    /// How it was exposed.
+    /// Its exposure.
     pub exposure: Exposure,
-    /// Its colour profile; none is taken for sRGB.
+    /// Its colour profile; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
-    /// What else the camera noted.
+    /// Other capture data.
     pub capture: Capture,
-    /// Why it is not to be merged, unless the user says otherwise: its light is not that of the others.
+    /// Why it is excluded from the merge unless the user includes it, for example because the flash fired.
     pub excluded: Option<String>,
 }
 
 impl Frame {
-    /// A frame of `width` x `height` pixels from interleaved RGB code values.
+    /// Creates a frame of `width` x `height` pixels from interleaved RGB pixel values.
     ///
     /// # Panics
-    /// When the number of samples does not fit the size, or the size is zero: decoders check before.
+    /// If the number of samples does not match the size, or the size is zero; decoders check both.
     pub fn new(path: PathBuf, width: usize, height: usize, samples: Samples, exposure: Exposure) -> Self {
         let well_exposed = reference::well_exposed(&samples, width);
         Frame::stored(path, (width, height), Store::Held(samples), well_exposed, exposure)
     }
 
-    /// As [`new`](Self::new), of codes that are anywhere and were looked at before.
+    /// Same as [`new`](Self::new), for pixel values in memory or on disk whose well-exposed pixels are already counted.
     fn stored(path: PathBuf, size: (usize, usize), store: Store, well_exposed: u64, exposure: Exposure) -> Self {
         let (width, height) = size;
         assert!(width > 0 && height > 0 && store.len() == 3 * width * height, "a frame holds three samples a pixel");
@@ -146,7 +146,7 @@ impl Frame {
         }
     }
 
-    /// The file it came from.
+    /// Path of the file it was read from.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -161,61 +161,61 @@ impl Frame {
         self.height
     }
 
-    /// The largest code value: 255 or 65535.
+    /// The largest possible pixel value: 255 or 65535.
     pub fn max(&self) -> u16 {
         self.store.max()
     }
 
-    /// What a row takes in memory, in bytes.
+    /// Size of a row in memory, in bytes.
     pub fn row_bytes(&self) -> u64 {
         self.store.bytes() / self.height as u64
     }
 
-    /// The code values of some of its rows.
+    /// Reads the pixel values of a range of rows.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where the frame is on disk.
+    /// [`Error::Scratch`] where the frame is on disk and cannot be read.
     ///
     /// # Panics
-    /// When it has no such rows.
+    /// If the rows are outside the frame.
     pub fn window(&self, rows: Range<usize>) -> Result<Window<'_>> {
         self.store.window((self.width, self.height), rows)
     }
 
-    /// All of its code values.
+    /// Reads all pixel values.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where the frame is on disk.
+    /// [`Error::Scratch`] where the frame is on disk and cannot be read.
     pub fn whole(&self) -> Result<Window<'_>> {
         self.window(0..self.height)
     }
 
-    /// The chromaticities that the samples are of: the profile's, or sRGB's where there is no profile or it does not say.
+    /// Primaries of the pixel values: those of the profile, or sRGB's where there is no profile or its primaries are unknown.
     pub fn primaries(&self) -> Primaries {
         self.profile.as_ref().and_then(|profile| profile.primaries).unwrap_or(Primaries::SRGB)
     }
 
-    /// The grey picture in which motion is sought: Ward's (54 R + 183 G + 19 B) / 256 (2003, section 2), at 8 bit whatever the depth.
+    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for either depth.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where the frame is on disk.
+    /// [`Error::Scratch`] where the frame is on disk and cannot be read.
     pub fn grey(&self) -> Result<Plane<u8>> {
         self.greys(None)
     }
 
-    /// The grey picture as [`grey`](Self::grey) has it, but brightened by `stops` (0..=8) before it is rounded to 8 bit: of a dark frame
-    /// much is between its codes, in its three channels and in the bits beyond the eighth.
+    /// Same as [`grey`](Self::grey), but brightened by `stops` (0..=8) before rounding to 8 bits. This keeps detail of a dark frame that
+    /// rounding would lose.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where the frame is on disk.
+    /// [`Error::Scratch`] where the frame is on disk and cannot be read.
     pub fn grey_brightened(&self, stops: u32) -> Result<Plane<u8>> {
         self.greys(Some(stops))
     }
 
-    /// The [`grey`](Self::grey) picture, or where there are `stops` the [`grey_brightened`](Self::grey_brightened) one.
+    /// Computes [`grey`](Self::grey), or [`grey_brightened`](Self::grey_brightened) where `stops` is given.
     pub(crate) fn greys(&self, stops: Option<u32>) -> Result<Plane<u8>> {
         let mut grey = Plane::filled(self.width, self.height, 0);
-        // By parts, so that of a frame on disk the codes are never there as a whole.
+        // In parts, so that a frame on disk is never held in memory as a whole.
         for first in (0..self.height).step_by(READ_ROWS) {
             let window = self.window(first..self.height.min(first + READ_ROWS))?;
             let rows = &mut grey.as_mut_slice()[first * self.width..][..window.rows().len() * self.width];
@@ -229,14 +229,14 @@ impl Frame {
     }
 }
 
-/// Where the frames of a bracket are that do not fit into memory, and what does fit.
+/// Scratch file and memory budget of a bracket whose frames do not fit into memory.
 #[derive(Debug, Clone)]
 struct OnDisk {
     scratch: Arc<Scratch>,
     budget: Budget,
 }
 
-/// Frames of one size by rising relative exposure (then by path), and the one that the others are aligned to.
+/// Frames of one size by rising relative exposure, then by path, and the reference frame.
 #[derive(Debug, Clone)]
 pub struct Bracket {
     frames: Vec<Frame>,
@@ -245,17 +245,14 @@ pub struct Bracket {
 }
 
 impl Bracket {
-    /// Orders `frames` by exposure and settles the reference.
+    /// Sorts `frames` by exposure and chooses the reference frame.
     ///
     /// # Errors
-    /// [`Error::TooFewFrames`], [`Error::SizeMismatch`], or [`Error::Option`] where the reference is no frame of the bracket.
+    /// [`Error::TooFewFrames`], [`Error::SizeMismatch`], or [`Error::Option`] where the reference is not a frame of the bracket.
     pub fn new(mut frames: Vec<Frame>, reference: &ReferenceChoice) -> Result<Self> {
-        let Some(first) = frames.first() else {
-            return Err(Error::TooFewFrames { given: 0 });
-        };
-        if frames.len() < 2 {
+        let [first, _, ..] = &frames[..] else {
             return Err(Error::TooFewFrames { given: frames.len() });
-        }
+        };
         if let Some(odd) = frames.iter().find(|f| (f.width, f.height) != (first.width, first.height)) {
             return Err(Error::SizeMismatch {
                 path: odd.path.clone(),
@@ -277,24 +274,24 @@ impl Bracket {
         Ok(Bracket { frames, reference, on_disk: None })
     }
 
-    /// The same frames, but that with index `reference` is the one that the others are aligned to.
+    /// Replaces the reference frame by the frame with index `reference`.
     ///
     /// # Panics
-    /// Where there is no such frame.
+    /// If there is no such frame.
     pub fn with_reference(self, reference: usize) -> Self {
         assert!(reference < self.frames.len(), "the reference is one of the frames");
         Bracket { reference, ..self }
     }
 
-    /// The index of the frame that sees the most of those that `is_open` tells; none where there is none.
+    /// Returns the index of the best-exposed frame for which `is_open` is true, if any.
     pub(crate) fn best_of(&self, is_open: impl Fn(usize) -> bool) -> Option<usize> {
         reference::best_of(&self.frames, is_open)
     }
 
-    /// The same frames in the same order, the exposure of each corrected by so many stops: order is by the exposures as loaded.
+    /// Corrects the exposure of each frame by a number of stops. The frames keep the order of their exposures as loaded.
     ///
     /// # Panics
-    /// Where there is not one correction for each frame.
+    /// If there is not one correction per frame.
     pub fn corrected(mut self, stops: &[f64]) -> Self {
         assert_eq!(stops.len(), self.frames.len(), "one correction a frame");
         for (frame, &stops) in self.frames.iter_mut().zip(stops) {
@@ -308,49 +305,48 @@ impl Bracket {
         &self.frames
     }
 
-    /// The index of the reference in [`frames`](Self::frames).
+    /// Index of the reference frame in [`frames`](Self::frames).
     pub fn reference_index(&self) -> usize {
         self.reference
     }
 
-    /// The scratch file that the frames are on, where they do not fit into the memory allowed.
+    /// The scratch file that holds the frames, where they exceed the memory limit.
     pub fn scratch(&self) -> Option<&Arc<Scratch>> {
         self.on_disk.as_ref().map(|on_disk| &on_disk.scratch)
     }
 
-    /// What fits into memory at a time, where the frames do not.
+    /// The memory budget, where the frames exceed the memory limit.
     pub(crate) fn budget(&self) -> Option<&Budget> {
         self.on_disk.as_ref().map(|on_disk| &on_disk.budget)
     }
 
-    /// How many of the threads that there are fit into the memory allowed; none where all do.
+    /// Number of threads that fit into the memory budget; `None` where memory is sufficient.
     pub(crate) fn threads(&self) -> Option<usize> {
         self.budget().map(|budget| budget.threads(rayon::current_num_threads()))
     }
 
-    /// How many frames may be compared at a time: all where memory is enough, else one a thread.
+    /// Number of frames that may be compared at a time: all where memory is sufficient, else one per thread.
     pub(crate) fn at_once(&self) -> usize {
         if self.on_disk.is_some() { rayon::current_num_threads() } else { self.frames.len() }
     }
 
-    /// How many frames may have their features sought at a time: one a thread where memory is enough, else one.
+    /// Number of frames in which features may be detected at a time: one per thread where memory is sufficient, else one.
     pub(crate) fn detected_at_once(&self) -> usize {
         if self.on_disk.is_some() { 1 } else { rayon::current_num_threads() }
     }
 
-    /// `map` of every frame, in order, which reads the frame as a whole.
+    /// Applies `map`, which reads a whole frame, to every frame, in order.
     pub(crate) fn map_whole<R: Send>(&self, map: impl Fn(&Frame) -> R + Sync) -> Vec<R> {
         let at_once = if self.on_disk.is_some() { 1 } else { self.frames.len() };
         map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))
     }
 
-    /// Which frame is meant by `path`: the one read from it, as given or by another way to the same file; or the only one whose file has
-    /// that name.
+    /// Returns the index of the frame read from `path` or from another path to the same file, else of the only frame with that file name.
     pub fn named(&self, path: &Path) -> Option<usize> {
         reference::named(&reference::paths(&self.frames), path)
     }
 
-    /// The frame that the others are aligned to, and whose rectangle the result has.
+    /// The frame that the others are aligned to; the result has its extent.
     pub fn reference(&self) -> &Frame {
         &self.frames[self.reference]
     }

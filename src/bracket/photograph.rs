@@ -1,6 +1,6 @@
-//! One picture by itself, of no bracket: to be looked at or compared, whatever its exposure.
+//! A single photograph outside a bracket, to be displayed or compared.
 //!
-//! In: a JPEG, PNG or TIFF, known by its content. Out: its code values, what they mean, and what the camera noted. Cost: that of the decoder.
+//! In: a JPEG, PNG or TIFF, recognised by its content. Out: pixel values, colour profile and capture data. Cost: that of the decoder.
 
 use super::colour::Profile;
 use super::exposure::ExposureTags;
@@ -11,31 +11,31 @@ use crate::error::{Result, Warning};
 use crate::limits::Limits;
 use std::path::Path;
 
-/// A picture as it is to be seen.
+/// A decoded photograph, orientation applied.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photograph {
     /// Width in pixels, orientation applied.
     pub width: usize,
     /// Height in pixels, orientation applied.
     pub height: usize,
-    /// Its code values, three to a pixel; grey is repeated, alpha left out.
+    /// Pixel values, three per pixel; grey is repeated, alpha dropped.
     pub samples: Samples,
-    /// Its colour profile; none is taken for sRGB.
+    /// Its colour profile; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
-    /// Whether the file has alpha, which is left out of the samples.
+    /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
-    /// What the camera noted.
+    /// Capture data.
     pub capture: Capture,
-    /// Shutter time in seconds, if it is written.
+    /// Exposure time in seconds, if known.
     pub time_s: Option<f64>,
-    /// The f-number, if it is written.
+    /// F-number, if known.
     pub f_number: Option<f64>,
-    /// Sensitivity, if it is written.
+    /// ISO sensitivity, if known.
     pub iso: Option<f64>,
 }
 
 impl Photograph {
-    /// Reads the file `path`, which may ask for what `limits` allow, and gives what was ignored in it.
+    /// Reads the file `path` within `limits`. Returns warnings for metadata that was ignored.
     ///
     /// # Errors
     /// [`Error::Read`](crate::error::Error::Read), [`Error::UnknownFormat`](crate::error::Error::UnknownFormat),
@@ -45,7 +45,6 @@ impl Photograph {
         let mut notes = decoded.notes;
         let tags = decoded.exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = decoded.exif.as_ref().map(|exif| capture::read(exif, false)).unwrap_or_default();
-        let has_alpha = decoded.has_alpha;
         let profile = profile(decoded.icc, decoded.exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
         let photograph = Photograph {
@@ -53,7 +52,7 @@ impl Photograph {
             height: decoded.height,
             samples: decoded.samples,
             profile,
-            has_alpha,
+            has_alpha: decoded.has_alpha,
             capture,
             time_s: tags.time_s.map(|t| t.0),
             f_number: tags.f_number.map(|n| n.0),

@@ -1,19 +1,19 @@
-//! The reference: the frame that the others are aligned to.
+//! Choice of the reference frame, which the others are aligned to.
 //!
-//! In: frames by rising exposure. Out: the index of one of them. Cost: one look at every sixteenth pixel.
+//! In: frames by rising exposure. Out: the index of one of them. Cost: one pass over every sixteenth pixel.
 
 use super::{Frame, Samples};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// Which frame the others are aligned to.
+/// How the reference frame is chosen.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum ReferenceChoice {
-    /// The frame that sees the most: that with the most pixels of which no channel is near either end of its range; of frames
-    /// within a twentieth of the best, the one nearest the middle of the bracket.
+    /// The best-exposed frame: the one with the most pixels of which no channel is near either end of its range; of frames within 5 % of
+    /// the best, the one nearest the middle of the bracket.
     #[default]
     Auto,
-    /// As [`Auto`](Self::Auto), but none of these files.
+    /// Same as [`Auto`](Self::Auto), but without these files.
     AutoExcept(Vec<PathBuf>),
     /// The N-th of the files as given, from 1.
     Number(usize),
@@ -21,7 +21,7 @@ pub enum ReferenceChoice {
     File(PathBuf),
 }
 
-/// The path that the user chose among `paths`, which are as given; `None` for the automatic choice.
+/// Returns the path chosen by the user among `paths`, in the order given; `None` for the automatic choice.
 pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
     match choice {
         ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_) => Ok(None),
@@ -33,19 +33,16 @@ pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option
                 }
             })
         }
-        ReferenceChoice::File(path) => find(paths, path).map(Some),
+        ReferenceChoice::File(path) => {
+            named(paths, path).map(|i| Some(paths[i].to_path_buf())).ok_or_else(|| Error::Option {
+                option: "--reference",
+                reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
+            })
+        }
     }
 }
 
-/// Which of `paths` is meant by `path`.
-fn find(paths: &[&Path], path: &Path) -> Result<PathBuf> {
-    named(paths, path).map(|i| paths[i].to_path_buf()).ok_or_else(|| Error::Option {
-        option: "--reference",
-        reason: format!("{} is not among the photographs; name one of them, or its number", path.display()),
-    })
-}
-
-/// Which of `paths` is meant by `path`: the same, as given or by another way to the same file; or the only one whose file has that name.
+/// Returns the index of `path` or of another path to the same file in `paths`, else of the only path with that file name.
 pub(crate) fn named(paths: &[&Path], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
     let same_file = || real(path).and_then(|wanted| paths.iter().position(|p| real(p).as_deref() == Some(&wanted)));
@@ -56,13 +53,13 @@ pub(crate) fn named(paths: &[&Path], path: &Path) -> Option<usize> {
     paths.iter().position(|p| *p == path).or_else(same_file).or_else(same_name)
 }
 
-/// Where `frames` are from, in their order.
+/// The paths of `frames`, in their order.
 pub(super) fn paths(frames: &[Frame]) -> Vec<&Path> {
     frames.iter().map(Frame::path).collect()
 }
 
-/// The frame that sees the most: see [`ReferenceChoice::Auto`]. Frames are by rising exposure.
-/// None of `except` is chosen and none that is excluded, unless there is no other.
+/// Returns the best-exposed frame: see [`ReferenceChoice::Auto`]. Frames must be sorted by rising exposure. Excluded frames and those in
+/// `except` are not chosen unless there is no other.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let paths = paths(frames);
     let mut excluded: Vec<usize> = except.iter().filter_map(|path| named(&paths, path)).collect();
@@ -73,7 +70,7 @@ pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     best_of(frames, is_open).unwrap_or(frames.len() / 2)
 }
 
-/// The frame that sees the most of those that `is_open` tells.
+/// Returns the best-exposed frame for which `is_open` is true.
 pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Option<usize> {
     let seen: Vec<u64> = frames.iter().enumerate().map(|(i, f)| if is_open(i) { f.well_exposed } else { 0 }).collect();
     let most = seen.iter().copied().max().unwrap_or(0);
@@ -83,10 +80,11 @@ pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Opti
         .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
 }
 
-/// Of every fourth pixel of every fourth row of a picture `width` pixels wide, how many have all channels within 1/16 .. 15/16 of the range.
+/// Counts the pixels with all channels within 1/16 .. 15/16 of the range, in every fourth pixel of every fourth row of an image `width`
+/// pixels wide.
 pub(super) fn well_exposed(samples: &Samples, width: usize) -> u64 {
     fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
-        // Without a branch: which pixels are inside is hard to foresee.
+        // Branch-free, because the branches would be hard to predict.
         let inside = |p: &[T]| p.iter().fold(true, |all, &c| all & (c >= low) & (c <= high));
         v.chunks_exact(3 * width)
             .step_by(4)

@@ -1,6 +1,6 @@
-//! Windows: rows of a frame's code values, from memory or from disk.
+//! Rows of a frame's pixel values, from memory or from disk.
 //!
-//! In: a frame and a range of its rows. Out: their codes, as a slice. Cost: none where the frame is held in memory; else one read of the
+//! In: a frame and a range of its rows. Out: their pixel values as a slice. Cost: none where the frame is in memory, else one read of the
 //! scratch file.
 
 use super::Samples;
@@ -9,7 +9,7 @@ use crate::scratch::{Kept, Scratch};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Where a frame's code values are.
+/// Pixel values of a frame, in memory or on disk.
 #[derive(Debug, Clone)]
 pub(super) enum Store {
     /// In memory.
@@ -21,7 +21,7 @@ pub(super) enum Store {
 }
 
 impl Store {
-    /// Puts what is in memory on disk.
+    /// Moves the pixel values to the scratch file if they are in memory.
     pub fn put_on(&mut self, scratch: &Arc<Scratch>) -> Result<()> {
         if let Store::Held(samples) = self {
             *self = match samples {
@@ -32,12 +32,12 @@ impl Store {
         Ok(())
     }
 
-    /// What they take in memory.
+    /// Size in memory, in bytes.
     pub fn bytes(&self) -> u64 {
         self.len() as u64 * if self.max() == u16::from(u8::MAX) { 1 } else { 2 }
     }
 
-    /// How many values there are.
+    /// Number of values.
     pub fn len(&self) -> usize {
         match self {
             Store::Held(samples) => samples.len(),
@@ -46,7 +46,7 @@ impl Store {
         }
     }
 
-    /// The largest code value.
+    /// The largest possible pixel value.
     pub fn max(&self) -> u16 {
         match self {
             Store::Held(samples) => samples.max(),
@@ -55,7 +55,7 @@ impl Store {
         }
     }
 
-    /// The rows `rows` of a picture of `size` pixels.
+    /// Reads the rows `rows` of a frame of `size` pixels.
     pub fn window(&self, size: (usize, usize), rows: Range<usize>) -> Result<Window<'_>> {
         let range = 3 * size.0 * rows.start..3 * size.0 * rows.end;
         let codes = match self {
@@ -67,7 +67,7 @@ impl Store {
     }
 }
 
-/// Rows of a frame.
+/// A range of rows of a frame.
 #[derive(Debug, Clone)]
 pub struct Window<'a> {
     size: (usize, usize),
@@ -81,7 +81,7 @@ enum Part<'a> {
     Read(Samples),
 }
 
-/// Interleaved RGB code values by rows, at the frame's depth.
+/// Interleaved RGB pixel values by rows, at the depth of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Codes<'a> {
     /// 0..=255.
@@ -101,12 +101,12 @@ impl Window<'_> {
         self.size.1
     }
 
-    /// Which rows of the frame these are.
+    /// The range of rows.
     pub fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }
 
-    /// The codes, from the first pixel of the first row on.
+    /// The pixel values, from the first pixel of the first row.
     pub fn codes(&self) -> Codes<'_> {
         let (samples, range) = match &self.codes {
             Part::Held(samples, range) => (*samples, range.clone()),

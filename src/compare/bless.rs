@@ -1,9 +1,9 @@
-//! Blessing: what there is becomes what is expected.
+//! Blessing: replaces the expected file by the actual one.
 //!
-//! In: two names. Out: a copy, byte for byte, in place of the file expected, or of none. Cost: that of a copy and an fsync.
+//! In: two paths. Out: a copy, byte for byte, in place of the expected file, which need not exist. Cost: that of a copy and an fsync.
 //!
-//! The copy is written beside its target and renamed: whoever reads the name has the old file or the new one, and never a part of it. Nobody
-//! may read it who might not read the file replaced, or else the file copied.
+//! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one. It is readable by those who could
+//! read the replaced file, or the copied one if there was none.
 
 use super::input::{Input, Pixels};
 use crate::error::{Error, Result, Warning};
@@ -16,59 +16,58 @@ use std::path::Path;
 /// What was done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Blessed {
-    /// There was no such file.
+    /// The expected file did not exist and was created.
     Created,
-    /// The file was replaced.
+    /// The expected file was replaced.
     Replaced,
-    /// The files were the same to the byte; nothing was done.
+    /// The files were identical; nothing was written.
     Unchanged,
 }
 
-/// Copies the file `actual` over the file `expected`, which need not exist; and what should be known about it. `actual` must be one that can be
-/// compared.
+/// Copies the file `actual` to the file `expected`, which need not exist. `actual` must be a file that can be compared. Also returns warnings.
 ///
 /// # Errors
-/// Those of reading `actual`; [`Error::Option`] where the extensions name different formats; [`Error::Write`].
+/// Those of reading `actual`; [`Error::Option`] when the extensions are those of different formats; [`Error::Write`].
 pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<(Blessed, Vec<Warning>)> {
     let input = Input::open(actual, limits)?;
     if format(expected) != format(actual) {
         let reason = format!(
-            "copies bytes, and {} and {} are of different formats; give them one extension",
+            "files are copied byte by byte, but {} and {} have different formats; use one extension for both",
             expected.display(),
             actual.display()
         );
         return Err(Error::Option { option: "--bless", reason });
     }
     let bytes = intake::whole(actual, limits.most_bytes())?;
-    input.check_unchanged()?;
+    input.stamp.check()?;
     let warnings = not_numbers(&input, actual).into_iter().collect();
-    let is_there = expected.exists();
-    if is_there && fs::read(expected).is_ok_and(|there| there == bytes) {
+    let exists = expected.exists();
+    if exists && fs::read(expected).is_ok_and(|old| old == bytes) {
         return Ok((Blessed::Unchanged, warnings));
     }
-    // A link stays one: what it points to is replaced.
+    // A symbolic link is kept; the file that it points to is replaced.
     let target = fs::canonicalize(expected).unwrap_or_else(|_| expected.to_owned());
     write::check_targets(&Target::of("--bless", std::slice::from_ref(&target)), &[], true)?;
     let copy = write::complete(&target, &bytes)?;
     copy.restrict(actual)?;
     write::rename_all(vec![copy], true)?;
-    Ok((if is_there { Blessed::Replaced } else { Blessed::Created }, warnings))
+    Ok((if exists { Blessed::Replaced } else { Blessed::Created }, warnings))
 }
 
-/// The warning that pixels of `input`, the file `path`, are not finite numbers, where some are not.
+/// A warning when `input`, the file `path`, has pixels that are not finite numbers.
 fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
     let Pixels::Radiance(map, _) = &input.pixels else { return None };
     let pixels = map.pixels.as_slice();
     let count = pixels.iter().filter(|pixel| pixel.iter().any(|v| !v.is_finite())).count();
     let which = if count == pixels.len() { "all".to_owned() } else { format!("{count} of {}", pixels.len()) };
     let detail = format!(
-        "{which} pixels hold values that are not finite numbers (NaN, infinity), which are expected from now on; if they are an error, make the \
-         file again and bless that"
+        "{which} pixels hold values that are not finite numbers (NaN, infinity); they are part of the expected file now. If they are an error, \
+         create the file again and bless it"
     );
     (count > 0).then(|| Warning::Metadata { path: path.to_owned(), detail })
 }
 
-/// The extension, and one name for those that have two.
+/// The extension in lower case, with one spelling for formats that have two.
 fn format(path: &Path) -> String {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match extension.as_str() {

@@ -1,6 +1,6 @@
-//! CIEDE2000: how different two colours look.
+//! CIEDE2000: the perceived difference of two colours.
 //!
-//! In: colours in CIELAB. Out: dE; 1 is about what can just be seen. Cost: 0.4 us. Source: Sharma, Wu & Dalal 2005, "The CIEDE2000
+//! In: colours in CIELAB. Out: dE; 1 is about a just noticeable difference. Cost: 0.4 us. Source: Sharma, Wu & Dalal 2005, "The CIEDE2000
 //! color-difference formula: Implementation notes, supplementary test data, and mathematical observations", equations 2 to 22; CIELAB by
 //! ISO/CIE 11664-4.
 
@@ -18,7 +18,7 @@ pub(super) struct Lab {
 }
 
 impl Lab {
-    /// From XYZ over those of white.
+    /// From XYZ relative to white.
     pub fn of(xyz: [f64; 3]) -> Lab {
         const DELTA: f64 = 6.0 / 29.0;
         let f = |t: f64| if t > DELTA * DELTA * DELTA { cbrt(t) } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 };
@@ -36,7 +36,7 @@ pub(super) fn difference(p: Lab, q: Lab) -> f64 {
         let cube = c * c * c;
         cube * cube * c
     };
-    // Equations 2 to 7: a is stretched where colours are near grey.
+    // Equations 2 to 7: a is scaled up near grey.
     let chroma = 0.5 * (hypot(p.a, p.b) + hypot(q.a, q.b));
     let stretch = 1.0 + 0.5 * (1.0 - sqrt(seventh(chroma) / (seventh(chroma) + FAR)));
     let (a1, a2) = (stretch * p.a, stretch * q.a);
@@ -73,7 +73,7 @@ pub(super) fn difference(p: Lab, q: Lab) -> f64 {
     let (sl, sc, sh) = (1.0 + 0.015 * grey / sqrt(20.0 + grey), 1.0 + 0.045 * c, 1.0 + 0.015 * c * t);
     let rotation = -2.0 * sqrt(seventh(c) / (seventh(c) + FAR)) * sin((2.0 * angle).to_radians());
     let (dl, dc, dh) = (dl / sl, dc / sc, dh / sh);
-    // Rounding can leave a little less than nothing.
+    // Rounding can make the sum slightly negative.
     sqrt((dl * dl + dc * dc + dh * dh + rotation * dc * dh).max(0.0))
 }
 

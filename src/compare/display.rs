@@ -1,29 +1,28 @@
-//! Pictures against pictures, in codes and in dE.
+//! Compares display pictures, in code values and in dE.
 //!
-//! In: two pictures of one size. Out: for each pixel how different it looks, and what that sums up to. Cost: 0.6 us a pixel that differs.
+//! In: two pictures of one size. Out: for each pixel how different it looks, and summary statistics. Cost: 0.6 us a pixel that differs.
 //! Source: CIEDE2000 in its file; PSNR over all channels.
 //!
-//! Where the profiles mean the same, pixels of equal codes are equal, and no others; where they do not, the light that the codes mean
-//! counts. CIELAB is under the white of the expected picture. For PU21 a display shows white with 100 cd/m2, and black with none.
+//! When the two profiles are equivalent, pixels are equal exactly when their code values are. Otherwise the colours that the code values represent are
+//! compared. CIELAB is relative to the white of the expected picture. For PU21 the display has a white of 100 cd/m2 and a black of 0.
 
 use super::ciede2000::{self, Lab};
 use super::light::Codes;
-use super::pu21::{self, Light};
-use super::{ChannelCodes, DisplayDifference, Magnitudes, Measured, Unit, ms_ssim};
+use super::pu21::Light;
+use super::{ChannelCodes, DisplayDifference, Magnitudes, Measured, Unit, by_bands};
 use crate::bracket::colour::Conversion;
 use crate::bracket::{Photograph, Samples};
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
 
-/// What white is on the display, in cd/m2.
+/// Luminance of display white, in cd/m2.
 const WHITE_CD_M2: f32 = 100.0;
-/// Pixels whose codes differ are never told as equal.
+/// Smallest dE of pixels whose code values differ, so that they never count as equal ...
 const LEAST_DE: f64 = 1e-6;
-/// ... and those whose codes mean other colours are equal when they look so, within what profiles round.
+/// ... and dE below which pixels are equal when the profiles differ, to allow for rounding in profiles.
 const ROUNDED_DE: f64 = 0.05;
 
-/// The picture `b` against the picture `a`, both of one size.
+/// Compares the picture `b` with the picture `a`, both of one size.
 pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
     let (left, mut right) = (Codes::of(a), Codes::of(b));
     let by_codes = left.mean_the_same(&right);
@@ -32,68 +31,51 @@ pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
         right.primaries = left.primaries;
     }
     let (light_a, light_b) = (
-        shone(a, &left, None),
-        shone(b, &right, Conversion::between(&right.primaries, &left.primaries).filter(|_| !by_codes)),
+        linear(a, &left, None),
+        linear(b, &right, Conversion::between(&right.primaries, &left.primaries).filter(|_| !by_codes)),
     );
-    let (wide_a, wide_b) = (widened(&a.samples, max), widened(&b.samples, max));
+    let (wide_a, wide_b) = (rescaled(&a.samples, max), rescaled(&b.samples, max));
     let to_lab = to_lab(&left);
     let (width, height) = (a.width, a.height);
-    let mut plane = Plane::filled(width, height, 0.0);
-    let band = (BAND_ROWS * width).max(1);
-    let tallies: Vec<Tally> = plane
-        .as_mut_slice()
-        .par_chunks_mut(band)
-        .enumerate()
-        .map(|(i, out)| {
-            let mut tally = Tally::default();
-            for (k, out) in out.iter_mut().enumerate() {
-                let at = i * band + k;
-                let codes = |wide: &[u16]| [wide[3 * at], wide[3 * at + 1], wide[3 * at + 2]];
-                let (p, q) = (codes(&wide_a), codes(&wide_b));
-                tally.see(p, q);
-                if p != q || !by_codes {
-                    let lab = |light: &Plane<[f32; 3]>| to_lab(light.as_slice()[at]);
-                    let de = ciede2000::difference(lab(&light_a), lab(&light_b));
-                    let de = match by_codes {
-                        true => de.max(LEAST_DE),
-                        false if de < ROUNDED_DE => 0.0,
-                        false => de,
-                    };
-                    tally.de += de;
-                    *out = de as f32;
-                }
-            }
-            tally
-        })
-        .collect();
-    let total = tallies.iter().fold(Tally::default(), Tally::and);
+    let (plane, tallies) = by_bands((width, height), |tally: &mut Tally, at| {
+        let codes = |codes: &[u16]| [codes[3 * at], codes[3 * at + 1], codes[3 * at + 2]];
+        let (p, q) = (codes(&wide_a), codes(&wide_b));
+        tally.add(p, q);
+        if p == q && by_codes {
+            return 0.0;
+        }
+        let lab = |light: &Plane<[f32; 3]>| to_lab(light.as_slice()[at]);
+        let de = ciede2000::difference(lab(&light_a), lab(&light_b));
+        let de = match by_codes {
+            true => de.max(LEAST_DE),
+            false if de < ROUNDED_DE => 0.0,
+            false => de,
+        };
+        tally.de += de;
+        de as f32
+    });
+    let total = tallies.iter().fold(Tally::default(), Tally::merged);
     let weights = left.primaries.luminance().map(|w| w as f32);
     let of = |pixels| Light { pixels, scale: WHITE_CD_M2, weights };
     let (light_a, light_b) = (of(&light_a), of(&light_b));
     let pixels = (width * height).max(1) as f64;
     let names = ["red", "green", "blue"];
-    let is_equal = plane.as_slice().iter().all(|v| *v == 0.0);
     let squares = total.squares as f64 / (3.0 * pixels);
     let psnr = (squares > 0.0).then(|| 20.0 * libm::log10(f64::from(max) / squares.sqrt()));
-    Measured {
-        radiance: None,
-        display: Some(DisplayDifference {
-            channels: [0, 1, 2].map(|c| ChannelCodes {
-                channel: names[c],
-                max_codes: total.max[c],
-                mean_codes: total.sum[c] as f64 / pixels,
-            }),
-            de_max: plane.as_slice().iter().fold(0.0, |most, v| v.max(most)).into(),
-            de_mean: total.de / pixels,
-            psnr_db: psnr,
+    let display = DisplayDifference {
+        channels: [0, 1, 2].map(|c| ChannelCodes {
+            channel: names[c],
+            max_codes: total.max[c],
+            mean_codes: total.sum[c] as f64 / pixels,
         }),
-        magnitudes: Magnitudes { plane, unit: Unit::DeltaE },
-        pu21_psnr_db: if is_equal { None } else { pu21::psnr(&light_a, &light_b) },
-        ms_ssim: if is_equal { ms_ssim::of_equals((width, height)) } else { ms_ssim::ms_ssim(&light_a, &light_b) },
-    }
+        de_max: plane.as_slice().iter().fold(0.0, |most, v| v.max(most)).into(),
+        de_mean: total.de / pixels,
+        psnr_db: psnr,
+    };
+    Measured::new(Magnitudes { plane, unit: Unit::DeltaE }, (&light_a, &light_b), None, Some(display))
 }
 
-/// Sums of codes are whole, and the same in any order; those of dE are folded in order.
+/// Sums over pixels. Those of code values are integers and independent of the order; those of dE are folded in order.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     max: [u16; 3],
@@ -103,7 +85,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn see(&mut self, p: [u16; 3], q: [u16; 3]) {
+    fn add(&mut self, p: [u16; 3], q: [u16; 3]) {
         for c in 0..3 {
             let off = i64::from(q[c]) - i64::from(p[c]);
             self.max[c] = self.max[c].max(p[c].abs_diff(q[c]));
@@ -112,7 +94,7 @@ impl Tally {
         }
     }
 
-    fn and(self, other: &Tally) -> Tally {
+    fn merged(self, other: &Tally) -> Tally {
         Tally {
             max: [0, 1, 2].map(|c| self.max[c].max(other.max[c])),
             sum: [0, 1, 2].map(|c| self.sum[c] + other.sum[c]),
@@ -122,8 +104,8 @@ impl Tally {
     }
 }
 
-/// Codes on the scale to `max`.
-fn widened(samples: &Samples, max: u16) -> Vec<u16> {
+/// Code values on the scale 0 to `max`.
+fn rescaled(samples: &Samples, max: u16) -> Vec<u16> {
     match samples {
         Samples::Eight(v) if max == u16::MAX => v.iter().map(|&code| u16::from(code) * 257).collect(),
         Samples::Eight(v) => v.iter().map(|&code| code.into()).collect(),
@@ -131,8 +113,8 @@ fn widened(samples: &Samples, max: u16) -> Vec<u16> {
     }
 }
 
-/// Linear light, 0 to 1.
-fn shone(photograph: &Photograph, codes: &Codes, conversion: Option<Conversion>) -> Plane<[f32; 3]> {
+/// The picture in linear light, 0 to 1.
+fn linear(photograph: &Photograph, codes: &Codes, conversion: Option<Conversion>) -> Plane<[f32; 3]> {
     let (width, height) = (photograph.width, photograph.height);
     Plane::from_rows(width, height, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {
@@ -150,7 +132,7 @@ fn shone(photograph: &Photograph, codes: &Codes, conversion: Option<Conversion>)
     })
 }
 
-/// From linear light to CIELAB under its white.
+/// Converts linear light to CIELAB relative to its white.
 fn to_lab(codes: &Codes) -> impl Fn([f32; 3]) -> Lab + Sync {
     let matrix = codes.primaries.to_xyz().unwrap_or_else(Matrix3::identity);
     let white = matrix * Vector3::repeat(1.0);
@@ -191,11 +173,13 @@ mod tests {
         let a = eight(|_| 100);
         let b = eight(|i| if i % 3 == 1 { 104 } else { 100 });
         let found = measure(&a, &b);
-        let told = found.display.unwrap();
-        assert_eq!(told.channels.map(|c| (c.max_codes, c.mean_codes)), [(0, 0.0), (4, 4.0), (0, 0.0)]);
+        let difference = found.display.unwrap();
+        assert_eq!(difference.channels.map(|c| (c.max_codes, c.mean_codes)), [(0, 0.0), (4, 4.0), (0, 0.0)]);
         let expected = 20.0 * libm::log10(255.0 / (16.0f64 / 3.0).sqrt());
-        assert!((told.psnr_db.unwrap() - expected).abs() < 1e-9);
-        assert!((told.de_mean - told.de_max).abs() < 1e-6 && told.de_max > 1.0 && told.de_max < 5.0);
+        assert!((difference.psnr_db.unwrap() - expected).abs() < 1e-9);
+        assert!(
+            (difference.de_mean - difference.de_max).abs() < 1e-6 && difference.de_max > 1.0 && difference.de_max < 5.0
+        );
         assert!(found.pu21_psnr_db.unwrap() > 30.0);
         let same = measure(&a, &a);
         assert_eq!((same.pu21_psnr_db, same.ms_ssim, same.display.unwrap().psnr_db), (None, Some(1.0), None));
@@ -221,8 +205,7 @@ mod tests {
         let (plain, wide) = (picture(Samples::Eight(codes.clone()), None), picture(Samples::Eight(codes), adobe));
         let found = measure(&plain, &wide).display.unwrap();
         assert!(found.de_mean > 3.0, "{found:?}");
-        // Greys of the one are greys of the other, but for the curve.
-        let told = measure(&wide, &wide).display.unwrap();
-        assert_eq!((told.de_max, told.psnr_db), (0.0, None));
+        let difference = measure(&wide, &wide).display.unwrap();
+        assert_eq!((difference.de_max, difference.psnr_db), (0.0, None));
     }
 }

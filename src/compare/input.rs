@@ -1,6 +1,6 @@
-//! What is compared: a radiance map or a picture, told apart by content.
+//! The files to compare: radiance maps or display pictures, recognised by content.
 //!
-//! In: a file. Out: its pixels, and what its headers tell. Cost: that of the decoders.
+//! In: a file. Out: its pixels and metadata. Cost: that of the decoders.
 
 use super::{Changed, Side};
 use crate::bracket::colour::Primaries;
@@ -17,23 +17,23 @@ use std::fs::{self, File};
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// A file, read.
+/// A file that was read.
 pub(super) struct Input {
     path: PathBuf,
     pub pixels: Pixels,
     pub warnings: Vec<Warning>,
-    /// It is read again where bytes are compared.
-    stamp: Stamp,
+    /// Detects changes of the file before its bytes are read again.
+    pub stamp: Stamp,
 }
 
-/// What it holds.
+/// The contents of a file.
 pub(super) enum Pixels {
     Radiance(RadianceMap, Box<Metadata>),
     Display(Box<Photograph>),
 }
 
 impl Input {
-    /// Reads the file `path`, which may ask for what `limits` allow.
+    /// Reads the file `path` within `limits`.
     pub fn open(path: &Path, limits: &Limits) -> Result<Input> {
         let path = path.to_owned();
         let stamp = Stamp::of(&path)?;
@@ -62,7 +62,7 @@ impl Input {
         }
     }
 
-    /// What its pixels take in memory.
+    /// Memory of the pixels in bytes.
     pub fn bytes(&self) -> u64 {
         match &self.pixels {
             Pixels::Radiance(map, _) => size_of_val(map.pixels.as_slice()) as u64,
@@ -70,7 +70,7 @@ impl Input {
         }
     }
 
-    /// For messages.
+    /// What the file contains, for messages.
     pub fn kind(&self) -> &'static str {
         match self.pixels {
             Pixels::Radiance(..) => "radiance",
@@ -78,12 +78,12 @@ impl Input {
         }
     }
 
-    /// The last part of its name, for people.
+    /// The file name without folders, for messages.
     pub fn name(&self) -> String {
         self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// For the report.
+    /// The description for the report.
     pub fn side(&self) -> Side {
         let (width_px, height_px) = self.size();
         let depth_bits = match &self.pixels {
@@ -93,7 +93,7 @@ impl Input {
         Side { path: self.path.to_string_lossy().into_owned(), width_px, height_px, depth_bits }
     }
 
-    /// Red, green and blue at a pixel: radiance, or codes.
+    /// Red, green and blue at a pixel: radiance, or code values.
     pub fn at(&self, x: usize, y: usize) -> [f64; 3] {
         match &self.pixels {
             Pixels::Radiance(map, _) => map.pixels.at(x, y).map(f64::from),
@@ -107,17 +107,12 @@ impl Input {
         }
     }
 
-    /// Whether the files are the same to the byte.
+    /// Whether the files have the same bytes.
     pub fn bytes_equal(&self, other: &Input) -> Result<bool> {
         let equal = self.compare_bytes(other)?;
         self.stamp.check()?;
         other.stamp.check()?;
         Ok(equal)
-    }
-
-    /// Refuses a file that is another than the one that was opened.
-    pub fn check_unchanged(&self) -> Result<()> {
-        self.stamp.check()
     }
 
     fn compare_bytes(&self, other: &Input) -> Result<bool> {
@@ -141,30 +136,24 @@ impl Input {
         }
     }
 
-    /// What the headers tell differently.
+    /// The metadata that differ.
     pub fn changed(&self, other: &Input) -> Vec<Changed> {
-        let (ours, theirs) = (self.told(), other.told());
-        let both = ours.into_iter().zip(theirs).filter(|((_, a), (_, b))| !is_same(a.as_ref(), b.as_ref()));
-        let text = |told: Option<Told>| told.map(|told| told.to_string());
-        both.map(|((key, a), (_, b))| Changed { key, expected: text(a), actual: text(b) }).collect()
+        let both = self.metadata().into_iter().zip(other.metadata());
+        let text = |value: Option<Value>| value.map(|value| value.to_string());
+        both.filter(|((_, a), (_, b))| !is_same(a.as_ref(), b.as_ref()))
+            .map(|((key, a), (_, b))| Changed { key, expected: text(a), actual: text(b) })
+            .collect()
     }
 
-    /// What the headers tell, in an order that is always the same.
-    fn told(&self) -> [(&'static str, Option<Told>); 11] {
-        let number = |v: Option<f64>| v.map(Told::Number);
-        let text = |v: Option<String>| v.map(Told::Text);
+    /// The metadata, in a fixed order.
+    fn metadata(&self) -> [(&'static str, Option<Value>); 11] {
+        let number = |v: Option<f64>| v.map(Value::Number);
+        let text = |v: Option<String>| v.map(Value::Text);
         let (capture, time, aperture, iso, unit, colour, comments) = match &self.pixels {
             Pixels::Radiance(_, m) => {
                 let comments = (!m.comments.is_empty()).then(|| m.comments.join("\n"));
-                (
-                    &m.capture,
-                    m.time_s,
-                    m.f_number,
-                    m.iso,
-                    m.cd_m2_per_unit.map(Factor::get),
-                    Some(chromaticities(&m.primaries)),
-                    comments,
-                )
+                let unit = m.cd_m2_per_unit.map(Factor::get);
+                (&m.capture, m.time_s, m.f_number, m.iso, unit, Some(chromaticities(&m.primaries)), comments)
             }
             Pixels::Display(p) => {
                 let colour = p.profile.as_ref().map(|p| p.description.clone());
@@ -187,38 +176,38 @@ impl Input {
     }
 }
 
-/// Something that headers tell.
-enum Told {
+/// A value of the metadata.
+enum Value {
     Text(String),
     Number(f64),
 }
 
-impl Display for Told {
-    /// Numbers in as many digits as a float has.
+impl Display for Value {
+    /// Writes numbers with the digits of an `f32`.
     fn fmt(&self, f: &mut Formatter) -> fmt::Result {
         match self {
-            Told::Text(text) => f.write_str(text),
-            Told::Number(number) => write!(f, "{}", *number as f32),
+            Value::Text(text) => f.write_str(text),
+            Value::Number(number) => write!(f, "{}", *number as f32),
         }
     }
 }
 
-/// Whether both tell the same; of numbers within the precision of a float, which is the coarsest that a format keeps them in.
-fn is_same(a: Option<&Told>, b: Option<&Told>) -> bool {
+/// Whether both values are the same; numbers within the precision of an `f32`, the lowest in which a format stores them.
+fn is_same(a: Option<&Value>, b: Option<&Value>) -> bool {
     match (a, b) {
         (None, None) => true,
-        (Some(Told::Text(a)), Some(Told::Text(b))) => a == b,
-        (Some(Told::Number(a)), Some(Told::Number(b))) => {
+        (Some(Value::Text(a)), Some(Value::Text(b))) => a == b,
+        (Some(Value::Number(a)), Some(Value::Number(b))) => {
             a == b || (a - b).abs() <= f64::from(f32::EPSILON) * a.abs() || a.is_nan() && b.is_nan()
         }
         _ => false,
     }
 }
 
-/// Names that a warning has room for.
+/// Largest number of names in a warning.
 const NAMED: usize = 8;
 
-/// That `unread` parts of the file `path` have no say.
+/// A warning that the parts `unread` of the file `path` are not compared.
 fn not_compared(path: &Path, unread: &[String]) -> Option<Warning> {
     let (last, others) = unread.split_last()?;
     let list = match (others, others.len().checked_sub(NAMED)) {
@@ -229,7 +218,7 @@ fn not_compared(path: &Path, unread: &[String]) -> Option<Warning> {
     Some(Warning::Metadata { path: path.to_owned(), detail: format!("its {list} not compared") })
 }
 
-/// Rounded as floats are: a format that keeps them coarser is no other colour space.
+/// The primaries as text, rounded so that formats that store them less precisely still have the same colour space.
 fn chromaticities(primaries: &Primaries) -> String {
     let Primaries { red, green, blue, white } = primaries;
     [red, green, blue, white].map(|xy| format!("{:.4} {:.4}", xy[0], xy[1])).join(", ")

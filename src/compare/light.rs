@@ -1,23 +1,23 @@
-//! What the codes of a picture mean: light, by its colour profile.
+//! The linear light of a picture's code values, by its colour profile.
 //!
-//! In: a profile, or none. Out: for each channel the light of every code, 0 to 1, and the primaries. Cost: at most 65,536 powers a channel.
-//! A profile that works by tables is taken for sRGB.
+//! In: a profile, or none. Out: for each channel the light of every code value, 0 to 1, and the primaries. Cost: at most 65,536 powers a channel.
+//! A profile based on lookup tables is treated as sRGB.
 
 use crate::bracket::Photograph;
 use crate::bracket::colour::{Primaries, Transfer};
 
-/// The light of codes.
+/// The light of code values.
 #[derive(Debug, Clone)]
 pub(super) struct Codes {
     transfer: Transfer,
-    /// Red, green, blue: by code.
+    /// Light by code value, for red, green and blue.
     pub curves: [Vec<f32>; 3],
-    /// What red, green and blue are.
+    /// The primaries.
     pub primaries: Primaries,
 }
 
 impl Codes {
-    /// Those of a photograph.
+    /// The code values of a photograph.
     pub fn of(photograph: &Photograph) -> Codes {
         let transfer = Transfer::of(photograph.profile.as_ref());
         let max = photograph.samples.max();
@@ -27,7 +27,7 @@ impl Codes {
         Codes { curves, primaries: primaries.unwrap_or(Primaries::SRGB), transfer }
     }
 
-    /// Whether codes of both mean the same, but for what profiles round.
+    /// Whether code values of both represent the same colours, up to rounding in profiles.
     pub fn mean_the_same(&self, other: &Codes) -> bool {
         self.transfer.is_close(&other.transfer) && self.primaries.is_close(&other.primaries, 0.005)
     }

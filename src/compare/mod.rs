@@ -1,13 +1,12 @@
-//! Comparing: are two radiance maps, or two pictures, the same within a tolerance?
+//! Comparing: whether two radiance maps, or two pictures, are the same within a tolerance.
 //!
-//! In: two files, the one expected and the one that is there, and [`Options`]. Out: a [`Comparison`] with its verdict, how far they are
-//! apart in stops or in dE, PU21-PSNR and MS-SSIM; a false-colour picture where it is asked for. Cost: reading both, then about 0.2 us a
-//! pixel where they differ; nothing where they do not. Sources: CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021), MS-SSIM
-//! (Wang, Simoncelli & Bovik 2003), each in the file of its name.
+//! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in stops or in dE, PU21-PSNR and
+//! MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then about 0.2 us for each pixel that differs. Sources: CIEDE2000 (Sharma,
+//! Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021), MS-SSIM (Wang, Simoncelli & Bovik 2003), each in the file of its name.
 //!
-//! Radiance is held against radiance and pictures against pictures. What counts is what pixels mean: of two radiance maps in different
-//! primaries the second is taken to those of the first; of two pictures of 8 and of 16 bit, 255 is 65535. Camera, date, comments and
-//! the like are told where they differ, and never fail.
+//! Radiance is compared with radiance, and pictures with pictures. The colours that pixels represent are compared: if two radiance maps have different
+//! primaries, the second is converted to those of the first; of two pictures with 8 and 16 bits, 255 equals 65535. Differences in camera, date, comments
+//! and other metadata are reported, but do not affect the outcome.
 
 mod bless;
 mod ciede2000;
@@ -15,52 +14,54 @@ mod display;
 mod input;
 mod light;
 mod ms_ssim;
+mod outcome;
 mod picture;
 mod pu21;
 mod radiance;
-mod verdict;
 
 pub use bless::{Blessed, bless};
 
 use crate::error::{Error, Result};
 use crate::limits;
-use crate::plane::Plane;
+use crate::plane::{BAND_ROWS, Plane};
 use input::{Input, Pixels};
+use pu21::Light;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// The version of the format: keys are only ever added to it.
+/// Version of the report format. Keys are only added to it.
 pub const SCHEMA: &str = "hdralign-compare/1";
 
-/// Radiance may differ by so much by default, in stops: a third of what rounding to RGBE does to the darkest channels, ten times what
-/// rounding to halves does, half of the least gain that is worth a name.
+/// Default tolerance for radiance, in stops: a third of the rounding error of RGBE in the darkest channels, ten times that of half floats, and half of the
+/// smallest gain worth reporting.
 pub const DEFAULT_STOPS: f64 = 0.01;
 
-/// How far a pixel may be from what is expected.
+/// How far a pixel may be from the expected one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Tolerance {
-    /// [`DEFAULT_STOPS`] for radiance; not at all for pictures.
+    /// [`DEFAULT_STOPS`] for radiance; pictures must be equal.
     #[default]
     ByKind,
-    /// So many stops in each channel; for radiance alone.
+    /// Stops in each channel; for radiance only.
     Stops(f64),
-    /// So much by CIEDE2000; for pictures alone.
+    /// dE by CIEDE2000; for pictures only.
     DeltaE(f64),
 }
 
-/// When two files are the same.
+/// When two files count as the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Criterion {
-    /// When no more than a share of the pixels is beyond a tolerance.
+    /// When at most a share of the pixels exceeds a tolerance.
     Pixels {
-        /// How far a pixel may be off.
+        /// How far a pixel may be from the expected one.
         tolerance: Tolerance,
-        /// How many may be off by more, in percent of all.
+        /// Largest share of pixels beyond the tolerance, in percent.
         most_differing_percent: f64,
     },
-    /// When the signal is so far above the difference: PU21-PSNR of radiance, PSNR of the codes of pictures.
+    /// When the peak signal-to-noise ratio is high enough: PU21-PSNR for radiance, PSNR of code values for pictures.
     Psnr {
-        /// The least that will do, in dB.
+        /// Smallest accepted value, in dB.
         least_db: f64,
     },
 }
@@ -74,83 +75,83 @@ impl Default for Criterion {
 /// How files are compared.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// When they are the same.
+    /// When the files count as the same.
     pub criterion: Criterion,
-    /// A PNG with the expected picture, the difference in false colours and the actual picture side by side is written here.
+    /// Path of a PNG to write, with the expected picture, the difference in false colours and the actual picture side by side.
     pub diff: Option<PathBuf>,
-    /// Whether that replaces a file that exists. No by default.
+    /// Whether the PNG may replace an existing file. Off by default.
     pub overwrite: bool,
-    /// What the files may ask for.
+    /// Limits on the files.
     pub allowed: limits::Limits,
 }
 
-/// What came of it.
+/// The outcome of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Verdict {
-    /// Within the tolerance.
+pub enum Outcome {
+    /// The files are the same within the tolerance.
     Same,
-    /// Not.
+    /// The files differ.
     Differs,
 }
 
 /// One of the files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Side {
-    /// As it was named.
+    /// The path as given.
     pub path: String,
-    /// Width, orientation applied.
+    /// Width after the orientation is applied.
     pub width_px: usize,
-    /// Height, orientation applied.
+    /// Height after the orientation is applied.
     pub height_px: usize,
     /// Bits of a code value; null for radiance.
     pub depth_bits: Option<u32>,
 }
 
-/// What the verdict rests on; null what was not asked for.
+/// The limits that were applied; null for those that were not.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Limits {
     /// See [`Tolerance::Stops`].
     pub tolerance_stops: Option<f64>,
-    /// See [`Tolerance::DeltaE`]; 0 where pixels must be equal.
+    /// See [`Tolerance::DeltaE`]; 0 when pixels must be equal.
     pub tolerance_de: Option<f64>,
-    /// Of all pixels.
+    /// Largest share of pixels beyond the tolerance, in percent.
     pub max_differing_percent: Option<f64>,
     /// See [`Criterion::Psnr`].
     pub min_psnr_db: Option<f64>,
 }
 
-/// Pixels that are not as expected.
+/// Statistics of the pixels that differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Differing {
-    /// Pixels beyond the tolerance; those that are not equal, where the PSNR is what counts.
+    /// Pixels beyond the tolerance; when the criterion is the PSNR, pixels that are not equal.
     pub differing_pixels: usize,
-    /// The same, of all pixels.
+    /// The same in percent of all pixels.
     pub differing_percent: f64,
     /// Pixels that are not equal.
     pub unequal_pixels: usize,
-    /// The pixel that is farthest off, the first of equals; null where all are equal.
+    /// The pixel with the largest difference, the first if there are several; null when all are equal.
     pub largest: Option<Largest>,
 }
 
-/// A pixel, and what it is and should be.
+/// The pixel with the largest difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Largest {
     /// Its column.
     pub x_px: usize,
     /// Its row.
     pub y_px: usize,
-    /// Radiance: by how much the channel that is farthest off is off; null where a value is no number or infinite in one file alone.
+    /// For radiance, the largest difference of a channel; null when a value is NaN or infinite in one file only.
     pub stops: Option<f64>,
-    /// Pictures: by how much it is off, by CIEDE2000.
+    /// For pictures, the difference by CIEDE2000.
     pub de: Option<f64>,
-    /// Red, green and blue expected: radiance, or codes.
+    /// Expected red, green and blue: radiance, or code values.
     pub expected: [Option<f64>; 3],
-    /// Red, green and blue there are.
+    /// Actual red, green and blue.
     pub actual: [Option<f64>; 3],
 }
 
-/// A channel of radiance.
+/// Differences of one channel of radiance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ChannelStops {
     /// `red`, `green` or `blue`.
@@ -159,116 +160,116 @@ pub struct ChannelStops {
     pub max_stops: f64,
     /// Root mean square.
     pub rms_stops: f64,
-    /// Mean, with its sign: above 0 where the actual is brighter. A gain shows here.
+    /// Signed mean, positive when the actual file is brighter. It shows a gain.
     pub mean_stops: f64,
 }
 
-/// How far radiance is apart.
+/// Differences of two radiance maps.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RadianceDifference {
-    /// Where stops become differences: below it a difference is held against this much.
+    /// Radiance below which differences are relative to this value instead of to the pixel.
     pub floor: f64,
     /// Red, green, blue.
     pub channels: [ChannelStops; 3],
-    /// Root mean square of all channels.
+    /// Root mean square over all channels.
     pub rms_stops: f64,
-    /// Mean of all channels, with its sign.
+    /// Signed mean over all channels.
     pub mean_stops: f64,
-    /// Pixels that are no number, or infinite, in one of the files alone: they are in no mean.
+    /// Pixels that are NaN or infinite in one file only; they are excluded from the means.
     pub not_comparable_pixels: usize,
-    /// What radiance 1 was taken for in cd/m2, for PU21: as the expected file says, or such that its 99.9th percentile is 1000.
+    /// Luminance of radiance 1 in cd/m2, used for PU21: from the expected file, or such that its 99.9th percentile is 1000.
     pub cd_m2_per_unit: f64,
 }
 
-/// A channel of a picture.
+/// Differences of one channel of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ChannelCodes {
     /// `red`, `green` or `blue`.
     pub channel: &'static str,
-    /// The largest difference, in codes of the deeper file.
+    /// The largest difference, in code values of the file with more bits.
     pub max_codes: u16,
-    /// Mean, with its sign: above 0 where the actual is brighter.
+    /// Signed mean, positive when the actual file is brighter.
     pub mean_codes: f64,
 }
 
-/// How far pictures are apart.
+/// Differences of two pictures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DisplayDifference {
     /// Red, green, blue.
     pub channels: [ChannelCodes; 3],
     /// The largest difference by CIEDE2000.
     pub de_max: f64,
-    /// The mean over all pixels.
+    /// The mean difference over all pixels.
     pub de_mean: f64,
-    /// Of the codes of all channels; null where they are equal.
+    /// PSNR of the code values of all channels; null when they are equal.
     pub psnr_db: Option<f64>,
 }
 
-/// Something told in the headers that is not the same.
+/// Metadata that differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Changed {
-    /// What it is.
+    /// Name of the value.
     pub key: &'static str,
-    /// In the file expected; null where it says nothing.
+    /// Value in the expected file; null when it has none.
     pub expected: Option<String>,
-    /// In the file there is.
+    /// Value in the actual file; null when it has none.
     pub actual: Option<String>,
 }
 
-/// Two files, compared.
+/// The result of comparing two files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// [`SCHEMA`].
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// The verdict.
-    pub verdict: Verdict,
-    /// Why, in words.
+    /// Whether the files count as the same.
+    pub verdict: Outcome,
+    /// The reason, as text.
     pub reason: String,
-    /// The file expected.
+    /// The expected file.
     pub expected: Side,
-    /// The file there is.
+    /// The actual file.
     pub actual: Side,
-    /// What the verdict rests on.
+    /// The limits that were applied.
     pub limits: Limits,
-    /// Whether the files are the same to the byte.
+    /// Whether the files have the same bytes.
     pub bytes_equal: bool,
-    /// Whether every pixel is the same; null where the sizes differ.
+    /// Whether every pixel is equal; null when the sizes differ.
     pub pixels_equal: Option<bool>,
-    /// Null where the sizes differ.
+    /// Pixels that differ; null when the sizes differ.
     pub differing: Option<Differing>,
-    /// Null where the sizes differ, and for pictures.
+    /// Differences of radiance; null when the sizes differ, and for pictures.
     pub radiance: Option<RadianceDifference>,
-    /// Null where the sizes differ, and for radiance.
+    /// Differences of pictures; null when the sizes differ, and for radiance.
     pub display: Option<DisplayDifference>,
-    /// PSNR of red, green and blue by PU21; null where pixels are equal, and where the sizes differ.
+    /// PU21-PSNR of red, green and blue; null when all pixels are equal or the sizes differ.
     pub pu21_psnr_db: Option<f64>,
-    /// MS-SSIM of the luminance by PU21; null where the sizes differ, and for pictures of less than 11 pixels a side.
+    /// MS-SSIM of PU21 luminance; null when the sizes differ or a side has less than 11 pixels.
     pub ms_ssim: Option<f64>,
-    /// What else the headers tell differently.
+    /// Other metadata that differ.
     pub metadata: Vec<Changed>,
-    /// The difference picture, where it was asked for.
+    /// Path of the difference picture, if one was requested.
     pub diff: Option<String>,
-    /// What the user should know.
+    /// Warnings.
     pub warnings: Vec<String>,
 }
 
 impl Comparison {
-    /// Whether they are the same within what was asked for.
+    /// Whether the files count as the same.
     pub fn is_same(&self) -> bool {
-        self.verdict == Verdict::Same
+        self.verdict == Outcome::Same
     }
 
-    /// As JSON, ended by a newline. Numbers that are not finite are null.
+    /// The comparison as JSON, with a final newline. Numbers that are not finite are null.
     pub fn to_json(&self) -> String {
-        // Only maps with keys that are no texts could fail, and there are none.
+        // Serialisation only fails for maps with keys that are not strings, and there are none.
         let json = serde_json::to_string_pretty(self).unwrap_or_default();
         json + "\n"
     }
 }
 
-/// What pixels differ by, and what that is: [f32::INFINITY] where there is no number for it.
+/// The difference of every pixel; [`f32::INFINITY`] when it has no value.
 #[derive(Debug, Clone)]
 struct Magnitudes {
     plane: Plane<f32>,
@@ -281,7 +282,7 @@ enum Unit {
     DeltaE,
 }
 
-/// What one of the two kinds of files says of itself.
+/// The differences of two files of one kind.
 struct Measured {
     magnitudes: Magnitudes,
     radiance: Option<RadianceDifference>,
@@ -290,11 +291,43 @@ struct Measured {
     ms_ssim: Option<f64>,
 }
 
-/// Bytes of a pixel while radiance is compared: for eyes, by luminance on several scales, and what differs; and those of pictures, which are taken to
-/// light first. Measured.
+impl Measured {
+    /// Adds PU21-PSNR and MS-SSIM of `a` and `b`, without computing them when all pixels are equal.
+    fn new(
+        magnitudes: Magnitudes,
+        (a, b): (&Light, &Light),
+        radiance: Option<RadianceDifference>,
+        display: Option<DisplayDifference>,
+    ) -> Measured {
+        let (pu21_psnr_db, ms_ssim) = match magnitudes.plane.as_slice().iter().all(|v| *v == 0.0) {
+            true => (None, ms_ssim::of_equals(a.size())),
+            false => (pu21::psnr(a, b), ms_ssim::ms_ssim(a, b)),
+        };
+        Measured { magnitudes, radiance, display, pu21_psnr_db, ms_ssim }
+    }
+}
+
+/// Computes the magnitude of every pixel by `magnitude(sums, index)`, in parallel, with separate sums for each band of rows.
+fn by_bands<T: Default + Send>(
+    (width, height): (usize, usize),
+    magnitude: impl Fn(&mut T, usize) -> f32 + Sync,
+) -> (Plane<f32>, Vec<T>) {
+    let mut plane = Plane::filled(width, height, 0.0);
+    let band = (BAND_ROWS * width).max(1);
+    let bands = plane.as_mut_slice().par_chunks_mut(band).enumerate();
+    let sums = bands.map(|(i, out)| {
+        let mut sums = T::default();
+        out.iter_mut().enumerate().for_each(|(k, out)| *out = magnitude(&mut sums, i * band + k));
+        sums
+    });
+    let sums = sums.collect();
+    (plane, sums)
+}
+
+/// Working memory in bytes per pixel while radiance and while pictures are compared; pictures are converted to linear light first. Measured.
 const MEASURED: (u64, u64) = (16, 36);
 
-/// Refuses what takes more memory to compare than is allowed.
+/// Checks that comparing the files does not exceed the memory limit.
 fn check_memory(a: &Input, b: &Input, allowed: &limits::Limits) -> Result<()> {
     let (width, height) = a.size();
     let each = if matches!(a.pixels, Pixels::Radiance(..)) { MEASURED.0 } else { MEASURED.1 };
@@ -306,19 +339,19 @@ fn check_memory(a: &Input, b: &Input, allowed: &limits::Limits) -> Result<()> {
 /// Compares the file `actual` with the file `expected`.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] where a file is of no format that is read;
-/// [`Error::KindsDiffer`] where one is radiance and the other a picture; [`Error::Option`] for a tolerance that is none, or for the other
-/// kind, or where the memory allowed does not suffice; those of writing for the difference picture.
+/// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] for a file of an unknown format; [`Error::KindsDiffer`] when one file is
+/// radiance and the other a picture; [`Error::Option`] for an invalid tolerance, a tolerance for the other kind, or too little memory; those of writing for
+/// the difference picture.
 pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Comparison> {
-    verdict::validate(&options.criterion)?;
+    outcome::validate(&options.criterion)?;
     if let Some(diff) = &options.diff {
         picture::check(diff, &[expected.to_owned(), actual.to_owned()], options.overwrite)?;
     }
     let a = Input::open(expected, &options.allowed)?;
     let b = Input::open(actual, &options.allowed.beside(a.bytes()))?;
     check_memory(&a, &b, &options.allowed)?;
-    let limits = verdict::limits(&options.criterion, &a)?;
-    let is_of_a_size = a.size() == b.size();
+    let limits = outcome::limits(&options.criterion, &a)?;
+
     let measured = match (&a.pixels, &b.pixels) {
         (Pixels::Radiance(..), Pixels::Display(_)) | (Pixels::Display(_), Pixels::Radiance(..)) => {
             return Err(Error::KindsDiffer {
@@ -328,12 +361,12 @@ pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Compar
                 other_kind: b.kind(),
             });
         }
-        _ if !is_of_a_size => None,
+        _ if a.size() != b.size() => None,
         (Pixels::Radiance(a, about), Pixels::Radiance(b, _)) => Some(radiance::measure(a, b, about)),
         (Pixels::Display(a), Pixels::Display(b)) => Some(display::measure(a, b)),
     };
-    let differing = measured.as_ref().map(|m| verdict::differing(&m.magnitudes, &limits, &a, &b));
-    let (verdict, reason) = verdict::judge(&limits, &a, &b, differing.as_ref(), measured.as_ref());
+    let differing = measured.as_ref().map(|m| outcome::differing(&m.magnitudes, &limits, &a, &b));
+    let (verdict, reason) = outcome::decide(&limits, &a, &b, differing.as_ref(), measured.as_ref());
     let bytes_equal = a.bytes_equal(&b)?;
     if let Some(diff) = &options.diff {
         let largest = differing.as_ref().and_then(|d| d.largest).map(|l| (l.x_px, l.y_px));

@@ -1,32 +1,31 @@
-//! MS-SSIM: how much of the structure of one picture is in another, at five sizes.
+//! MS-SSIM: the structural similarity of two pictures at five scales.
 //!
-//! In: two pictures in linear light. Out: 1 where they are the same, less where they are not. Cost: 0.1 us a pixel. Source: Wang, Simoncelli &
+//! In: two pictures in linear light. Out: 1 when they are the same, otherwise less. Cost: 0.1 us a pixel. Source: Wang, Simoncelli &
 //! Bovik 2003, "Multi-scale structural similarity for image quality assessment", equation 7 and section 3.2 (the exponents); the window of
 //! Wang, Bovik, Sheikh & Simoncelli 2004, section III.B: a Gaussian of 11 x 11 pixels and 1.5 pixels, K1 = 0.01, K2 = 0.03.
 //!
-//! The pictures are luminance by PU21, so that radiance is judged as an eye would; its L is 256, the code of 100 cd/m2, as PU21 was made to
-//! be used with measures for 8 bit. A picture too small for five sizes is judged at as many as its sides have room for, with the exponents
-//! of those scaled to sum to 1.
+//! The pictures are converted to PU21 luminance, so that radiance is compared as perceived. L is 256, the encoded value of 100 cd/m2, as PU21 is intended to
+//! be used with metrics for 8 bits. A picture too small for five scales is compared at as many as fit, with the exponents of those normalised to sum to 1.
 
 use super::pu21::Light;
 use crate::plane::{Plane, fold_bands};
 use crate::simd::{Loops, vectorised};
 use std::ops::Range;
 
-/// Exponents from the finest size to the coarsest.
+/// Exponents from the finest scale to the coarsest.
 const EXPONENTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
-/// Pixels across the window.
+/// Side of the window in pixels.
 const WINDOW: usize = 11;
 /// (K1 L)^2 and (K2 L)^2.
 const C1: f64 = 2.56 * 2.56;
 const C2: f64 = 7.68 * 7.68;
 
-/// The score of `b` against `a`; none for less than a window.
+/// The similarity of `a` and `b`; `None` when they are smaller than the window.
 pub(super) fn ms_ssim(a: &Light, b: &Light) -> Option<f64> {
     score(a.luminance(), b.luminance())
 }
 
-/// The score of a picture of `size` against itself.
+/// The similarity of a picture with itself, by its size.
 pub(super) fn of_equals((width, height): (usize, usize)) -> Option<f64> {
     (width.min(height) >= WINDOW).then_some(1.0)
 }
@@ -46,7 +45,7 @@ fn score(mut a: Plane<f32>, mut b: Plane<f32>) -> Option<f64> {
     let exponents = &EXPONENTS[..scores.len()];
     let sum: f64 = exponents.iter().sum();
     let coarsest = scores.len().checked_sub(1)?;
-    // Contrast and structure at every size, luminance at the coarsest. A mean below 0 is no likeness at all.
+    // Contrast and structure at every scale, luminance at the coarsest. Negative means count as 0.
     let parts = scores.iter().zip(exponents).enumerate().map(|(i, ([whole, contrast], exponent))| {
         let mean = if i == coarsest { whole } else { contrast };
         libm::pow(mean.max(0.0), exponent / sum)
@@ -54,7 +53,7 @@ fn score(mut a: Plane<f32>, mut b: Plane<f32>) -> Option<f64> {
     Some(parts.product())
 }
 
-/// Means of 2 x 2 pixels; a last odd row or column is left out.
+/// Means of 2 x 2 pixels; a last odd row or column is ignored.
 fn halved(plane: &Plane<f32>) -> Plane<f32> {
     Plane::from_rows(plane.width() / 2, plane.height() / 2, |y, row| {
         let (upper, lower) = (plane.row(2 * y), plane.row(2 * y + 1));
@@ -64,7 +63,7 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// The window's weights along one side; they sum to 1.
+/// Weights of the window along one side; they sum to 1.
 fn gaussian() -> [f64; WINDOW] {
     let weights: [f64; WINDOW] = std::array::from_fn(|i| {
         let d = i as f64 - (WINDOW / 2) as f64;
@@ -74,7 +73,7 @@ fn gaussian() -> [f64; WINDOW] {
     weights.map(|w| w / sum)
 }
 
-/// The means of l(x, y) c(x, y) s(x, y), and of c(x, y) s(x, y) alone, over all places where the window is within the picture.
+/// The means of l(x, y) c(x, y) s(x, y) and of c(x, y) s(x, y), over all positions where the window is within the picture.
 fn similarity(a: &Plane<f32>, b: &Plane<f32>) -> [f64; 2] {
     let (width, height) = (a.width() + 1 - WINDOW, a.height() + 1 - WINDOW);
     let weights = gaussian();
@@ -102,7 +101,7 @@ struct Row<'a> {
     b: &'a Plane<f32>,
     y: usize,
     weights: &'a [f64; WINDOW],
-    /// Room for the weighted sums down each column: of a, b, aa, bb and ab.
+    /// Buffer for the weighted sums down each column: of a, b, aa, bb and ab.
     columns: &'a mut [[f64; 5]],
 }
 
@@ -157,7 +156,7 @@ mod tests {
         })
     }
 
-    /// Equations 13 and 6 of the 2004 paper, as they are written.
+    /// Equations 13 and 6 of the 2004 paper as printed.
     fn textbook(a: &Plane<f32>, b: &Plane<f32>) -> [f64; 2] {
         let w = gaussian();
         let (mut whole, mut contrast, mut n) = (0.0, 0.0, 0.0);

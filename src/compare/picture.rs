@@ -1,10 +1,10 @@
-//! The difference as a picture: what is expected, what differs in false colours, what there is, side by side, with a legend.
+//! The difference picture: the expected picture, the difference in false colours, and the actual picture side by side, with a legend.
 //!
-//! In: both files and what their pixels differ by. Out: a PNG. Cost: some tenths of a second.
+//! In: both files and the differences of their pixels. Out: a PNG. Cost: some tenths of a second.
 //!
-//! Pictures of more than 1200 pixels a side are shown smaller by a whole number: a cell of the difference is the largest of its pixels, so
-//! that a single one is seen. Small ones are shown larger. Radiance is shown as v / (v + m), m the median of the expected map, the same
-//! for both: a gain shows as one. Where nothing differs, the middle shows the expected picture, dimmed.
+//! Pictures with more than 1200 pixels on a side are reduced by a whole number. A cell of the difference has the largest value of its pixels, so that single
+//! pixels stay visible. Small pictures are enlarged. Radiance is shown as v / (v + m), where m is the median of the expected map, for both files, so that a
+//! gain is visible. Where nothing differs, the middle panel shows the expected picture, dimmed.
 
 use super::input::{Input, Pixels};
 use super::radiance::percentile;
@@ -16,42 +16,43 @@ use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::tonemap::display::codes::Colours;
 use crate::write::{self, Format, Metadata, Pending, Target, png};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Pixels of a side of a panel, at the most, and that a small one is magnified to.
+/// Largest side of a panel in pixels, and the side that small pictures are enlarged to.
 const MOST: usize = 1200;
 const LEAST: usize = 360;
-/// Paper around and between the panels, above and below.
+/// Margins around and between the panels, and above and below them.
 const MARGIN: usize = 20;
 const GAP: usize = 10;
 const ABOVE: usize = 76;
 const BELOW: usize = 104;
-/// Sizes of the text.
+/// Text sizes.
 const TITLE: f64 = 22.0;
 const TEXT: f64 = 16.0;
-/// The scale of the false colours goes over so many decades.
+/// Decades of the scale of the false colours.
 const DECADES: f64 = 3.0;
 
-/// No number, or no pixel, in one of the files.
+/// Colour of pixels that one of the files does not have, or that are NaN or infinite in one file only.
 const NOTHING: Colour = Colour(255, 0, 200);
-/// From the least difference to the tolerance: blue, darker to lighter.
+/// Colours below the tolerance: dark to light blue.
 const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
-/// From the tolerance to the most: violet, red, orange, yellow, white.
+/// Colours from the tolerance to the end of the scale: violet, red, orange, yellow, white.
 const BEYOND: [[f64; 3]; 5] =
     [[120.0, 20.0, 110.0], [215.0, 40.0, 60.0], [250.0, 140.0, 20.0], [250.0, 225.0, 60.0], [255.0; 3]];
 
-/// What is written on it.
+/// Text and marks on the picture.
 pub(super) struct Words<'a> {
     pub title: &'a str,
     pub limits: &'a Limits,
-    /// The pixel that is farthest off, to be ringed.
+    /// The pixel with the largest difference, to mark with a ring.
     pub largest: Option<(usize, usize)>,
 }
 
-/// Whether the picture can be written to `path`, before any work is done.
+/// Checks that the picture can be written to `path`, before any work is done.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`], and those of targets.
+/// [`Error::UnknownExtension`], and those of the check of targets.
 pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<()> {
     if !matches!(Format::of(path), Ok(Format::Png)) {
         return Err(Error::UnknownExtension { path: path.to_owned(), known: ".png" });
@@ -59,7 +60,7 @@ pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<
     write::check_targets(&Target::of("--diff", &[path.to_owned()]), inputs, overwrite)
 }
 
-/// Writes the picture. Without magnitudes the sizes differ, and what one of the files does not have is told apart.
+/// Writes the picture. Without magnitudes (when the sizes differ), pixels that only one file has are marked.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::OutputExists`].
@@ -77,6 +78,7 @@ pub(super) fn write(
     write::commit(vec![write::push_all(Box::new(writer), &page)?.file], overwrite)
 }
 
+/// Draws the whole page: title, headings, panels and legend.
 fn page(
     (a, b): (&Input, &Input),
     magnitudes: Option<&Magnitudes>,
@@ -88,14 +90,15 @@ fn page(
     let middle = middle_of(a);
     let shown = |input: &Input| fit.picture(size, |columns, rows| mean(input, middle, columns, rows));
     let scale = magnitudes.map(|m| Scale::of(m, words.limits));
-    let dimmed = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
+    let dimmed = |columns: Range<usize>, rows: Range<usize>| {
         let [r, g, b] = mean(a, middle, columns, rows).map(f64::from);
         [(0.35 * (0.2126 * r + 0.7152 * g + 0.0722 * b)) as u8; 3]
     };
-    let is_missing = |x: usize, y: usize| x >= aw.min(bw) || y >= ah.min(bh);
+
     let difference = fit.picture(size, |columns, rows| {
         let (Some(magnitudes), Some(scale)) = (magnitudes, &scale) else {
-            return if is_missing(columns.start, rows.start) { NOTHING.rgb() } else { dimmed(columns, rows) };
+            let is_missing = columns.start >= aw.min(bw) || rows.start >= ah.min(bh);
+            return if is_missing { NOTHING.rgb() } else { dimmed(columns, rows) };
         };
         let most =
             rows.clone().flat_map(|y| &magnitudes.plane.row(y)[columns.clone()]).fold(0.0, |m: f32, v| m.max(*v));
@@ -104,7 +107,7 @@ fn page(
 
     let (across, down) = fit.size(size);
     let width = (3 * across + 2 * GAP).max(3 * LEAST / 2) + 2 * MARGIN;
-    // A wide page is looked at from farther away.
+    // Wide pages are viewed from farther away.
     let zoom = (width as f64 / 1500.0).clamp(1.0, 2.2);
     let (above, below) = ((ABOVE as f64 * zoom) as usize, (BELOW as f64 * zoom) as usize);
     let height = above + down + below;
@@ -134,7 +137,7 @@ fn page(
     Ok(page)
 }
 
-/// The colours, what they stand for, and where the tolerance is.
+/// Draws the legend: the colours, their values, and the tolerance.
 fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option<&Scale>) {
     let text = TEXT * zoom;
     let (left, below) = (MARGIN as f64, y + 54.0 * zoom);
@@ -145,13 +148,13 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
         x + 58.0 * zoom + width(words, text)
     };
     let Some(scale) = scale else {
-        sample(drawing, left, NOTHING, "in one of them alone");
+        sample(drawing, left, NOTHING, "in one file only");
         return;
     };
     let (bar, strips) = (room.min(640.0 * zoom), 128);
     for i in 0..strips {
         let width = bar / strips as f64;
-        // A hair wider, so that no paper shows between.
+        // Slightly wider, so that the strips overlap.
         let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
         drawing.fill_area(area, scale.at(i as f64 / (strips - 1) as f64));
     }
@@ -178,26 +181,22 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
         let words = format!("within {} {}", short(scale.tolerance), scale.unit());
         next = sample(drawing, next, Colour::between(&WITHIN, 0.7), &words);
     }
-    next = sample(
-        drawing,
-        next,
-        Colour::between(&BEYOND, 0.5),
-        if scale.tolerance > 0.0 { "beyond" } else { "not equal" },
-    );
+    let beyond = if scale.tolerance > 0.0 { "beyond" } else { "not equal" };
+    next = sample(drawing, next, Colour::between(&BEYOND, 0.5), beyond);
     if scale.has_nothing {
-        next = sample(drawing, next, NOTHING, "no number in one of them");
+        next = sample(drawing, next, NOTHING, "NaN or infinite in one file only");
     }
     drawing.text((next, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, "ring: the largest");
 }
 
-/// A number of one or two digits that matter.
+/// Formats a number with two significant digits, without trailing zeros.
 fn short(value: f64) -> String {
     let digits = (1.0 - libm::floor(libm::log10(value.max(1e-9)))).clamp(0.0, 9.0) as usize;
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
-/// What colours stand for: decades under `top`.
+/// The scale of the false colours: decades below `top`.
 struct Scale {
     unit: Unit,
     top: f64,
@@ -210,7 +209,7 @@ impl Scale {
         let values = magnitudes.plane.as_slice();
         let most = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
         let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0);
-        // 1, 2 or 5 times a power of ten that nothing is above.
+        // The next 1, 2 or 5 times a power of ten.
         let wanted = f64::from(most).max(tolerance).max(1e-6);
         let decade = libm::exp10(libm::floor(libm::log10(wanted)));
         let top = [1.0, 2.0, 5.0, 10.0].map(|k| k * decade).into_iter().find(|top| *top >= wanted * 0.999_999);
@@ -225,7 +224,7 @@ impl Scale {
         }
     }
 
-    /// 0 at the scale's beginning, 1 at its end.
+    /// Position of a value: 0 at the start of the scale, 1 at its end.
     fn place(&self, value: f64) -> f64 {
         1.0 + libm::log10(value.max(1e-12) / self.top) / DECADES
     }
@@ -245,7 +244,7 @@ impl Scale {
     }
 }
 
-/// A white ring with a black edge around a place of the page, within the area from one corner to the other.
+/// Draws a white ring with a black edge around a point of the page, clipped to the area between two corners.
 fn ring(page: &mut Plane<[u8; 3]>, (x, y): (usize, usize), radius: f64, (from, to): ((usize, usize), (usize, usize))) {
     for row in from.1..to.1 {
         for column in from.0..to.0 {
@@ -260,17 +259,16 @@ fn ring(page: &mut Plane<[u8; 3]>, (x, y): (usize, usize), radius: f64, (from, t
     }
 }
 
-/// The radiance that is shown as middle grey; of no use for pictures.
+/// The radiance that is shown as middle grey; not used for pictures.
 fn middle_of(input: &Input) -> f32 {
     let Pixels::Radiance(map, _) = &input.pixels else { return 1.0 };
     let pixels = map.pixels.as_slice();
     let step = pixels.len().div_ceil(1_000_000).max(1);
-    let green = pixels.iter().step_by(step).map(|p| p[1]).filter(|v| *v > 0.0 && v.is_finite());
-    percentile(green.collect(), 0.5).unwrap_or(1.0)
+    percentile(pixels.iter().step_by(step).map(|p| p[1]), 0.5).unwrap_or(1.0)
 }
 
-/// The mean of some pixels as they are shown; white paper where there are none.
-fn mean(input: &Input, middle: f32, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> [u8; 3] {
+/// The mean of some pixels as shown; white when there are none.
+fn mean(input: &Input, middle: f32, columns: Range<usize>, rows: Range<usize>) -> [u8; 3] {
     let (width, height) = input.size();
     let (columns, rows) = (columns.start..columns.end.min(width), rows.start..rows.end.min(height));
     let count = columns.len() * rows.len();
@@ -283,7 +281,7 @@ fn mean(input: &Input, middle: f32, columns: std::ops::Range<usize>, rows: std::
             let shown = match &input.pixels {
                 Pixels::Radiance(map, _) => map.pixels.at(x, y).map(|v| {
                     let v = if v.is_nan() { 0.0 } else { v.clamp(0.0, f32::MAX) };
-                    // The share is encoded about as a display wants it.
+                    // The square root approximates the encoding of displays.
                     255.0 * (v / (v + middle)).sqrt()
                 }),
                 Pixels::Display(photograph) => {
@@ -305,14 +303,14 @@ mod tests {
     fn the_scale_has_a_round_top_and_its_colours_grow_brighter() {
         let magnitudes = |most: f32| Magnitudes { plane: Plane::filled(3, 3, most), unit: Unit::Stops };
         let top = |most: f32| Scale::of(&magnitudes(most), &Limits::default()).top;
-        // Powers of ten are within some 1e-16 of themselves.
+        // Computed powers of ten are exact to about 1e-16.
         for (most, expected) in [(0.02f32, 0.02), (0.021, 0.05), (0.9, 1.0), (3.0, 5.0), (700.0, 1000.0)] {
             assert!((top(most) / expected - 1.0).abs() < 1e-6, "{most}: {}", top(most));
         }
         let scale = Scale::of(&magnitudes(1.0), &Limits { tolerance_stops: Some(0.01), ..Limits::default() });
         assert!((scale.place(0.01) - 1.0 / 3.0).abs() < 1e-9 && scale.place(1.0) == 1.0);
         assert_eq!((scale.colour(1.0), scale.colour(f32::INFINITY)), (Colour::WHITE, NOTHING));
-        // Blue within the tolerance, warm beyond, and the more the brighter.
+        // Blue within the tolerance, warm beyond it, and brighter for larger differences.
         let at = |i: i32| scale.at(f64::from(i) / 100.0).rgb().map(u32::from);
         assert!((0..33).all(|i| at(i)[2] > at(i)[0]) && (34..=100).all(|i| at(i)[0] >= at(i)[2]));
         let light = |i: i32| at(i).iter().sum::<u32>();

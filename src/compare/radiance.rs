@@ -1,34 +1,32 @@
-//! Radiance against radiance, in stops.
+//! Compares radiance maps, in stops.
 //!
-//! In: two maps of one size. Out: for each pixel the stops that its worst channel is off, and what they sum up to. Cost: 0.1 us a pixel that
-//! differs.
+//! In: two maps of one size. Out: for each pixel the difference of its worst channel in stops, and summary statistics. Cost: 0.1 us a pixel that differs.
 //!
-//! A difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|; below it a difference is held
-//! against f, so that black against nearly black is little, and a bright pixel against black is much, and never infinite. f is the value
-//! that 0.1 % of the positive values of the expected map are below: what formats round away lies under it, and pictures do not. Negative
-//! values are colours outside of the primaries, and are compared as they are.
+//! The difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|. Below it the difference is relative to f, so
+//! that black and nearly black are close, and a bright pixel and black are far apart but not infinitely. f is the 0.1th percentile of the positive values
+//! of the expected map: what formats round away lies below it, picture content does not. Negative values are colours outside of the primaries, and are
+//! compared as they are.
 //!
-//! NaN is equal to NaN, and an infinity to itself; against anything else they have no stops, and are always beyond any tolerance.
+//! NaN equals NaN, and an infinity equals itself. Their difference from anything else has no value in stops and exceeds every tolerance.
 
-use super::pu21::{self, Light};
-use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, ms_ssim};
+use super::pu21::Light;
+use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, by_bands};
 use crate::bracket::colour::Conversion;
 use crate::merge::RadianceMap;
-use crate::plane::{BAND_ROWS, Plane};
+use crate::plane::Plane;
 use crate::statistics::of_rank;
 use crate::write::Metadata;
-use rayon::prelude::*;
 
-/// Share of the positive values that are under the floor.
+/// Share of the positive values below the floor.
 const DARK: f64 = 0.001;
-/// The luminance that this share of the pixels is below ...
+/// The luminance at this percentile ...
 const BRIGHT: f64 = 0.999;
-/// ... is taken for this many cd/m2 where a map does not say.
+/// ... counts as this many cd/m2 when the map is not calibrated.
 const BRIGHT_CD_M2: f64 = 1000.0;
-/// Values that a percentile is taken of, at the most; beyond, every n-th pixel.
+/// Largest number of values for a percentile; larger maps are sampled at every n-th pixel.
 const SAMPLED: usize = 4_000_000;
 
-/// The map `b` against the map `a`, both of one size.
+/// Compares the map `b` with the map `a`, both of one size.
 pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Measured {
     let converted = converted(b, a);
     let b = converted.as_ref().unwrap_or(b);
@@ -41,27 +39,21 @@ pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Mea
     };
     let light = |pixels| Light { pixels, scale: scale as f32, weights };
     let (left, right) = (light(&a.pixels), light(&b.pixels));
-    let is_equal = plane.as_slice().iter().all(|v| *v == 0.0);
     let names = ["red", "green", "blue"];
-    let channels = [0, 1, 2].map(|c| tallies.channels[c].told(names[c]));
-    let all = tallies.channels.iter().fold(Channel::default(), Channel::and).told("");
-    Measured {
-        magnitudes: Magnitudes { plane, unit: Unit::Stops },
-        radiance: Some(RadianceDifference {
-            floor: f64::from(floor),
-            channels,
-            rms_stops: all.rms_stops,
-            mean_stops: all.mean_stops,
-            not_comparable_pixels: tallies.not_comparable,
-            cd_m2_per_unit: scale,
-        }),
-        display: None,
-        pu21_psnr_db: if is_equal { None } else { pu21::psnr(&left, &right) },
-        ms_ssim: if is_equal { ms_ssim::of_equals(left.size()) } else { ms_ssim::ms_ssim(&left, &right) },
-    }
+    let channels = [0, 1, 2].map(|c| tallies.channels[c].summary(names[c]));
+    let all = tallies.channels.iter().fold(Channel::default(), Channel::merged).summary("");
+    let radiance = RadianceDifference {
+        floor: f64::from(floor),
+        channels,
+        rms_stops: all.rms_stops,
+        mean_stops: all.mean_stops,
+        not_comparable_pixels: tallies.not_comparable,
+        cd_m2_per_unit: scale,
+    };
+    Measured::new(Magnitudes { plane, unit: Unit::Stops }, (&left, &right), Some(radiance), None)
 }
 
-/// `map` in the primaries of `like`; none where it is in them.
+/// `map` converted to the primaries of `like`; `None` when it already has them.
 fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
     if map.primaries.is_close(&like.primaries, 1e-4) {
         return None;
@@ -74,24 +66,24 @@ fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
     Some(RadianceMap { pixels, primaries: like.primaries })
 }
 
-/// See the module; none where nothing is positive.
+/// The floor of the module documentation; `None` when no value is positive.
 fn floor(map: &RadianceMap) -> Option<f32> {
     let pixels = map.pixels.as_slice();
     let step = pixels.len().div_ceil(SAMPLED / 3).max(1);
-    let values = pixels.iter().step_by(step).flatten().copied();
-    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), DARK)
+    percentile(pixels.iter().step_by(step).flatten().copied(), DARK)
 }
 
-/// The luminance that stands for bright; 1 where there is none.
+/// The luminance at the percentile `BRIGHT`; 1 when none is positive.
 fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
     let pixels = map.pixels.as_slice();
     let luminance = |p: &[f32; 3]| weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2];
-    let values = pixels.iter().step_by(pixels.len().div_ceil(SAMPLED).max(1)).map(luminance);
-    percentile(values.filter(|v| *v > 0.0 && v.is_finite()).collect(), BRIGHT).unwrap_or(1.0)
+    let step = pixels.len().div_ceil(SAMPLED).max(1);
+    percentile(pixels.iter().step_by(step).map(luminance), BRIGHT).unwrap_or(1.0)
 }
 
-/// The value that `share` of `values` are below.
-pub(super) fn percentile(values: Vec<f32>, share: f64) -> Option<f32> {
+/// The value below which `share` of the positive and finite ones of `values` lies; `None` when there are none.
+pub(super) fn percentile(values: impl Iterator<Item = f32>, share: f64) -> Option<f32> {
+    let values: Vec<f32> = values.filter(|v| *v > 0.0 && v.is_finite()).collect();
     let last = values.len().checked_sub(1)?;
     of_rank(values, (share * last as f64).round() as usize)
 }
@@ -106,14 +98,14 @@ struct Channel {
 }
 
 impl Channel {
-    fn see(&mut self, stops: f64) {
+    fn add(&mut self, stops: f64) {
         self.max = self.max.max(stops.abs());
         self.sum += stops;
         self.squares += stops * stops;
         self.count += 1;
     }
 
-    fn and(self, other: &Channel) -> Channel {
+    fn merged(self, other: &Channel) -> Channel {
         Channel {
             max: self.max.max(other.max),
             sum: self.sum + other.sum,
@@ -122,7 +114,7 @@ impl Channel {
         }
     }
 
-    fn told(&self, channel: &'static str) -> ChannelStops {
+    fn summary(&self, channel: &'static str) -> ChannelStops {
         let count = self.count.max(1) as f64;
         ChannelStops {
             channel,
@@ -139,41 +131,29 @@ struct Tally {
     not_comparable: usize,
 }
 
-/// For each pixel the stops of its worst channel, and the sums.
+/// For each pixel the difference of its worst channel in stops, and the sums.
 fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, Tally) {
-    let (width, height) = (a.width(), a.height());
-    let mut plane = Plane::filled(width, height, 0.0);
-    let band = (BAND_ROWS * width).max(1);
-    let inputs = a.as_slice().par_chunks(band).zip(b.as_slice().par_chunks(band));
-    let tallies: Vec<Tally> = plane
-        .as_mut_slice()
-        .par_chunks_mut(band)
-        .zip(inputs)
-        .map(|(out, (a, b))| {
-            let mut tally = Tally::default();
-            for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
-                let off = [0, 1, 2].map(|c| difference(a[c], b[c], floor));
-                if off.iter().any(Option::is_none) {
-                    tally.not_comparable += 1;
-                    *out = f32::INFINITY;
-                    continue;
-                }
-                for (channel, off) in tally.channels.iter_mut().zip(off.iter().flatten()) {
-                    channel.see(*off);
-                    *out = out.max(off.abs() as f32);
-                }
-            }
-            tally
-        })
-        .collect();
+    let (plane, tallies) = by_bands((a.width(), a.height()), |tally: &mut Tally, at| {
+        let (p, q) = (a.as_slice()[at], b.as_slice()[at]);
+        let [Some(red), Some(green), Some(blue)] = [0, 1, 2].map(|c| difference(p[c], q[c], floor)) else {
+            tally.not_comparable += 1;
+            return f32::INFINITY;
+        };
+        let mut most = 0.0f32;
+        for (channel, off) in tally.channels.iter_mut().zip([red, green, blue]) {
+            channel.add(off);
+            most = most.max(off.abs() as f32);
+        }
+        most
+    });
     let total = tallies.iter().fold(Tally::default(), |sum, tally| Tally {
-        channels: [0, 1, 2].map(|c| sum.channels[c].and(&tally.channels[c])),
+        channels: [0, 1, 2].map(|c| sum.channels[c].merged(&tally.channels[c])),
         not_comparable: sum.not_comparable + tally.not_comparable,
     });
     (plane, total)
 }
 
-/// The stops from `a` to `b`, above 0 where `b` is more; none where there is no number for it.
+/// The stops from `a` to `b`, positive when `b` is larger; `None` when the difference has no value.
 fn difference(a: f32, b: f32, floor: f32) -> Option<f64> {
     if a == b || a.is_nan() && b.is_nan() {
         return Some(0.0);
@@ -219,10 +199,10 @@ mod tests {
     fn a_gain_is_told_with_its_sign() {
         let gain = libm::exp2(-0.02) as f32;
         let found = measure(&ramp(1.0), &ramp(gain), &Metadata::default());
-        let told = found.radiance.unwrap();
-        // 0.1 % of the values are under the floor, and are told as less.
-        assert!((told.mean_stops + 0.02).abs() < 2e-5 && (told.rms_stops - 0.02).abs() < 2e-5, "{told:?}");
-        assert!(told.channels.iter().all(|c| (c.max_stops - 0.02).abs() < 1e-5));
+        let gain = found.radiance.unwrap();
+        // 0.1 % of the values are below the floor, where the difference is smaller.
+        assert!((gain.mean_stops + 0.02).abs() < 2e-5 && (gain.rms_stops - 0.02).abs() < 2e-5, "{gain:?}");
+        assert!(gain.channels.iter().all(|c| (c.max_stops - 0.02).abs() < 1e-5));
         assert!(found.magnitudes.plane.as_slice().iter().filter(|v| **v > 0.019).count() > 6300);
     }
 
@@ -233,7 +213,7 @@ mod tests {
             let found = measure(&flat(1.0), &flat(other), &Metadata::default()).radiance.unwrap();
             assert!(found.channels.iter().all(|c| c.max_stops > 0.5), "{other}: {found:?}");
         }
-        // Nothing is positive in what is expected; the other map has the floor.
+        // No value of the expected map is positive, so the floor is that of the other.
         let found = measure(&flat(0.0), &flat(3.0), &Metadata::default()).radiance.unwrap();
         assert!((found.channels[0].max_stops - 1.0).abs() < 1e-6, "{found:?}");
     }

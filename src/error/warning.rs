@@ -1,51 +1,54 @@
-//! What a user should know about a result that was nevertheless made: it travels in the report.
+//! Warnings about a result, as listed in the report.
 
 use std::path::PathBuf;
 
-/// What a user should know about a result that was nevertheless made.
+/// A warning about a result.
+///
+/// The text ends with what to do, after the last semicolon; measured values are in parentheses or follow a colon. The
+/// HTML report relies on that.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Warning {
-    /// No model explains this frame's motion; it was left out.
+    /// A frame could not be aligned and is not merged.
     #[error(
-        "{}: left out: {reason}; if the camera stood still, give --unmoved {}, or --align none for all",
+        "{}: rejected: {reason}; if the camera did not move, give --unmoved {}, or --align none for all frames",
         path.display(),
         path.file_name().unwrap_or_default().display()
     )]
     FrameRejected {
         /// The frame.
         path: PathBuf,
-        /// Why it could not be placed.
+        /// Why it could not be aligned.
         reason: String,
     },
-    /// This frame is too dark or too bright to be aligned; its place is assumed from those of the others.
+    /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}); it is merged as the others let expect, within {error_px:.1} px, and only where they {}; exclude it with --leave-out",
+        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where they are {}; exclude it with --leave-out",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
-        if *is_dark { "clip" } else { "are black" }
+        if *is_dark { "clipped" } else { "black" }
     )]
     FrameAssumed {
         /// The frame.
         path: PathBuf,
-        /// What its place is assumed from.
+        /// Why the assumption is justified.
         reason: String,
-        /// The error that 19 of 20 such places keep, in pixels.
+        /// Error that 19 of 20 such transforms do not exceed, in pixels.
         error_px: f64,
         /// Whether it is darker than the reference.
         is_dark: bool,
-        /// Whether the camera stood still in all others, so that nothing else is to be expected of it.
+        /// Whether the camera did not move in all other frames.
         is_still: bool,
     },
-    /// This frame was placed, but with little certainty.
-    #[error("{}: aligned with low confidence ({confidence:.2}); look at the result, or leave it out", path.display())]
+    /// A frame was aligned with low confidence.
+    #[error("{}: aligned with low confidence ({confidence:.2}); check the result, or exclude it with --leave-out", path.display())]
     LowConfidence {
         /// The frame.
         path: PathBuf,
-        /// 0..1.
+        /// The confidence, 0..1.
         confidence: f64,
     },
-    /// Less than half of the reference is common to all frames.
+    /// All frames together cover less than half of the reference.
     #[error(
         "{}: overlaps {:.0} % of the reference, all frames together {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
@@ -55,22 +58,22 @@ pub enum Warning {
     SmallOverlap {
         /// The frame that overlaps the reference least.
         path: PathBuf,
-        /// The share of the reference that this frame covers by its largest rectangle, 0..1.
+        /// The share of the reference in the largest rectangle covered by this frame, 0..1.
         overlap: f64,
-        /// The share that all frames cover together, 0..1.
+        /// The same for all frames together, 0..1.
         common: f64,
     },
-    /// A photograph is there twice.
-    #[error("{}: has the same pixels as {}; it adds nothing, leave one of them out", path.display(), other.display())]
+    /// Two frames have the same pixels.
+    #[error("{}: has the same pixels as {} and adds nothing; leave one of them out", path.display(), other.display())]
     SamePixels {
-        /// The later one, by name.
+        /// The later one by name.
         path: PathBuf,
         /// The earlier one.
         other: PathBuf,
     },
-    /// No frame shows anything by which it could be aligned; all were taken as they lie.
+    /// No frame has enough detail to be aligned; all are merged without alignment.
     #[error(
-        "{}: neither it nor the others show anything to align by ({reason}); all are merged as they lie, look at the result",
+        "{}: no frame has enough detail to be aligned ({reason}): all are merged without alignment; check the result",
         reference.display()
     )]
     NothingToAlign {
@@ -79,70 +82,72 @@ pub enum Warning {
         /// Why not.
         reason: String,
     },
-    /// The exposures written in the files contradict the pixels; the step was estimated from the pixels.
+    /// The exposures in the files contradict the pixels and were replaced by estimates.
     #[error(
-        "the exposures in the files contradict the pixels ({detail}); estimated from the pixels instead, give -e to set them"
+        "the exposures in the files contradict the pixels ({detail}) and are estimated from the pixels instead; give -e to set them"
     )]
     ExposureContradicted {
-        /// What was written and what was seen.
+        /// The exposures of the files and the estimates.
         detail: String,
     },
-    /// The files do not say how they were exposed; the steps were estimated from the pixels.
+    /// The files have no exposures; they were estimated from the pixels.
     #[error("the exposures are estimated from the pixels ({detail}); give -e to set them")]
     ExposureEstimated {
         /// What is missing, and what was estimated.
         detail: String,
     },
-    /// The flash fired in some frames and not in others: their light is not the same.
+    /// The flash fired in some frames only, so the illumination differs.
     #[error(
         "{}: the flash fired, unlike in the other frames; {}",
         path.display(),
-        if *is_used { "it is merged all the same, look at the result" } else { "it is excluded; to use it give -e, or name it by --reference or --unmoved" }
+        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it, give -e, or name it with --reference or --unmoved" }
     )]
     FlashFired {
         /// The frame.
         path: PathBuf,
-        /// Whether it is used: too few were left without it, it is the reference of the user's choice, or the user says where it lies.
+        /// Whether it is used: too few frames would remain, or the user chose it as reference or set its transform.
         is_used: bool,
     },
-    /// The pixels contradict the exposures that the user gave; these were used.
-    #[error("the exposures given by -e contradict the pixels ({detail}); give them in the order of the files")]
+    /// The exposures given by the user contradict the pixels; they are used anyway.
+    #[error(
+        "the exposures given by -e contradict the pixels ({detail}) and are used anyway; give them in the order of the files"
+    )]
     ExposureDoubtful {
-        /// What was given and what was seen.
+        /// The given exposures and the estimates.
         detail: String,
     },
-    /// The pixels want more of a correction than a frame's exposure may be given.
+    /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: the pixels say that its exposure is off by {wanted_stops:+.2} stops; corrected by {used_stops:+.2}, give -e to set it",
+        "{}: by its pixels, the exposure is off by {wanted_stops:+.2} stops, but was only corrected by {used_stops:+.2}; give -e to set it",
         path.display()
     )]
     ExposureBounded {
         /// The frame.
         path: PathBuf,
-        /// What fits best, in stops.
+        /// The correction that fits best, in stops.
         wanted_stops: f64,
-        /// What was done, in stops.
+        /// The correction used, in stops.
         used_stops: f64,
     },
-    /// A part of the exposure is missing in this file and was assumed equal in all.
+    /// A part of the exposure is missing in a file and was assumed to be equal in all.
     #[error("{}: {detail}", path.display())]
     ExposureIncomplete {
         /// The frame.
         path: PathBuf,
-        /// Which tag is missing, and what was assumed.
+        /// The missing tag, and the assumption.
         detail: String,
     },
-    /// The response could not be recovered from this bracket; a stated curve was used.
+    /// The response could not be recovered from the bracket; another curve is used.
     #[error("the camera's response could not be recovered ({reason}); {used} is used instead")]
     ResponseFallback {
         /// Why.
         reason: String,
-        /// The curve that took its place.
+        /// The curve that is used.
         used: String,
     },
-    /// One channel of the response could not be recovered; it has the mean curve of the others.
+    /// The response of one channel could not be recovered; the mean of the other channels is used.
     #[error(
-        "the camera's response in {channel} could not be recovered ({reason}); it is taken to be that of the other channels"
+        "the camera's response in {channel} could not be recovered ({reason}); the mean of the other channels is used instead"
     )]
     ResponseBorrowed {
         /// `red`, `green` or `blue`.
@@ -150,26 +155,26 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
-    /// The camera tone-mapped the frames locally: they are not functions of exposure alone.
+    /// The camera tone-mapped the frames locally, so their values depend on more than the exposure.
     #[error(
-        "{}: locally processed by the camera, brightness does not follow the exposure; merged with a local gain, radiance is approximate; \
-         to merge the frames as they are give --response-model srgb",
+        "{}: locally processed by the camera, so merged with a local gain, and radiance is approximate; to merge the frames \
+         unchanged, give --response-model srgb",
         named(paths)
     )]
     LocallyProcessed {
         /// The frames.
         paths: Vec<PathBuf>,
     },
-    /// The response file is of another camera than the photographs, or they contradict it.
-    #[error("{}: {detail}; recover that of the photographs by `hdralign response`, or leave --response out", path.display())]
+    /// The response file is of another camera than the photographs, or does not fit them.
+    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or do not give --response", path.display())]
     ResponseDoubtful {
         /// The response file.
         path: PathBuf,
-        /// Why it may be another's.
+        /// Why it may not be valid.
         detail: String,
     },
-    /// Brackets of two cameras were given as one's.
-    #[error("{}: was taken by {found}, others by {kept}; one curve is made of both", path.display())]
+    /// Brackets of one response are from different cameras.
+    #[error("{}: was taken with {found}, other brackets with {kept}, and one curve is fitted to both; give brackets of one camera", path.display())]
     CamerasDiffer {
         /// The reference of the bracket.
         path: PathBuf,
@@ -178,16 +183,16 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
-    /// A bracket could not be used, and what all brackets of a camera tell was had of the others.
-    #[error("{}: its bracket is left out of the response: {reason}", path.display())]
+    /// A bracket could not be used for the response of several brackets.
+    #[error("{}: its bracket is not used for the response: {reason}", path.display())]
     BracketLeftOut {
         /// The first photograph of the bracket.
         path: PathBuf,
         /// The error.
         reason: String,
     },
-    /// Frames carry different colour profiles; that of the reference was kept.
-    #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}); it is merged as if it were the same", path.display())]
+    /// The colour profile of a frame differs from that of the reference, which is kept.
+    #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}) and is ignored; convert all frames to the same profile", path.display())]
     ProfilesDiffer {
         /// The frame.
         path: PathBuf,
@@ -196,77 +201,67 @@ pub enum Warning {
         /// The reference's profile.
         kept: String,
     },
-    /// A part of the file could not be understood, without harm to the pixels.
+    /// A part of a file could not be read; the pixels are not affected.
     #[error("{}: {detail}", path.display())]
     Metadata {
         /// The frame.
         path: PathBuf,
-        /// What was ignored.
+        /// The ignored part.
         detail: String,
     },
-    /// What is taken off the radiance is not taken off the frames that are fused.
-    #[error("{option} acts on the radiance; the picture by `mertens` is of the frames as they are")]
+    /// An option for the radiance has no effect on fused frames.
+    #[error("{option} acts on the radiance only, not on the picture by `mertens`; choose another --tmo to apply it")]
     FusedAsIs {
-        /// What was asked for.
+        /// The option.
         option: &'static str,
     },
-    /// Colours were outside of the colour space asked for.
+    /// Colours were outside the requested colour space.
     #[error("{detail}")]
     OutOfGamut {
-        /// How many pixels, and what became of them.
+        /// The number of pixels, and how they were changed.
         detail: String,
     },
-    /// The picture was to be larger than the radiance is.
-    #[error("the picture has {longest_px} pixels on its longest side; it is not enlarged to {asked_px}")]
+    /// The requested size of the picture is larger than that of the radiance.
+    #[error("the picture has {longest_px} pixels on its longest side and is not enlarged to {asked_px}")]
     NotEnlarged {
-        /// The longest side that it has, in pixels.
+        /// Its longest side, in pixels.
         longest_px: usize,
-        /// The longest side that was asked for, in pixels.
+        /// The requested longest side, in pixels.
         asked_px: usize,
     },
-    /// The picture's own white was asked for, and is of no light's colour.
+    /// The mean colour of the picture is not that of a light source, so the white balance was not changed.
     #[error(
-        "--white-balance auto: the picture has the colour of no light on average; white is left as it was; name a temperature, or a grey spot"
+        "--white-balance auto: the mean colour is not that of a light source, so the white balance is unchanged; give a temperature or a grey spot"
     )]
     NoWhite,
-    /// Values were outside what the output format can hold.
+    /// Values were outside the range of the output format.
     #[error("{}: {detail}", path.display())]
     OutOfRange {
         /// The output.
         path: PathBuf,
-        /// How many values, and what became of them.
+        /// The number of values, and how they were changed.
         detail: String,
     },
 }
 
-/// Names of files, one after the other.
+/// The names of the files, separated by commas.
 fn named(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 impl Warning {
-    /// Whether the result is less than what was asked for: a frame left out, assumed or doubtful, an exposure guessed, a curve assumed.
+    /// Whether the result is degraded: a frame is rejected, assumed or uncertain, an exposure estimated, or a curve assumed.
     pub fn degrades(&self) -> bool {
-        matches!(
+        !matches!(
             self,
-            Warning::FrameAssumed { is_still: false, .. }
-                | Warning::FrameRejected { .. }
-                | Warning::SamePixels { .. }
-                | Warning::NothingToAlign { .. }
-                | Warning::LowConfidence { .. }
-                | Warning::SmallOverlap { .. }
-                | Warning::ExposureContradicted { .. }
-                | Warning::ExposureEstimated { .. }
-                | Warning::ExposureDoubtful { .. }
-                | Warning::FlashFired { .. }
-                | Warning::ExposureBounded { .. }
-                | Warning::ExposureIncomplete { .. }
-                | Warning::ResponseFallback { .. }
-                | Warning::ResponseBorrowed { .. }
-                | Warning::LocallyProcessed { .. }
-                | Warning::ResponseDoubtful { .. }
-                | Warning::CamerasDiffer { .. }
-                | Warning::BracketLeftOut { .. }
+            Warning::FrameAssumed { is_still: true, .. }
+                | Warning::ProfilesDiffer { .. }
+                | Warning::Metadata { .. }
+                | Warning::FusedAsIs { .. }
+                | Warning::OutOfGamut { .. }
+                | Warning::NotEnlarged { .. }
+                | Warning::NoWhite
+                | Warning::OutOfRange { .. }
         )
     }
 }

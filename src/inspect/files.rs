@@ -1,4 +1,4 @@
-//! Files: every sheet of an inspection and its tables, into a folder, all of them or none.
+//! Writes the sheets and tables of an inspection into a folder: all files or none.
 //!
 //! In: an [`Inspection`] and a folder. Out: files named after the photographs: `NAME.keypoints.svg`, ..., and `tables.txt`,
 //! `tables.json`. Cost: that of drawing; one frame's sheets are in memory at a time.
@@ -18,17 +18,20 @@ type Named = Vec<(PathBuf, Vec<u8>)>;
 const TEXT: &str = "tables.txt";
 const JSON: &str = "tables.json";
 
-/// Whether the inspection of `images` can be written into `folder`, before any work is done: the folder is there, or its parent is;
-/// no two photographs have one name; nothing is there already unless `overwrite`.
+/// Checks that the inspection of `images` can be written into `folder`, before any work is done.
+///
+/// The folder or its parent must exist, the photographs must have different names, and without `overwrite` no file may exist.
 ///
 /// # Errors
-/// [`Error::Option`] for two photographs of one name, [`Error::Write`] where the folder cannot be, [`Error::OutputExists`].
+/// [`Error::Option`] for two photographs with the same name, [`Error::Write`] if the folder cannot be used, [`Error::OutputExists`].
 pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
     let mut stems: Vec<String> = Vec::new();
     for image in images {
         let stem = stem(image);
         if stems.contains(&stem) {
-            let reason = format!("two photographs would both be drawn as {stem}; rename one of them");
+            let reason = format!(
+                "two photographs have the name {stem}, so their drawings would have the same names; rename one of them"
+            );
             return Err(Error::Option { option: "--folder", reason });
         }
         stems.push(stem);
@@ -50,20 +53,20 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
             write::check_targets(&Target::of("-d", &files), images, overwrite)
         }
         Err(e) if e.kind() == io::ErrorKind::NotFound => {
-            // The folder is made when there is something to put into it; whether that will be possible is seen from its parent.
+            // The folder is created when the files are written; for now its parent is checked.
             write::check_targets(&Target::of("-d", &[folder.to_owned()]), images, true)
         }
         Err(e) => Err(write_error(folder, e)),
     }
 }
 
-/// Draws and writes everything into `folder`, which is made if it is not there; gives the tables, which name the files, in the order
-/// written. On an error nothing is there that was not before.
+/// Draws and writes everything into `folder`, which is created if needed. Returns the tables, which list the files in the order
+/// written. On an error no new file or folder remains.
 ///
 /// # Errors
-/// [`Error::Write`]; [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off.
+/// [`Error::Write`]; [`Error::OutputExists`] if a target was created meanwhile and `overwrite` is off.
 pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
-    // Declared first and so dropped last: a folder is only removed once the temporary files in it are gone.
+    // Declared first and so dropped last: the folder can be removed only after the temporary files in it.
     let made = NewFolder::create(folder)?;
     let mut files: Vec<CompleteFile> = Vec::new();
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {

@@ -1,9 +1,9 @@
-//! Inspection: what the alignment of a bracket rests on, in tables and drawings, for people who look before, or want to find out why.
+//! Inspection of the alignment of a bracket: tables and drawings of the data that it is based on.
 //!
-//! In: a [`Bracket`], its [`Alignment`] and the options that it was found with. Out: an [`Inspection`]: `Tables` of exposures, places,
-//! bitmaps, keypoints and matches; for each frame its bitmaps, keypoints, matches, XOR curves and edges, as [`Sheet`]s, drawn when asked
-//! for. Cost: bitmaps and features of all frames, some tenths of a second each, whatever the alignment needed itself; and the same again to
-//! draw. Source: the thesis's chapter 4, its tables and figures, for any bracket.
+//! In: a [`Bracket`], its [`Alignment`] and the options used for it. Out: an [`Inspection`]: `Tables` of exposures, alignment,
+//! bitmaps, keypoints and matches; and for each frame [`Sheet`]s of bitmaps, keypoints, matches, XOR curves and edges, drawn on
+//! request. Cost: bitmaps and features of all frames, some tenths of a second each, even if the alignment did not need them;
+//! the same again for drawing. Source: the tables and figures of chapter 4 of the thesis, for any bracket.
 
 pub(crate) mod files;
 pub(crate) mod sheets;
@@ -26,29 +26,29 @@ use sheets::{curves, keypoints, matches};
 use strum::VariantArray;
 use tables::Tables;
 
-/// Long side of a drawn photograph, in pixels, at the most.
+/// Maximum width and height of a drawn frame, in px.
 const DRAWN: (usize, usize) = (1600, 1600);
-/// ... of one of two side by side.
+/// Maximum width and height of each of two frames side by side, in px.
 const DRAWN_BESIDE: (usize, usize) = (792, 1000);
 
-/// What one frame's place rests on.
+/// The data that the alignment of one frame is based on.
 #[derive(Debug, Clone)]
 struct Evidence {
     bitmaps: FrameBitmaps,
     features: FrameFeatures,
-    /// None for the reference.
+    /// `None` for the reference.
     against: Option<Against>,
 }
 
-/// How a frame compares with the reference.
+/// Comparison of a frame with the reference.
 #[derive(Debug, Clone)]
 struct Against {
     xor: XorCurves,
-    /// By [`FeatureKind`].
+    /// Indexed by [`FeatureKind`].
     matchings: [Matching; 3],
 }
 
-/// What the alignment of a bracket rests on.
+/// The data that the alignment of a bracket is based on.
 #[derive(Debug, Clone)]
 pub struct Inspection<'a> {
     bracket: &'a Bracket,
@@ -58,35 +58,35 @@ pub struct Inspection<'a> {
     tables: Tables,
 }
 
-/// One thing to look at.
+/// A bitmap or drawing of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sheet {
-    /// A bitmap, one bit a pixel, as a PNG file.
+    /// A bitmap as a PNG file with one bit per pixel.
     Bitmap(Vec<u8>),
-    /// A drawing, for SVG and PNG.
+    /// A drawing that can be saved as SVG and PNG.
     Drawing(Drawing),
 }
 
-/// What a sheet shows; of the reference there are only the first three kinds.
+/// Content of a sheet; the reference has only the first three kinds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "lowercase")]
 pub enum SheetKind {
     /// The median threshold bitmap.
     Threshold,
-    /// What of it counts.
+    /// The exclusion bitmap.
     Exclusion,
     /// Keypoints on the frame.
     Keypoints,
     /// Matches with the reference.
     Matches,
-    /// What differs between the bitmaps against rotation and shift.
+    /// Difference of the bitmaps against rotation and shift.
     Xor,
-    /// Edges in two colours, before and after.
+    /// Edges of frame and reference in two colours, before and after alignment.
     Edges,
 }
 
 impl SheetKind {
-    /// The extensions under which it is written.
+    /// Returns the extensions of the files it is written to.
     pub fn extensions(self) -> &'static [&'static str] {
         match self {
             SheetKind::Threshold | SheetKind::Exclusion => &["png"],
@@ -95,10 +95,10 @@ impl SheetKind {
     }
 }
 
-/// Gathers what speaks for and against every place of `alignment`, which was found with `options` and gave `warnings`.
+/// Collects the evidence for `alignment`, which was computed with `options` and produced `warnings`.
 ///
 /// # Errors
-/// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+/// [`Error::Scratch`](crate::error::Error::Scratch) if frames on disk cannot be read.
 pub fn inspect<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
@@ -108,11 +108,11 @@ pub fn inspect<'a>(
     gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_| true)
 }
 
-/// As [`inspect`], but in less memory and time: for drawings of at most half the size of large frames, and with features only of the frames
-/// of which `wants_features` says so.
+/// Like [`inspect`], with less memory and time: for drawings of at most half the size of large frames, and with features only
+/// of frames for which `wants_features` returns true.
 ///
 /// # Errors
-/// Those of [`inspect`].
+/// Same as [`inspect`].
 pub fn inspect_part<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
@@ -160,21 +160,21 @@ fn gathered<'a>(
 }
 
 impl Inspection<'_> {
-    /// The tables.
+    /// Returns the tables.
     pub fn tables(&self) -> &Tables {
         &self.tables
     }
 
-    /// The kinds of sheets that there are of frame `i`.
+    /// Returns the kinds of sheets of frame `i`.
     pub fn kinds(&self, i: usize) -> &'static [SheetKind] {
         let all = SheetKind::VARIANTS;
         if self.evidence[i].against.is_some() { all } else { &all[..3] }
     }
 
-    /// Draws one sheet of frame `i`; none where the frame has no such sheet.
+    /// Draws one sheet of frame `i`. Returns `None` if the frame has no such sheet.
     ///
     /// # Errors
-    /// In words, where a picture is too large for a PNG file.
+    /// A message if a picture is too large for a PNG file.
     pub fn sheet(&self, i: usize, kind: SheetKind) -> std::result::Result<Option<Sheet>, String> {
         let evidence = &self.evidence[i];
         let against = evidence.against.as_ref();
@@ -191,8 +191,8 @@ impl Inspection<'_> {
                 drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, &evidence.features)?)
             }
             (SheetKind::Matches, Some(against)) => {
-                let [left, right] =
-                    [self.bracket.reference_index(), i].map(|k| (self.name(k), self.photograph_beside(k)));
+                let [left, right] = [self.bracket.reference_index(), i]
+                    .map(|k| (self.name(k), Photograph::new(self.pyramids[k].largest(), DRAWN_BESIDE)));
                 let title = self.title(i, "matches with the reference");
                 let both = [(left.0.as_str(), &left.1), (right.0.as_str(), &right.1)];
                 drawn(matches::draw(&title, both, &against.matchings[FeatureKind::Merged as usize])?)
@@ -206,37 +206,36 @@ impl Inspection<'_> {
         }
     }
 
-    /// The bitmaps of frame `i`.
+    /// Returns the bitmaps of frame `i`.
     pub fn bitmaps(&self, i: usize) -> &FrameBitmaps {
         &self.evidence[i].bitmaps
     }
 
-    /// The keypoints of frame `i`.
+    /// Returns the keypoints of frame `i`.
     pub fn features(&self, i: usize) -> &FrameFeatures {
         &self.evidence[i].features
     }
 
-    /// What differs between the bitmaps of frame `i` and the reference's; none for the reference.
+    /// Returns the difference of the bitmaps of frame `i` and the reference, or `None` for the reference.
     pub fn xor(&self, i: usize) -> Option<&XorCurves> {
         self.evidence[i].against.as_ref().map(|a| &a.xor)
     }
 
-    /// The matches of frame `i` with the reference, plain and of bitmaps together; none for the reference.
+    /// Returns the merged matches of frame `i` with the reference, or `None` for the reference.
     pub fn matching(&self, i: usize) -> Option<&Matching> {
         self.evidence[i].against.as_ref().map(|a| &a.matchings[FeatureKind::Merged as usize])
     }
 
-    /// Frame `i` in grey, in at most `most` pixels across and down, and as it is drawn: bright enough to see, and whether it was brightened for
-    /// that.
+    /// Returns frame `i` in grey with a width and height of at most `most`, and whether it was brightened to be visible.
     pub fn photograph(&self, i: usize, most: (usize, usize)) -> (Plane<u8>, bool) {
         let photograph = Photograph::new(self.pyramids[i].largest(), most);
         (photograph.grey, photograph.brightened)
     }
 
-    /// Frame `i` over the reference, edges in two colours, on pictures of at most `most` pixels across; none for the reference.
+    /// Returns the edges of frame `i` and the reference in two colours, at most `most` px wide, or `None` for the reference.
     ///
     /// # Errors
-    /// In words, where the scratch file cannot be read.
+    /// A message if the scratch file cannot be read.
     pub fn overlay(&self, i: usize, most: usize) -> std::result::Result<Option<Overlay>, String> {
         if self.evidence[i].against.is_none() {
             return Ok(None);
@@ -258,15 +257,11 @@ impl Inspection<'_> {
         &self.bracket.frames()[i]
     }
 
-    fn photograph_beside(&self, i: usize) -> Photograph {
-        Photograph::new(self.pyramids[i].largest(), DRAWN_BESIDE)
-    }
-
     fn name(&self, i: usize) -> String {
         file_name(&self.frame(i).path().to_string_lossy())
     }
 
-    /// What is seen, of which frame, and how it was exposed and placed.
+    /// Returns the title of a sheet: frame, content, exposure and alignment status.
     fn title(&self, i: usize, what: &str) -> String {
         let table = &self.tables.frames[i];
         let status = text::status_word(table.report.alignment.status);

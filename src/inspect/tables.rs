@@ -24,9 +24,9 @@ pub struct Tables {
     pub width_px: usize,
     /// Height of every frame, orientation applied.
     pub height_px: usize,
-    /// Width of the level on which bitmaps are shown and features sought.
+    /// Width of the pyramid level used for bitmaps and features.
     pub level_width_px: usize,
-    /// Its height.
+    /// Height of that level.
     pub level_height_px: usize,
     /// The frame that the others are aligned to.
     pub reference: String,
@@ -34,58 +34,58 @@ pub struct Tables {
     pub frames: Vec<FrameTable>,
     /// The files written.
     pub outputs: Vec<String>,
-    /// What the user should know.
+    /// The warnings.
     pub warnings: Vec<WarningReport>,
 }
 
-/// What is known of one frame.
+/// The measurements of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameTable {
-    /// Exposure and place, as in the report of a run.
+    /// Exposure and alignment, as in the report of a run.
     #[serde(flatten)]
     pub report: FrameReport,
-    /// Exposure over the reference's, in stops.
+    /// Exposure relative to the reference, in stops.
     pub relative_ev: f64,
     /// Its bitmaps.
     pub mtb: BitmapTable,
-    /// Its keypoints, and what they are worth.
+    /// Its keypoints, and the motion found from them.
     pub features: FeatureTable,
 }
 
 /// The bitmaps of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BitmapTable {
-    /// The percentile of the grey levels that is the threshold.
+    /// The percentile of the grey values that is the threshold.
     pub percentile: Percentile,
-    /// The threshold, a grey level 0..=255.
+    /// The threshold, a grey value 0..=255.
     pub threshold_level: u8,
-    /// The share of the pixels that are too near the threshold to count.
+    /// Fraction of the pixels excluded because they are too close to the threshold.
     pub excluded_share: f64,
-    /// How it compares with the reference's; null for the reference.
+    /// Difference from the bitmap of the reference; null for the reference.
     pub xor: Option<XorTable>,
 }
 
-/// What differs between two bitmaps, as a share of the pixels that count in both.
+/// Difference of two bitmaps, as a fraction of the pixels that count in both.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct XorTable {
-    /// Where nothing moves.
+    /// Before alignment.
     pub before_share: f64,
-    /// Under the motion found.
+    /// After alignment.
     pub after_share: f64,
-    /// At each rotation, in degrees, shifted as found.
+    /// At each rotation, in degrees, with the shift found.
     pub by_angle_deg: Samples,
-    /// At each shift to the right, in pixels, turned as found.
+    /// At each shift to the right, in pixels, with the rotation found.
     pub by_dx_px: Samples,
-    /// At each shift downwards, in pixels, turned as found.
+    /// At each shift downwards, in pixels, with the rotation found.
     pub by_dy_px: Samples,
 }
 
 /// A curve.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Samples {
-    /// Where.
+    /// Sampled values of the parameter.
     pub at: Vec<f64>,
-    /// What differs there.
+    /// Fraction of pixels that differs there.
     pub share: Vec<f64>,
 }
 
@@ -98,7 +98,7 @@ impl From<&Curve> for Samples {
 /// The three kinds of keypoints.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FeatureTable {
-    /// SIFT on the plain picture.
+    /// SIFT on the photograph.
     pub plain: KindTable,
     /// SIFT on its median threshold bitmap.
     pub mtb: KindTable,
@@ -107,7 +107,7 @@ pub struct FeatureTable {
 }
 
 impl FeatureTable {
-    /// The three of them.
+    /// Returns the three kinds in their order.
     pub(super) fn kinds(&self) -> [&KindTable; 3] {
         [&self.plain, &self.mtb, &self.merged]
     }
@@ -116,40 +116,40 @@ impl FeatureTable {
 /// Keypoints of one kind; all but their number is null for the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KindTable {
-    /// How many.
+    /// Number of keypoints.
     pub keypoints: usize,
-    /// Of these, matched with the reference's.
+    /// Number of matches with the reference.
     pub matches: Option<usize>,
-    /// Of these, believed by the robust method.
+    /// Number of inliers of the robust estimator.
     pub inliers: Option<usize>,
-    /// Root mean square distance over the picture between the motion that they agree on and the place found; null without either.
+    /// Root mean square distance over the picture between their motion and the alignment; null without either.
     pub off_px: Option<f64>,
-    /// What they alone would have led to.
+    /// Comparison of their motion with the alignment.
     pub verdict: Option<KindVerdict>,
 }
 
-/// Whether keypoints of one kind lead to the place found.
+/// Comparison of the motion from one kind of keypoints with the alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KindVerdict {
-    /// They do, within `NEAR_PX`.
+    /// Same motion within `NEAR_PX`.
     Agrees,
-    /// They lead elsewhere.
+    /// Another motion.
     Differs,
-    /// Too few agree on any motion.
+    /// Too few inliers for a motion.
     NoMotion,
-    /// They agree on a motion, but the frame was rejected, so there is no place to hold it against.
+    /// A motion was found, but the frame has no transform to compare it with.
     NoPlace,
 }
 
-/// Motions no farther apart are the same, in pixels for each 1000 of the picture's diagonal (root mean square): what matches that are
-/// good to a pixel or so of their level tell apart.
+/// Maximum root mean square distance of equal motions, in px per 1000 px of the picture diagonal: the precision of matches
+/// that are accurate to about one pixel of their pyramid level.
 const NEAR_PX: f64 = 1.0;
-/// Fewer inliers are chance: four are always right.
+/// Minimum number of inliers of a motion; a homography always fits four matches.
 const LEAST_INLIERS: usize = 10;
 
 impl Tables {
-    /// The tables of the frames of `report`, of which each has its `evidence` and its place.
+    /// Creates the tables from the `report`, and the `evidence` and placement of each of its frames.
     pub(super) fn new(report: Report, evidence: &[Evidence], alignment: &Alignment) -> Self {
         let size = (report.width_px, report.height_px);
         let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
@@ -181,14 +181,14 @@ impl Tables {
         self.outputs.extend(paths.iter().map(|p| p.to_string_lossy().into_owned()));
     }
 
-    /// Whether the result is less than what was asked for: with `--strict` the exit code is 3.
+    /// Returns true if a warning degrades the result: with `--strict` the exit code is 3.
     pub fn is_degraded(&self) -> bool {
         self.warnings.iter().any(|w| w.degrades)
     }
 
-    /// The tables as JSON, ended by a line feed.
+    /// Returns the tables as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them: nothing in it can fail.
+        // Strings, numbers and lists of them cannot fail to serialise.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }

@@ -137,7 +137,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
 fn bitmaps_that_speak_against_a_place_are_told() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
-    let told = "its bitmap differs more as aligned than unmoved";
+    let told = "the bitmaps differ more after alignment than before";
     assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(told));
     alignment.placements[0] = Placement::by_user(rigid(-40.0, 30.0, -3.0));
     let text = inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text();

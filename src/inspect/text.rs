@@ -1,7 +1,7 @@
-//! Text: the tables in columns, for people.
+//! The tables as text in columns.
 //!
 //! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 4 are Tables 4.1 to 4.3 of the thesis, for any bracket: keypoints, matches and
-//! what they are worth, for the plain picture, for its bitmap, and for both merged.
+//! resulting motion, for the photograph, for its bitmap, and for both merged.
 
 use super::tables::{FrameTable, KindTable, KindVerdict, Tables};
 use crate::align::grey::Percentile;
@@ -9,15 +9,15 @@ use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
 use crate::draw::markup::file_name;
 
-/// Bitmaps speak against a motion under which they differ so many times more, and by such a share more, than unmoved: little enough that
-/// a wrong motion is seen, more than the rounding to whole pixels does.
+/// Factor and offset of the warning about a wrong motion: the bitmaps differ by more than factor * before + offset after
+/// alignment. Low enough to detect a wrong motion, higher than the effect of rounding to whole pixels.
 const AGAINST: (f64, f64) = (1.5, 0.005);
 
 impl Tables {
-    /// The tables in columns, for people.
+    /// Returns the tables as text in columns.
     pub fn to_text(&self) -> String {
         let mut text = format!(
-            "{}: {} frames of {} x {} pixels; reference {}\nBitmaps and keypoints on the level of {} x {} pixels.\n",
+            "{}: {} frames of {} x {} pixels; reference {}\nBitmaps and keypoints from the pyramid level of {} x {} pixels.\n",
             self.software,
             self.frames.len(),
             self.width_px,
@@ -33,41 +33,42 @@ impl Tables {
                 text += &format!("{note}\n");
             }
         };
-        add("Table 1. Exposures", "", &["time", "f", "ISO", "EV to reference", "known from"], &exposure_row);
+        add("Table 1. Exposures", "", &["time", "f", "ISO", "EV to reference", "source"], &exposure_row);
         add(
             "Table 2. Keypoints: plain SIFT, SIFT on the MTB, both merged",
-            "Merged counts a point that was found in both only once. gain: merged over plain.",
+            "plain: photograph. MTB: its median threshold bitmap. merged: both, shared points counted once. gain: merged / plain.",
             &["EV", "plain", "MTB", "merged", "gain"],
             &keypoint_row,
         );
         add(
-            "Table 3. Matches with the reference, and of these inliers",
-            "Matched by the ratio test and mutually, without a guide; alignment itself goes further.",
+            "Table 3. Matches with the reference, and inliers among them",
+            "Matches are mutual and pass the ratio test. The alignment uses further methods.",
             &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
             &match_row,
         );
         add(
-            "Table 4. What each kind of keypoint by itself would have led to, held against the alignment",
-            "px: root mean square distance over the picture between its motion and the alignment's.",
+            "Table 4. Motion found from each kind of keypoint alone, compared with the alignment",
+            "px: root mean square distance over the picture between this motion and the alignment.",
             &["EV", "plain", "px", "MTB", "px", "merged", "px"],
             &verdict_row,
         );
         add(
             "Table 5. Alignment",
-            "Shift of the picture's centre and rotation, reference to frame: right, down, right towards down.",
+            "Shift of the picture centre and rotation, from reference to frame; positive: right, down, clockwise.",
             &["status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
             &place_row,
         );
         add(
             "Table 6. Median threshold bitmaps",
-            "XOR: share of the pixels counting in both bitmaps that differ, unmoved and as aligned.",
+            "XOR: of the pixels that count in both bitmaps, the percentage that differs, before and after alignment.",
             &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );
         for frame in &self.frames {
             if frame.mtb.xor.as_ref().is_some_and(|x| x.after_share > AGAINST.0 * x.before_share + AGAINST.1) {
                 let name = file_name(&frame.report.path);
-                text += &format!("{name}: its bitmap differs more as aligned than unmoved; look at its edges.\n");
+                text +=
+                    &format!("{name}: the bitmaps differ more after alignment than before; check the edges drawing.\n");
             }
         }
         let reasons = self.frames.iter().filter_map(|f| f.report.alignment.reason.as_ref().map(|r| (f, r)));
@@ -79,7 +80,7 @@ impl Tables {
     }
 }
 
-/// `rows` under `header`: the first column from the left, the others to the right, two spaces between.
+/// Formats `rows` under `header`: first column left-aligned, others right-aligned, two spaces between.
 fn columns(header: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut all: Vec<Vec<String>> = vec![header.iter().map(|h| (*h).to_owned()).collect()];
     all.extend(rows);
@@ -104,14 +105,14 @@ fn or_nothing<T>(value: Option<T>, show: impl Fn(T) -> String) -> String {
     value.map_or_else(|| NOTHING.to_owned(), show)
 }
 
-/// A shutter time as photographers write it.
+/// Formats an exposure time as on a camera: `1/250 s`, `2 s`.
 pub(crate) fn shutter(seconds: f64) -> String {
     if seconds < 0.3 { format!("1/{:.0} s", 1.0 / seconds) } else { format!("{} s", (seconds * 10.0).round() / 10.0) }
 }
 
-/// Stops with their sign.
+/// Formats stops with their sign.
 pub(crate) fn stops(ev: f64) -> String {
-    // What rounds to nothing has no sign.
+    // Values that round to zero have no sign.
     if ev.abs() < 0.005 { "0.00".into() } else { format!("{ev:+.2}") }
 }
 
@@ -120,7 +121,7 @@ fn exposure_row(frame: &FrameTable) -> Vec<String> {
     let source = match report.exposure_source {
         ExposureSource::Exif => "EXIF",
         ExposureSource::Given => "-e",
-        ExposureSource::Estimated => "the pixels",
+        ExposureSource::Estimated => "estimated",
     };
     vec![
         or_nothing(report.time_s, shutter),
@@ -154,7 +155,7 @@ fn verdict_row(frame: &FrameTable) -> Vec<String> {
     [stops(frame.relative_ev)].into_iter().chain(frame.features.kinds().into_iter().flat_map(cells)).collect()
 }
 
-/// What became of a frame, in words.
+/// Returns the status of a frame in words.
 pub(crate) fn status_word(status: Status) -> &'static str {
     match status {
         Status::Reference => "reference",
@@ -186,7 +187,7 @@ fn place_row(frame: &FrameTable) -> Vec<String> {
     ]
 }
 
-/// The percentile in words.
+/// Formats a percentile as an ordinal number.
 fn percentile_word(percentile: Percentile) -> String {
     match percentile.percent() {
         50 => "median".into(),

@@ -12,11 +12,11 @@ use crate::report::Report;
 const STYLE: [&str; 2] = [include_str!("style.css"), include_str!("viewer.css")];
 const SCRIPT: [&str; 2] = [include_str!("viewer.js"), include_str!("compare.js")];
 
-/// What a browser may load for the page: what is in it.
+/// Content Security Policy: only data inside the page may be loaded.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
                       base-uri 'none'; form-action 'none'";
 
-/// The whole of it.
+/// Returns the complete document.
 pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let title = escape(&bracket_name(report));
     let kind = if report.radiance.is_some() { "merged" } else { "aligned" };
@@ -45,21 +45,21 @@ pub(super) fn html(page: &Page, report: &Report, result: Option<&Picture>) -> St
          <a href=\"#settings\">Settings</a>\n<a href=\"#details\">Details</a>\n</nav>\n</header>\n\
          <main id=\"main\">\n<div class=\"first\">\n{viewer}<section class=\"story\" aria-labelledby=\"story-h\">\n\
          <h2 id=\"story-h\">What was done</h2>\n{warnings}{done}</section>\n</div>\n{facts}{bodies}</main>\n\
-         <footer><p>Made by {software}. This page is one file that loads nothing and sends nothing. The same facts for \
-         programs: <code>--report FILE.json</code>. Every drawing at full size: <code>hdralign inspect</code>.</p></footer>\n\
+         <footer><p>Made by {software}. This page is self-contained: it loads nothing and sends nothing. For \
+         the same data as JSON use <code>--report FILE.json</code>, for the drawings at full size <code>hdralign inspect</code>.</p></footer>\n\
          <script>\n{script}</script>\n</body>\n</html>\n"
     )
 }
 
-/// How it was done, for those who want to know; closed.
+/// Returns the technical details, collapsed.
 fn details(page: &Page, report: &Report) -> String {
     let parts = [
         ("alignment", "Alignment, frame by frame", Some(photographs::moved(page, report))),
-        ("bitmaps", "Bitmaps", Some(photographs::bitmaps(page, report))),
+        ("bitmaps", "Median threshold bitmaps", Some(photographs::bitmaps(page, report))),
         ("movement", "Movement, frame by frame", scene::moved(report)),
         ("local", "Phone processing, frame by frame", scene::processed(page, report)),
-        ("light", "Light: histogram and camera response", light::scene(page, report)),
-        ("shares", "Which frame the result is made of", light::shares(page, report)),
+        ("light", "Brightness range and camera response", light::scene(page, report)),
+        ("shares", "Contribution of each frame", light::shares(page, report)),
         ("run", "Time", Some(summary::times(report, page.time_s))),
     ];
     let part = |(id, name, body): (&str, &str, Option<String>)| {
@@ -69,10 +69,10 @@ fn details(page: &Page, report: &Report) -> String {
     parts.into_iter().filter_map(part).collect()
 }
 
-/// The first and the last of the frames by name, without what comes after the dot.
+/// Returns the first and the last frame name, without extensions.
 fn bracket_name(report: &Report) -> String {
     let mut names: Vec<String> = report.frames.iter().map(|f| file_name(&f.path)).collect();
-    // 9 before 10.
+    // Sorts 9 before 10.
     names.sort_by_key(|name| (name.len(), name.clone()));
     let stem = |name: &String| name.rsplit_once('.').map_or_else(|| name.clone(), |(stem, _)| stem.to_owned());
     match (names.first(), names.last()) {

@@ -1,9 +1,9 @@
-//! The page: what was done to a bracket, for people, as one HTML file that needs nothing else: no network, no script or style from elsewhere.
+//! The HTML report of a bracket: one self-contained file without external scripts, styles or network access.
 //!
-//! In: the frames and where they lie, while they are there; the picture's rows as they are made; at the end the [`Report`]. Out: HTML. Cost:
-//! that of an [inspection](crate::inspect), one resampling of every frame, every few rows merged again for the shares; some 2 MB whatever the
-//! size of the frames. Source: the HTML standard (WHATWG); Content Security Policy Level 3 (W3C), which the page states so that a browser
-//! refuses whatever a file name might smuggle in.
+//! In: the frames and their alignment; the rows of the picture as they are produced; at the end the [`Report`]. Out: HTML.
+//! Cost: that of an [inspection](crate::inspect), one resampling of every frame, and a second merge of some of the rows for
+//! the contributions; about 2 MB for any frame size. Source: the HTML standard (WHATWG); Content Security Policy Level 3
+//! (W3C), which the page declares so that a browser blocks code injected by a file name.
 
 mod document;
 mod markup;
@@ -32,18 +32,17 @@ use pictures::overlays::{self, Local};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Pixels at the most: of the result, of all frames together, and of one frame. What is smaller is in the page as it
-/// is, and 100 % are its own.
+/// Maximum number of pixels of the result, of all frames together, and of one frame. Smaller pictures keep their size.
 const RESULT_PIXELS: usize = 3_000_000;
 const FRAMES_PIXELS: usize = 4_500_000;
 const FRAME_PIXELS: usize = 1_500_000;
-/// Bytes of the page that the result and all frames together may take at the most; their quality is chosen by it.
+/// Maximum size in bytes of the result, and of all frames together; determines their JPEG quality.
 const RESULT_BYTES: usize = 620_000;
 const FRAMES_BYTES: usize = 720_000;
-/// Long side of a drawing at the most, in pixels, and of the map of a frame's share.
+/// Maximum long side in pixels of a drawing, and of the map of a frame's contribution.
 const DRAWING: usize = 480;
 const SHARE: usize = 360;
-/// Qualities of JPEG: of a map in colours, and of what only gives an idea.
+/// JPEG quality of colour maps, and of small grey maps.
 const FINE: u8 = 82;
 const COARSE: u8 = 74;
 
@@ -51,76 +50,65 @@ const COARSE: u8 = 74;
 const SCALE: [[f64; 3]; 5] =
     [[116.0, 92.0, 176.0], [58.0, 116.0, 186.0], [32.0, 152.0, 150.0], [112.0, 190.0, 92.0], [240.0, 198.0, 52.0]];
 
-/// A page that is being gathered.
-#[derive(Debug, Clone)]
+/// The data of a page while a run collects it.
+#[derive(Debug, Clone, Default)]
 pub struct Page {
     path: PathBuf,
-    /// What the codes of the picture are of; none for sRGB.
+    /// ICC profile of the picture; `None` for sRGB.
     icc: Option<Vec<u8>>,
     frames: Vec<FramePage>,
     result: Option<Reduced<3>>,
-    /// Luminance by steps of a quarter of a stop: the first step, and the pixels of each.
+    /// Histogram of the luminance: index of the first step, and the number of pixels in each step.
     luminance: Option<(i64, Vec<u64>)>,
     curve: Option<ResponseCurve>,
-    /// Which frame gives what, in the frames' colours.
+    /// Map of the contributions, in the colours of the frames.
     shares: Option<Picture>,
-    /// Where something moved.
+    /// Overlay of the movement.
     movement: Option<Picture>,
-    /// Where the frames were processed locally.
+    /// Overlays of the local processing by the camera.
     local: Option<Local>,
-    /// Wall time of the gathering, in seconds.
+    /// Wall time used to collect the data, in seconds.
     time_s: f64,
 }
 
-/// What the page shows of one frame beside its report.
+/// The pictures and measurements of one frame that are not in its report.
 #[derive(Debug, Clone)]
 struct FramePage {
-    /// The part that the results show, on their grid; as it was photographed where the frame has no place.
+    /// The frame, cropped and aligned like the result; not aligned if the frame has no transform.
     photograph: Picture,
     evidence: Evidence,
-    /// What it gives of the result, 0..=1, and where.
+    /// Contribution to the result, 0..=1, and its map.
     share: Option<(f64, Picture)>,
 }
 
-/// What was made of a bracket.
+/// How the frames of a bracket were merged.
 #[derive(Debug, Clone, Copy)]
 pub struct Developed<'a> {
-    /// What codes mean.
+    /// Camera response.
     pub curve: &'a ResponseCurve,
-    /// How the frames were merged.
+    /// Options of the merge.
     pub merging: MergeOptions,
-    /// What was left out.
+    /// Result of deghosting.
     pub ghosts: Option<&'a Ghosts>,
-    /// By what the frames were multiplied, where they are locally processed.
+    /// Local gain, if the frames were locally processed.
     pub local: Option<&'a LocalGain>,
 }
 
 impl Page {
-    /// Steps of the luminance's histogram in a stop.
+    /// Steps of the luminance histogram per stop.
     pub const PER_STOP: usize = 4;
 
-    /// An empty page, to be written to `path`.
+    /// Creates an empty page that will be written to `path`.
     pub fn new(path: &Path) -> Self {
-        Page {
-            path: path.to_owned(),
-            icc: None,
-            frames: Vec::new(),
-            result: None,
-            luminance: None,
-            curve: None,
-            shares: None,
-            movement: None,
-            local: None,
-            time_s: 0.0,
-        }
+        Page { path: path.to_owned(), ..Page::default() }
     }
 
-    /// Takes what is to be shown of the frames of `bracket`, which lie as `alignment` says and were found so with
-    /// `options`, with `warnings`, over the
-    /// part `region` of the reference; and, where they were merged, what was made of them.
+    /// Adds the frames of `bracket`, cropped to `region` of the reference, and, if they were merged, their contributions.
+    ///
+    /// `alignment` was computed with `options` and produced `warnings`.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where frames are on disk; [`Error::Write`] where a picture cannot be encoded.
+    /// [`Error::Scratch`] if frames on disk cannot be read; [`Error::Write`] if a picture cannot be encoded.
     pub fn gather(
         &mut self,
         bracket: &Bracket,
@@ -144,7 +132,7 @@ impl Page {
         developed.map_or(Ok(()), |developed| self.gather_merged(bracket, alignment, developed))
     }
 
-    /// Takes what was made of the frames.
+    /// Adds the response, the contributions and the overlays of the merged frames.
     fn gather_merged(&mut self, bracket: &Bracket, alignment: &Alignment, developed: &Developed) -> Result<()> {
         self.curve = Some(developed.curve.clone());
         let merging = Merging::of(bracket, alignment, developed.curve, &developed.merging, developed.ghosts)?;
@@ -168,31 +156,31 @@ impl Page {
         Ok(())
     }
 
-    /// Takes how many pixels of the result have a luminance in each step, [`PER_STOP`](Self::PER_STOP) to the stop:
-    /// the first step and the counts.
+    /// Sets the luminance histogram of the result: index of the first step and number of pixels in each step, with
+    /// [`PER_STOP`](Self::PER_STOP) steps per stop.
     pub fn take_luminance(&mut self, luminance: (i64, Vec<u64>)) {
         self.luminance = Some(luminance);
     }
 
-    /// Takes how long gathering took, in seconds.
+    /// Sets the time used to collect the data, in seconds.
     pub fn take_time(&mut self, time_s: f64) {
         self.time_s = time_s;
     }
 
-    /// Takes the profile of the picture; none for sRGB.
+    /// Sets the ICC profile of the picture; `None` for sRGB.
     pub fn take_profile(&mut self, profile: Option<Profile>) {
         self.icc = profile.map(|profile| profile.icc);
     }
 
-    /// Takes the next rows of the picture, which is of `size` pixels.
+    /// Adds the next rows of the picture, which has `size` pixels.
     pub fn see(&mut self, size: (usize, usize), rows: &[[u8; 3]]) {
         self.result.get_or_insert_with(|| Reduced::new(size, within_pixels(size, RESULT_PIXELS))).push(rows);
     }
 
-    /// The page, with what `report` says.
+    /// Returns the HTML of the page, with the data of `report`.
     ///
     /// # Errors
-    /// [`Error::Write`], where the picture cannot be encoded.
+    /// [`Error::Write`] if the picture cannot be encoded.
     pub fn to_html(&self, report: &Report) -> Result<String> {
         let photograph = |result: &Reduced<3>| [Photograph { pixels: result.finish(), icc: self.icc.clone() }];
         let result = self.result.as_ref().map(photograph);
@@ -205,7 +193,8 @@ impl Page {
     }
 }
 
-/// The frames as they lie over the part `region` of the reference, with their profiles; those without a place as they were photographed.
+/// Returns the frames aligned and cropped to `region` of the reference, with their profiles; frames without a transform
+/// are not aligned.
 fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
@@ -216,22 +205,22 @@ fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result
     bracket.frames().iter().zip(alignment.placements.iter().map(Placement::transform)).map(of).collect()
 }
 
-/// The bytes of the frame's profile.
+/// Returns the bytes of the ICC profile of `frame`.
 fn icc(frame: &Frame) -> Option<Vec<u8>> {
     frame.profile.as_ref().map(|profile| profile.icc.clone())
 }
 
-/// The colour of frame `i` of `count`, from the shortest exposure.
+/// Returns the colour of frame `i` of `count`, counted from the shortest exposure.
 fn frame_colour(i: usize, count: usize) -> Colour {
     Colour::between(&SCALE, if count > 1 { i as f64 / (count - 1) as f64 } else { 0.5 })
 }
 
-/// The same as CSS has it.
+/// Returns [`frame_colour`] in CSS notation.
 fn frame_css(i: usize, count: usize) -> String {
     frame_colour(i, count).hex()
 }
 
-/// The frames' colours, mixed by their shares; dark where no frame reaches.
+/// Mixes the colours of the frames by their contributions; black where there is none.
 fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
     let Some(first) = shares.first() else { return Plane::filled(1, 1, [0; 3]) };
     Plane::from_rows(first.cells.width(), first.cells.height(), |y, row: &mut [[u8; 3]]| {
@@ -244,7 +233,7 @@ fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
     })
 }
 
-/// Whether `status` is that of a frame which was sought: neither the reference, nor given as it lies.
+/// Returns true if the alignment of a frame with this `status` was estimated, with or without success.
 fn is_sought(status: Status) -> bool {
     matches!(status, Status::Aligned | Status::Assumed | Status::Rejected)
 }

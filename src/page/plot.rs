@@ -1,6 +1,6 @@
-//! Plots: curves and bars in the page's own colours, so that they are right in the light and in the dark.
+//! Plots of curves and bars that use the colours of the page, in light and dark mode.
 //!
-//! In: numbers. Out: inline SVG whose strokes, fills and letters are classes of the page's style sheet. Cost: some bytes a point. Source:
+//! In: numbers. Out: inline SVG styled by classes of the page's style sheet. Cost: a few bytes per point. Source:
 //! SVG 2 (W3C), chapters 9 (paths) and 11 (text).
 
 use super::markup::escape;
@@ -8,24 +8,24 @@ use crate::draw::plot::{Axis, Plot};
 use crate::draw::svg::Area;
 use std::fmt::Write;
 
-/// Room around a plot, in its own pixels.
+/// Margins of a plot, in px.
 const LEFT: f64 = 46.0;
 const RIGHT: f64 = 12.0;
 const ABOVE: f64 = 14.0;
 const BELOW: f64 = 42.0;
 
-/// A plot that is being drawn.
+/// A plot under construction.
 #[derive(Debug, Clone)]
 pub(super) struct Figure {
     size: (f64, f64),
-    /// Room below the axis for more.
+    /// Height of the extra area below the plot, in px.
     more: f64,
     plot: Plot,
     body: String,
 }
 
 impl Figure {
-    /// Of `size` pixels, with `more` below for what else there is along the x axis.
+    /// Creates a plot of `size` px, with an extra area of height `more` between plot and x axis labels.
     pub fn new(size: (f64, f64), more: f64, x: Axis, y: Axis) -> Self {
         let (width, height) = (size.0 - LEFT - RIGHT, size.1 - ABOVE - BELOW - more);
         let plot = Plot { area: Area { x: LEFT, y: ABOVE, width, height }, x, y };
@@ -34,17 +34,17 @@ impl Figure {
         figure
     }
 
-    /// Where `v` lies from the left; what is outside is at the edge.
+    /// Returns the x position of `v`, clamped to the plot.
     pub fn x(&self, v: f64) -> f64 {
         self.plot.x(v.max(self.plot.x.from).min(self.plot.x.to))
     }
 
-    /// Where `v` lies from the top.
+    /// Returns the y position of `v`, clamped to the plot.
     fn y(&self, v: f64) -> f64 {
         self.plot.y(v.max(self.plot.y.from).min(self.plot.y.to))
     }
 
-    /// The lower end of the plot proper.
+    /// Returns the y position of the lower edge of the plot.
     pub fn bottom(&self) -> f64 {
         self.plot.bottom()
     }
@@ -70,7 +70,7 @@ impl Figure {
         self.body.push_str(&out);
     }
 
-    /// A curve through `points`, of the style sheet's `class`.
+    /// Adds a curve through `points` with the style `class`.
     pub fn curve(&mut self, class: &str, points: impl Iterator<Item = (f64, f64)>) {
         let mut path = String::new();
         for (x, y) in points.filter(|p| p.0.is_finite() && p.1.is_finite()) {
@@ -80,7 +80,7 @@ impl Figure {
         let _ = writeln!(self.body, r#"<path class="curve {class}" d="{path}"/>"#);
     }
 
-    /// A bar from `x` to `x + width`, from the axis up to `y`.
+    /// Adds a bar from `x` to `x + width`, from the axis up to `y`.
     pub fn bar(&mut self, class: &str, (x, width): (f64, f64), y: f64) {
         let (left, right, top) = (self.x(x), self.x(x + width), self.y(y));
         let (w, h) = ((right - left - 0.6).max(0.4), self.bottom() - top);
@@ -88,7 +88,7 @@ impl Figure {
             write!(self.body, r#"<rect class="{class}" x="{left:.1}" y="{top:.1}" width="{w:.1}" height="{h:.1}"/>"#);
     }
 
-    /// A line down the plot at `x`, with words above it.
+    /// Adds a vertical line at `x`, labelled with `words`.
     pub fn mark(&mut self, x: f64, words: &str) {
         let (at, bottom) = (self.x(x), self.bottom());
         let anchor = match (at - LEFT) / (self.size.0 - LEFT - RIGHT) {
@@ -100,12 +100,12 @@ impl Figure {
         let _ = writeln!(self.body, r#"<text x="{at:.1}" y="10" class="found {anchor}">{}</text>"#, escape(words));
     }
 
-    /// What else there is, as SVG.
+    /// Adds `svg` to the drawing.
     pub fn put(&mut self, svg: &str) {
         self.body.push_str(svg);
     }
 
-    /// The plot, with words for those who do not see it.
+    /// Returns the plot as SVG with the alternative text `words`.
     pub fn finish(self, class: &str, words: &str) -> String {
         let (w, h) = self.size;
         let words = escape(words);

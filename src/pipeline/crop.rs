@@ -1,4 +1,4 @@
-//! Which part of the reference the results show.
+//! The part of the reference frame that the results show.
 //!
 //! In: what was asked for, and where the frames lie. Out: a rectangle of the reference. Cost: none.
 
@@ -32,7 +32,7 @@ impl Crop {
             return Ok(());
         }
         let reason = format!(
-            "{self} is no part of the reference, which has {width} x {height} pixels; give X,Y,WIDTH,HEIGHT within 0,0,{width},{height}"
+            "{self} is not within the reference, which has {width} x {height} pixels; give X,Y,WIDTH,HEIGHT within 0,0,{width},{height}"
         );
         Err(Error::Option { option: "--crop", reason })
     }
@@ -62,7 +62,8 @@ impl FromStr for Crop {
                 Err("the part is empty; give a WIDTH and a HEIGHT of 1 or more".into())
             }
             Some(&[x0, y0, width, height]) => {
-                let end = |from: usize, side: usize| from.checked_add(side).ok_or("the part has no end");
+                let end =
+                    |from: usize, side: usize| from.checked_add(side).ok_or("the part has no end; give a smaller one");
                 Ok(Crop::Part(Rect { x0, y0, x1: end(x0, width)?, y1: end(y0, height)? }))
             }
             _ => {

@@ -4,7 +4,7 @@
 
 use crate::error::{Error, Result};
 
-/// More threads than this only cost memory, on any machine.
+/// Maximum number of threads; more only cost memory.
 const MOST_THREADS: usize = 1024;
 
 /// Runs `work` on a pool of `threads` threads, or on the common one, which is started first.

@@ -1,4 +1,4 @@
-//! Tone mapping again, without merging again: read, tonemap, write, report.
+//! Tone mapping of an existing radiance map: read, tonemap, write, report.
 //!
 //! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
 //! the report has each one's time.
@@ -21,27 +21,27 @@ use crate::write::{self, Output, Target};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What is done to a radiance map, and where the results go.
+/// Tone mapping options, and the output files.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TonemapOptions {
-    /// How luminance is brought into the range of a display.
+    /// Tone mapping operator.
     pub operator: Operator,
     /// The linear colour space of radiance that is written; none for the file's own.
     pub colour: Option<Space>,
     /// Pictures by extension; radiance maps too, which are the input's in another format.
     pub outputs: Vec<PathBuf>,
-    /// Pictures, whatever the extension: a `.tif` too.
+    /// Output files that are always pictures, even with the extension `.tif`.
     pub pictures: Vec<PathBuf>,
-    /// How files are encoded, and whether those that exist are replaced.
+    /// Encoding of the files, and whether existing files are replaced.
     pub write: write::Options,
-    /// Threads that compute; none for as many as there are cores. The results are the same.
+    /// Number of threads; `None` for one per core. The results do not depend on it.
     pub threads: Option<usize>,
     /// What the file may ask for.
     pub limits: Limits,
 }
 
 impl TonemapOptions {
-    /// The radiance maps and pictures.
+    /// Returns the output files of radiance maps and pictures.
     fn results(&self) -> Result<Vec<Output>> {
         Ok([Output::results(&self.outputs)?, Output::pictures(&self.pictures)?].concat())
     }

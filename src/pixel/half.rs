@@ -1,28 +1,30 @@
-//! Half floats: 16 bits, with values above the largest clamped to it instead of infinite.
+//! Half floats (16 bits); values beyond the largest are clamped to it instead of becoming infinite.
 //!
-//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate
-//! rounds the same but overflows to infinity and loses small values to 0; it is the oracle of the tests.
+//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008,
+//! sections 3.6 and 4.3.1. The `half` crate rounds the same way, but overflows to infinity and loses small values to 0; the tests compare with it.
 
 use crate::simd::{Loops, vectorised};
 
-/// The largest half.
+/// The largest half float.
 pub(crate) const HALF_MAX: f32 = 65504.0;
 
 /// The bits of [`HALF_MAX`] as a float.
 const MAX_BITS: u32 = HALF_MAX.to_bits();
 
-/// The bits of the half nearest to `v`, ties to even (IEEE 754-2008, 4.3.1); beyond the largest, the largest; positive values below the
-/// smallest, the smallest, so that black stays the only 0; NaN becomes 0.
+/// The bits of the half float nearest to `v`, ties to even (IEEE 754-2008, 4.3.1).
+///
+/// Values beyond the largest half float become the largest. Values other than 0 below the smallest become the smallest, so that only black is 0. NaN
+/// becomes 0.
 #[inline(always)]
 fn half_bits(v: f32) -> u16 {
     let bits = v.to_bits();
     let sign = (bits >> 16) & 0x8000;
     let size = bits & 0x7fff_ffff;
-    // All cases are computed and one is chosen, so that loops can be made of vectors.
-    // 2^-14 and above, the normal halves: rebias the exponent by 127 - 15 and round off 13 bits of the mantissa.
+    // All cases are computed and one is selected, so that loops can be vectorised.
+    // 2^-14 and above, normal numbers: rebias the exponent by 127 - 15 and round off 13 bits of the mantissa.
     let rebiased = size.wrapping_sub(112 << 23);
     let normal = rebiased.wrapping_add(0xfff + ((rebiased >> 13) & 1)) >> 13;
-    // Subnormal: in 2^-24. Adding 1/2 to a float below 2^-14 leaves that in its last bits, rounded to nearest even.
+    // Subnormal numbers, in units of 2^-24: adding 1/2 to a float below 2^-14 leaves them in its last bits, rounded to nearest even.
     let units = (f32::from_bits(size) + 0.5).to_bits().wrapping_sub(0.5f32.to_bits());
     let small = units.max(u32::from(size > 0));
     let finite = if size >= 0x3880_0000 { normal } else { small };
@@ -30,7 +32,7 @@ fn half_bits(v: f32) -> u16 {
     if size > 0x7f80_0000 { 0 } else { (sign | clamped) as u16 }
 }
 
-/// Pixels to halves, by planes: see [`planes_of_halves`].
+/// See [`planes_of_halves`].
 struct Halves<'a> {
     pixels: &'a [[f32; 3]],
     planes: &'a mut [u16],
@@ -45,7 +47,7 @@ impl Loops for Halves<'_> {
         let (b, rest) = self.planes.split_at_mut(size);
         let (g, r) = rest.split_at_mut(size);
         let mut beyond = 0;
-        // In parts that stay in the cache, and of whose values a small counter does not overflow.
+        // Parts of this size stay in the cache, and their count fits a u32.
         let parts = self.pixels.chunks(1024).zip(b.chunks_mut(1024)).zip(g.chunks_mut(1024)).zip(r.chunks_mut(1024));
         for (((pixels, b), g), r) in parts {
             let mut over = 0u32;
@@ -65,17 +67,18 @@ impl Loops for Halves<'_> {
     }
 }
 
-/// The halves of `pixels` as three planes, one after the other: all B, then G, then R. Gives how many values were beyond the largest or
-/// not a number.
+/// Writes `pixels` as half floats to three planes, one after the other: all B, then G, then R. Returns the number of values that were beyond the largest
+/// half float or NaN.
 pub(crate) fn planes_of_halves(pixels: &[[f32; 3]], planes: &mut [u16]) -> u64 {
     vectorised(Halves { pixels, planes })
 }
 
-/// The floats of `pixels` as six planes: the low words of B, the high ones, and so for G and R.
+/// Writes the floats of `pixels` to six planes: the low words of B, its high words, then the same for G and R.
 pub(crate) fn planes_of_floats(pixels: &[[f32; 3]], planes: &mut [u16]) {
     vectorised(Floats { pixels, planes });
 }
 
+/// See [`planes_of_floats`].
 struct Floats<'a> {
     pixels: &'a [[f32; 3]],
     planes: &'a mut [u16],
@@ -102,7 +105,7 @@ mod tests {
     use super::*;
     use ::exr::prelude::f16;
 
-    /// Every half, every middle between two and the floats beside it, against the `half` crate.
+    /// Compared with the `half` crate for every half float, every midpoint between two, and the floats next to it.
     #[test]
     fn halves_are_rounded_as_the_standard_says() {
         for h in 0..0x7bffu16 {
@@ -126,7 +129,7 @@ mod tests {
         let size = pixels.len();
         let mut planes = vec![0; 3 * size];
         let beyond = planes_of_halves(&pixels, &mut planes);
-        assert_eq!(beyond, 2500 - 505, "65504 is held, as is what is below");
+        assert_eq!(beyond, 2500 - 505, "65504 and values below are kept");
         let mut floats = vec![0; 6 * size];
         planes_of_floats(&pixels, &mut floats);
         for (i, p) in pixels.iter().enumerate() {

@@ -1,22 +1,22 @@
-//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity in 24 or 32 bits, and the run-length coding of the latter.
+//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity in 24 or 32 bits, and the run-length coding of 32-bit pixels.
 //!
-//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other one. Cost: 40 ns a pixel for the logarithm; decoding by table.
+//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other. Cost: 40 ns a pixel for the logarithm; decoding by table.
 //! Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and
-//! `uvcode.h` for what the paper leaves open: truncation, the order of bytes, the squares of the 24-bit index. Unlike libtiff nothing is
-//! dithered: the same bytes every time.
+//! `uvcode.h` for details that the paper leaves open: truncation, byte order, and the squares of the 24-bit index. Unlike in libtiff
+//! nothing is dithered, so that the bytes are reproducible.
 
 use std::sync::LazyLock;
 
-/// The side of a square of (u', v') that one index of the 24-bit format stands for.
+/// Side of the square in (u', v') that one index of the 24-bit format represents.
 const SQUARE: f64 = 0.0035f32 as f64;
-/// The lowest v' of the squares.
+/// Lowest v' of the squares.
 const V_START: f64 = 0.01694f32 as f64;
-/// (u', v') of equal energy.
+/// (u', v') of the equal-energy white.
 const NEUTRAL: [f64; 2] = [0.210526316, 0.473684211];
-/// Steps of u' and v' to 1 in the 32-bit format.
+/// Steps per unit of u' and v' in the 32-bit format.
 const UV_SCALE: f64 = 410.0;
 
-/// Rows of squares by rising v': where u' begins, in millionths, how many squares there are, and for how many rows this holds.
+/// Rows of squares by increasing v': start of u' in millionths, number of squares, and number of rows with these values.
 #[rustfmt::skip]
 const ROWS: [(u32, u16, u16); 82] = [
     (247663, 4, 1), (243779, 6, 1), (241684, 7, 1), (237874, 9, 1), (235906, 10, 1), (232153, 12, 1), (228352, 14, 1),
@@ -34,7 +34,7 @@ const ROWS: [(u32, u16, u16); 82] = [
     (4141, 62, 1), (5963, 55, 1), (8839, 47, 1), (10490, 40, 1), (16994, 31, 1), (23659, 21, 1),
 ];
 
-/// A row: where u' begins, the number of squares and of those in the rows below.
+/// For each row: start of u', number of squares, and number of squares in the rows below.
 static SQUARES: LazyLock<Vec<(f64, usize, usize)>> = LazyLock::new(|| {
     let rows =
         ROWS.iter().flat_map(|&(start, count, rows)| std::iter::repeat_n((start, usize::from(count)), rows.into()));
@@ -47,7 +47,7 @@ static SQUARES: LazyLock<Vec<(f64, usize, usize)>> = LazyLock::new(|| {
     .collect()
 });
 
-/// The index of the square that (u', v') lies in.
+/// The index of the square that contains (u', v').
 fn square([u, v]: [f64; 2]) -> Option<usize> {
     let row = (v - V_START) / SQUARE;
     if row < 0.0 {
@@ -58,13 +58,13 @@ fn square([u, v]: [f64; 2]) -> Option<usize> {
     (column >= 0.0 && (column as usize) < count).then(|| below + column as usize)
 }
 
-/// The index for any chromaticity: what no light has is drawn towards neutral until some light has it.
+/// The index for any chromaticity; one outside all squares is moved towards neutral until it is inside one.
 fn index(uv: [f64; 2]) -> usize {
     if let Some(index) = square(uv) {
         return index;
     }
     let at = |keep: f64| [0, 1].map(|i| NEUTRAL[i] + keep * (uv[i] - NEUTRAL[i]));
-    // Bisected to the last bits of what a float holds.
+    // Bisection to the precision of a float.
     let (mut inside, mut outside) = (0.0, 1.0);
     for _ in 0..24 {
         let middle = 0.5 * (inside + outside);
@@ -73,7 +73,7 @@ fn index(uv: [f64; 2]) -> usize {
     square(at(inside)).unwrap_or(0)
 }
 
-/// The middle of a square; neutral for an index that is none.
+/// The centre of a square; neutral for an invalid index.
 fn middle(index: usize) -> [f64; 2] {
     let row = SQUARES.partition_point(|&(_, _, below)| below <= index).saturating_sub(1);
     let (start, count, below) = SQUARES[row];
@@ -83,13 +83,13 @@ fn middle(index: usize) -> [f64; 2] {
     [start + ((index - below) as f64 + 0.5) * SQUARE, V_START + (row as f64 + 0.5) * SQUARE]
 }
 
-/// (u', v') of XYZ; neutral where there is no light.
+/// (u', v') of XYZ; neutral when there is no light.
 fn uv([x, y, z]: [f64; 3]) -> [f64; 2] {
     let sum = x + 15.0 * y + 3.0 * z;
     if sum > 0.0 { [4.0 * x / sum, 9.0 * y / sum] } else { NEUTRAL }
 }
 
-/// XYZ of a luminance and a chromaticity.
+/// XYZ of a luminance and a chromaticity; black for luminances of 0 or below.
 fn xyz(luminance: f64, [u, v]: [f64; 2]) -> [f32; 3] {
     let s = 6.0 * u - 16.0 * v + 12.0;
     let (x, y) = (9.0 * u / s, 4.0 * v / s);
@@ -99,17 +99,17 @@ fn xyz(luminance: f64, [u, v]: [f64; 2]) -> [f32; 3] {
     [x / y * luminance, luminance, (1.0 - x - y) / y * luminance].map(|v| v as f32)
 }
 
-/// How many bits a pixel has.
+/// Bits per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Depth {
-    /// Luminance from 0.00025 to 15.7 in steps of 1.1 %; chromaticity in steps that are just not seen.
+    /// Luminance from 0.00025 to 15.7 in steps of 1.1 %; chromaticity in steps just below the visible threshold.
     Bits24,
     /// Luminance from 5e-20 to 1.8e19 in steps of 0.27 %; chromaticity in steps of 1/410 of u' and v'.
     Bits32,
 }
 
 impl Depth {
-    /// The least and the greatest luminance that the encoding holds.
+    /// Smallest and largest luminance of the encoding.
     pub(crate) fn range(self) -> (f32, f32) {
         let (low, high) = match self {
             Depth::Bits24 => RANGE24,
@@ -119,24 +119,29 @@ impl Depth {
     }
 }
 
-/// The luminances of the ends of the 24-bit format: what is below the first is code 0, black.
+/// Range of luminance of the 24-bit format; luminances below it are code 0, black.
 const RANGE24: (f64, f64) = (0.0002468, 15.742);
-/// The same of the 32-bit format.
+/// Range of luminance of the 32-bit format.
 const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
-/// 10 bits of luminance, 14 of chromaticity.
+/// The code of a luminance: 0 below `range`, `largest` above it, and otherwise its logarithm from `-octaves` on in `steps` an octave.
+fn logarithm(luminance: f64, range: (f64, f64), largest: u32, steps: f64, octaves: f64) -> u32 {
+    match luminance {
+        y if y >= range.1 => largest,
+        y if y > range.0 => (steps * (libm::log2(y) + octaves)) as u32,
+        _ => 0,
+    }
+}
+
+/// Encodes XYZ as 10 bits of luminance and 14 of chromaticity.
 pub(crate) fn encode24(c: [f32; 3]) -> u32 {
     let c = c.map(f64::from);
-    let le = match c[1] {
-        y if y >= RANGE24.1 => 0x3ff,
-        y if y > RANGE24.0 => (64.0 * (libm::log2(y) + 12.0)) as u32,
-        _ => 0,
-    };
+    let le = logarithm(c[1], RANGE24, 0x3ff, 64.0, 12.0);
     let ce = index(if le == 0 { NEUTRAL } else { uv(c) });
     le << 14 | ce as u32
 }
 
-/// The middle of what [`encode24`] makes this of; black for luminance 0.
+/// The centre of the XYZ values that [`encode24`] encodes as `code`; black for luminance 0.
 pub(crate) fn decode24(code: u32) -> [f32; 3] {
     match code >> 14 & 0x3ff {
         0 => [0.0; 3],
@@ -144,38 +149,30 @@ pub(crate) fn decode24(code: u32) -> [f32; 3] {
     }
 }
 
-/// A sign, 15 bits of luminance, 8 of u' and 8 of v'.
+/// Encodes XYZ as a sign, 15 bits of luminance, 8 of u' and 8 of v'.
 pub(crate) fn encode32(c: [f32; 3]) -> u32 {
     let c = c.map(f64::from);
-    let le = match c[1] {
-        y if y >= RANGE32.1 => 0x7fff,
-        y if y > RANGE32.0 => (256.0 * (libm::log2(y) + 64.0)) as u32,
-        _ => 0,
-    };
+    let le = logarithm(c[1], RANGE32, 0x7fff, 256.0, 64.0);
     let [ue, ve] = (if le == 0 { NEUTRAL } else { uv(c) }).map(|v| ((UV_SCALE * v) as u32).min(255));
     le << 16 | ue << 8 | ve
 }
 
-/// The middle of what [`encode32`] makes this of; black for luminance 0 and below.
+/// The centre of the XYZ values that [`encode32`] encodes as `code`; black for luminances of 0 and below.
 pub(crate) fn decode32(code: u32) -> [f32; 3] {
-    let le = code >> 16;
-    if le == 0 || le & 0x8000 != 0 {
-        return [0.0; 3];
-    }
     let uv = [code >> 8 & 0xff, code & 0xff].map(|v| (f64::from(v) + 0.5) / UV_SCALE);
-    xyz(luminance16(le), uv)
+    xyz(luminance16(code >> 16), uv)
 }
 
-/// The luminance of 15 bits of logarithm, as of a grey LogL pixel; 0 for 0, and for the negative.
+/// The luminance of 15 bits of logarithm, as in a grey LogL pixel; 0 for code 0 and for negative codes.
 pub(crate) fn luminance16(le: u32) -> f64 {
-    if le == 0 || le & 0x8000 != 0 { 0.0 } else { libm::exp2((f64::from(le & 0x7fff) + 0.5) / 256.0 - 64.0) }
+    if le == 0 || le & 0x8000 != 0 { 0.0 } else { libm::exp2((f64::from(le) + 0.5) / 256.0 - 64.0) }
 }
 
-/// The shortest run that is worth its two bytes.
+/// Shortest run that is encoded as one.
 const MIN_RUN: usize = 4;
 
-/// Appends a row of 32-bit pixels: the first bytes of all, then the second and so on, each by runs: 126 + n and the byte for n = 2..=129
-/// equal ones, n and n bytes for the rest, n up to 127.
+/// Appends a row of 32-bit pixels: the first bytes of all pixels, then the second and so on, each run-length encoded. A run of n = 2..=129 equal bytes is
+/// 126 + n and the byte; other bytes are n, up to 127, and n bytes.
 pub(crate) fn put_row(row: &[u32], out: &mut Vec<u8>) {
     let mut plane = vec![0; row.len()];
     for shift in [24, 16, 8, 0] {
@@ -213,8 +210,7 @@ fn put_runs(bytes: &[u8], out: &mut Vec<u8>) {
     }
 }
 
-/// Takes the next row off the front of `bytes`: pixels of `row.len()`, of four bytes each, or two where `planes` is 2 (grey). `None` when
-/// it is damaged or cut short.
+/// Decodes the next row from the front of `bytes`: pixels of four bytes, or of two when `planes` is 2 (grey). `None` when it is damaged or truncated.
 pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [u32], planes: u32) -> Option<()> {
     row.fill(0);
     for shift in (0..planes).rev().map(|p| 8 * p) {
@@ -223,7 +219,7 @@ pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [u32], planes: u32) -> Optio
             let (&code, rest) = bytes.split_first()?;
             *bytes = rest;
             let n = usize::from(if code >= 128 { code - 126 } else { code });
-            // As libtiff does, a run beyond the end of the row is cut.
+            // A run beyond the end of the row is truncated, as by libtiff.
             let to = row.len().min(at + n);
             let (from, rest) = bytes.split_at_checked(if code >= 128 { 1 } else { to - at })?;
             for (i, pixel) in row[at..to].iter_mut().enumerate() {
@@ -248,8 +244,8 @@ mod tests {
         })
     }
 
-    /// Real chromaticities lie in the squares, and a square's middle is within half a side of what it stands for: 0.00175, of which
-    /// 1/64 octave is 1.09 % in luminance.
+    /// Real chromaticities lie in the squares, and the centre of a square is within half a side, 0.00175, of every point in it; 1/64 octave is 1.09 % in
+    /// luminance.
     #[test]
     fn codes_of_24_bits_are_within_half_a_step() {
         assert_eq!(SQUARES.last().map(|&(_, count, below)| (SQUARES.len(), count + below)), Some((163, 16_289)));
@@ -280,7 +276,7 @@ mod tests {
             let back = decode32(encode32(c)).map(f64::from);
             let c = c.map(f64::from);
             assert!((back[1] / c[1] - 1.0).abs() < 0.00136);
-            // 255 stands for all beyond, and no light is there.
+            // Code 255 also stands for larger u', which no light has.
             let (a, b) = (uv(c), uv(back));
             assert!((0..2).all(|i| (a[i] - b[i]).abs() < 0.00123 || a[i] > 0.62), "{a:?} {b:?}");
         }

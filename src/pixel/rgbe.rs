@@ -1,6 +1,6 @@
-//! RGBE: three mantissas of 8 bits with a shared exponent, and the run-length coding of scanlines.
+//! RGBE: three 8-bit mantissas with a shared exponent, and the run-length coding of scanlines.
 //!
-//! In: linear RGB or the bytes of a scanline. Out: the other one. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
+//! In: linear RGB or the bytes of a scanline. Out: the other. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
 //! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
 
 use crate::simd::{Loops, floor32, integer32, vectorised};
@@ -8,20 +8,21 @@ use crate::simd::{Loops, floor32, integer32, vectorised};
 /// A pixel: the mantissas of red, green and blue, and the exponent + 128.
 pub(crate) type Rgbe = [u8; 4];
 
-/// The largest number there is: mantissa 255 at exponent byte 255.
+/// The largest value of the encoding: mantissa 255 at exponent byte 255.
 const MAX: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
 
-/// The greatest float that is not above 1e-32.
+/// The largest float that is not above 1e-32.
 const SMALLEST: f32 = {
     let nearest = 1e-32f32;
     if nearest as f64 <= 1e-32 { nearest } else { f32::from_bits(nearest.to_bits() - 1) }
 };
 
-/// The pixel as Ward's `setcolr` makes it, by truncation, and how many of its components were beyond what it holds.
-/// Negative components and NaN become 0, as do all of a pixel whose largest is not above 1e-32.
+/// Encodes a pixel as Ward's `setcolr` does, by truncation; also returns the number of components that were too large or NaN.
+///
+/// Negative components and NaN become 0. A pixel whose largest component is not above 1e-32 becomes black.
 #[inline(always)]
 pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
-    // All cases are computed and one is chosen, so that loops can be made of vectors. Of NaN no comparison holds.
+    // All cases are computed and one is selected, so that loops can be vectorised. Comparisons with NaN are false.
     let over = rgb.map(|c| u32::from(c > MAX || c.is_nan()));
     let [r, g, b] = rgb.map(|c| if c < MAX { c } else { MAX }).map(|c| if c > 0.0 { c } else { 0.0 });
     let [r, g, b] = [(rgb[0], r), (rgb[1], g), (rgb[2], b)].map(|(given, c)| if given.is_nan() { 0.0 } else { c });
@@ -29,7 +30,7 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     let d = larger(larger(r, g), b);
     // frexp: d = m 2^e with m in [1/2, 1). The exponent field of a float is biased by 127 for m in [1, 2). Above 1e-32 it is normal.
     let biased = d.to_bits() >> 23;
-    // 2^(8 - e), which e from -106 to 127 leaves normal; below, it does not matter.
+    // 2^(8 - e), which is normal for e from -106 to 127; for smaller e the pixel is black.
     let scale = f32::from_bits((261u32.wrapping_sub(biased) & 0xff) << 23);
     let is_black = d <= SMALLEST;
     let mantissa = |c: f32| if is_black { 0 } else { integer32(floor32(c * scale)) as u8 };
@@ -37,7 +38,7 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
 }
 
-/// The middle of the interval that truncation brought to this pixel: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 at exponent 0.
+/// Decodes a pixel to the centre of the interval that is truncated to it: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 for exponent 0.
 pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
@@ -46,30 +47,30 @@ pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     [r, g, b].map(|m| (f32::from(m) + 0.5) * (1.0 / 256.0) * scale)
 }
 
-/// 2^n, for n from -149 to 127: exact.
+/// 2^n, exactly, for n from -149 to 127.
 fn pow2(n: i32) -> f32 {
     if n >= -126 { f32::from_bits(((n + 127) as u32) << 23) } else { f32::from_bits(1 << (n + 149)) }
 }
 
-/// Widths that can be run-length encoded: others are written flat.
+/// Widths that can be run-length encoded; other scanlines are written flat.
 pub(crate) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 
-/// The shortest run that is worth its two bytes.
+/// Shortest run that is encoded as one.
 const MIN_RUN: usize = 4;
 
-/// Buffers for scanlines.
+/// Encodes scanlines; holds the buffers.
 #[derive(Debug, Default)]
 pub(crate) struct Scanline {
     /// The components, one after the other.
     components: Vec<u8>,
-    /// For every byte whether a run begins there.
+    /// Whether a run begins at each byte.
     begins: Vec<u8>,
 }
 
 impl Scanline {
-    /// Appends the scanline of `pixels`, by components and run-length encoded where the width allows, flat otherwise; gives how many
-    /// values were beyond what is held. A flat pixel is never mistaken for the mark of an encoded line, (2, 2, ..), nor of a repetition,
-    /// (1, 1, 1, n): the largest mantissa of a pixel that is not 0 is 128 at least.
+    /// Appends the scanline of `pixels`, by components and run-length encoded if the width allows it, flat otherwise. Returns the number of values that
+    /// were too large or NaN. A flat pixel cannot be confused with the start of an encoded scanline, (2, 2, ..), or with a repetition, (1, 1, 1, n),
+    /// because the largest mantissa of a pixel other than black is at least 128.
     pub(crate) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
         let width = pixels.len();
         self.components.resize(4 * width, 0);
@@ -90,13 +91,13 @@ impl Scanline {
     }
 }
 
-/// Pixels to components.
+/// Encodes pixels to components.
 struct Encode<'a> {
     pixels: &'a [[f32; 3]],
     components: &'a mut [u8],
 }
 
-/// Pixels whose channels are laid apart before they are encoded.
+/// Pixels whose channels are separated before they are encoded.
 const LANES: usize = 64;
 
 impl Loops for Encode<'_> {
@@ -120,7 +121,7 @@ impl Loops for Encode<'_> {
             for i in 0..LANES {
                 let ([r, g, b, e], count) = encode([channels[0][i], channels[1][i], channels[2][i]]);
                 (encoded[0][i], encoded[1][i], encoded[2][i], encoded[3][i]) = (r, g, b, e);
-                // Lanes behind the last pixel are black.
+                // Lanes after the last pixel are black.
                 beyond += count;
             }
             over += u64::from(beyond);
@@ -132,7 +133,7 @@ impl Loops for Encode<'_> {
     }
 }
 
-/// Marks every byte that begins four equal ones.
+/// Marks every byte that starts four equal bytes.
 struct Mark<'a> {
     bytes: &'a [u8],
     begins: &'a mut [u8],
@@ -151,7 +152,7 @@ impl Loops for Mark<'_> {
     }
 }
 
-/// The first of `begins` at or after `at` that is marked.
+/// The first position at or after `at` that is marked in `begins`.
 fn next_run(begins: &[u8], at: usize) -> Option<usize> {
     let from = begins.get(at..)?;
     let (eights, rest) = from.as_chunks::<8>();
@@ -168,12 +169,12 @@ fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     vectorised(Mark { bytes, begins });
     let mut at = 0;
     while at < len {
-        // The next run that is long enough begins at `start`, and is `run` long; 0 when there is none.
+        // The next run that is long enough: its start and its length; the length is 0 when there is none.
         let (start, run) = match next_run(begins, at) {
             Some(start) => (start, bytes[start..].iter().take(127).take_while(|&&b| b == bytes[start]).count()),
             None => (len, 0),
         };
-        // Two or three bytes before it that are all the same are cheaper as a short run.
+        // Two or three equal bytes before it are cheaper as a short run.
         if (2..MIN_RUN).contains(&(start - at)) && bytes[at..start].iter().all(|&b| b == bytes[at]) {
             out.extend_from_slice(&[128 + (start - at) as u8, bytes[at]]);
             at = start;
@@ -189,7 +190,7 @@ fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     }
 }
 
-/// Takes the next scanline off the front of `bytes`, encoded in the new or the old way, or flat. `None` when it is damaged or cut short.
+/// Decodes the next scanline from the front of `bytes`, in the new or the old encoding, or flat. `None` when it is damaged or truncated.
 pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let width = row.len();
     if let Some(&[2, 2, high, low]) = bytes.first_chunk::<4>()
@@ -224,7 +225,8 @@ fn take_components(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     Some(())
 }
 
-/// Flat pixels, and (1, 1, 1, n) for n more of the one before; such marks in a row count in steps of 256.
+/// Decodes flat pixels and the old repetitions, (1, 1, 1, n) for n more of the previous pixel; the counts of consecutive
+/// repetitions are digits to base 256, lowest first.
 fn take_old(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let (mut at, mut shift) = (0, 0);
     while at < row.len() {
@@ -249,7 +251,7 @@ fn take_old(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
 mod tests {
     use super::*;
 
-    /// `setcolr` as it is printed: frexp in doubles.
+    /// `setcolr` as printed, with frexp in doubles.
     fn setcolr(rgb: [f32; 3]) -> Rgbe {
         let d = f64::from(rgb[0].max(rgb[1]).max(rgb[2]));
         if d <= 1e-32 {
@@ -261,7 +263,7 @@ mod tests {
         [r, g, b, (e + 128) as u8]
     }
 
-    /// The runs of `fwritecolrs` as it is printed.
+    /// The runs of `fwritecolrs` as printed.
     fn fwritecolrs(bytes: &[u8]) -> Vec<u8> {
         let (mut out, mut at, len) = (Vec::new(), 0, bytes.len());
         while at < len {
@@ -332,8 +334,8 @@ mod tests {
         }
     }
 
-    /// Truncation leaves a component within the interval [m, m + 1) of its mantissa; the middle is at most half a step away, and a
-    /// step is at most 1/128 of the largest component.
+    /// Truncation leaves a component within the interval [m, m + 1) of its mantissa; its centre is at most half a step away, and a step is at most 1/128 of
+    /// the largest component.
     #[test]
     fn decoding_is_within_half_a_step() {
         for n in numbers(20_000) {

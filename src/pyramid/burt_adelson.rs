@@ -1,16 +1,12 @@
-//! The pyramid of Burt & Adelson: a picture at every scale, and what each scale adds to the next coarser one.
+//! Gaussian and Laplacian pyramids of Burt & Adelson.
 //!
-//! In: planes of numbers. Out: planes of half the sides, rounded up, and back. Cost: 4 ns a pixel and level, all levels a third more than
-//! the first. Source: Burt & Adelson, "The Laplacian Pyramid as a Compact Image Code" (1983), sections REDUCE and EXPAND, with their a = 3/8.
+//! In: planes of floats. Out: planes of half the size, rounded up, and back. Cost: 4 ns per pixel and level; all levels
+//! together have a third more pixels than the first. Source: Burt & Adelson, "The Laplacian Pyramid as a Compact Image
+//! Code" (1983), sections REDUCE and EXPAND, with a = 3/8.
 
 use crate::plane::Plane;
 
-/// The sides of `plane` halved, rounded up.
-fn half((width, height): (usize, usize)) -> (usize, usize) {
-    (width.div_ceil(2), height.div_ceil(2))
-}
-
-/// Levels of a pyramid over `size` of which the coarsest has a shorter side of 2 to 4, or the picture's own.
+/// Number of levels of a pyramid whose coarsest level has a short side of at most 4 pixels.
 pub fn levels((width, height): (usize, usize)) -> usize {
     let mut side = width.min(height);
     let mut levels = 1;
@@ -21,12 +17,12 @@ pub fn levels((width, height): (usize, usize)) -> usize {
     levels
 }
 
-/// The next coarser level: smoothed by (1 4 6 4 1) / 16 either way, every second pixel; the border pixel stands for those beyond.
+/// The next coarser level: smoothed by (1 4 6 4 1) / 16 along both axes, every second pixel; the border is repeated.
 pub fn reduce(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
-    let (w, h) = half((width, height));
+    let (w, h) = (width.div_ceil(2), height.div_ceil(2));
     let mut coarse = Plane::filled(w, h, 0.0f32);
-    // Two pixels more on either side spare the loop its ends.
+    // Two more pixels at each end avoid a special case in the loop.
     let mut column = vec![0.0f32; width + 4];
     for y in 0..h {
         let row = |d: isize| plane.row((2 * y as isize + d).clamp(0, height as isize - 1) as usize);
@@ -44,7 +40,7 @@ pub fn reduce(plane: &Plane<f32>) -> Plane<f32> {
     coarse
 }
 
-/// `coarse` at the sides `size` of the level that it was reduced from.
+/// `coarse` enlarged to the size of the level from which it was reduced.
 pub fn expand(coarse: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32> {
     let mut fine = Plane::filled(width, height, 0.0f32);
     let (w, h) = (coarse.width(), coarse.height());
@@ -74,40 +70,38 @@ pub fn expand(coarse: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32
     fine
 }
 
-/// `plane` and its coarser levels, `levels` in all.
+/// The Gaussian pyramid of `plane` with `levels` levels, the finest first.
 pub fn gaussian_pyramid(plane: Plane<f32>, levels: usize) -> Vec<Plane<f32>> {
     let mut pyramid = vec![plane];
-    for _ in 1..levels {
-        let coarser = pyramid.last().map(reduce);
-        pyramid.extend(coarser);
+    for finer in 0..levels.saturating_sub(1) {
+        pyramid.push(reduce(&pyramid[finer]));
     }
     pyramid
 }
 
-/// What every level of `pyramid` adds to the next coarser one, and the coarsest.
+/// The Laplacian pyramid of a Gaussian one: differences between levels, and the coarsest level.
 pub fn laplacian_pyramid(mut pyramid: Vec<Plane<f32>>) -> Vec<Plane<f32>> {
     for i in 1..pyramid.len() {
         let (finer, coarser) = pyramid.split_at_mut(i);
-        let fine = &mut finer[i - 1];
-        let smooth = expand(&coarser[0], (fine.width(), fine.height()));
-        for (v, s) in fine.as_mut_slice().iter_mut().zip(smooth.as_slice()) {
-            *v -= s;
-        }
+        combine(&mut finer[i - 1], &coarser[0], |v, smooth| *v -= smooth);
     }
     pyramid
 }
 
-/// The picture that a Laplacian pyramid is of; a plane without pixels for one without levels.
+/// The image of a Laplacian pyramid; a plane without pixels for a pyramid without levels.
 pub fn collapse(mut pyramid: Vec<Plane<f32>>) -> Plane<f32> {
-    let mut picture = pyramid.pop().unwrap_or_else(|| Plane::filled(0, 0, 0.0));
+    let mut image = pyramid.pop().unwrap_or_else(|| Plane::filled(0, 0, 0.0));
     while let Some(mut level) = pyramid.pop() {
-        let smooth = expand(&picture, (level.width(), level.height()));
-        for (v, s) in level.as_mut_slice().iter_mut().zip(smooth.as_slice()) {
-            *v += s;
-        }
-        picture = level;
+        combine(&mut level, &image, |v, smooth| *v += smooth);
+        image = level;
     }
-    picture
+    image
+}
+
+/// Changes every pixel of `level` by the same pixel of the enlarged next `coarser` level.
+fn combine(level: &mut Plane<f32>, coarser: &Plane<f32>, change: impl Fn(&mut f32, f32)) {
+    let smooth = expand(coarser, (level.width(), level.height()));
+    level.as_mut_slice().iter_mut().zip(smooth.as_slice()).for_each(|(v, &s)| change(v, s));
 }
 
 #[cfg(test)]
@@ -122,7 +116,7 @@ mod tests {
         })
     }
 
-    /// The paper's double sums. Ten roundings of values below 32: 10 * 32 * 2^-24 = 2e-5.
+    /// Against the double sums of the paper. Ten roundings of values below 32: 10 * 32 * 2^-24 = 2e-5.
     #[test]
     fn levels_are_the_double_sums_of_the_paper() {
         let weight = |d: isize| [0.0625, 0.25, 0.375, 0.25, 0.0625][(d + 2) as usize];
@@ -151,7 +145,7 @@ mod tests {
         }
     }
 
-    /// A rounding at each of the levels, of values below 64.
+    /// The tolerance is one rounding per level of values below 64.
     #[test]
     fn a_laplacian_pyramid_is_its_picture() {
         for (w, h) in [(100, 75), (33, 2), (1, 1)] {

@@ -1,14 +1,15 @@
-//! Cells: a picture known by the means over squares of its pixels.
+//! Maps by cells, which are squares of pixels: interpolation between their centres, and sums over neighbours.
 //!
-//! In: a map by cells. Out: its values at pixels, linearly between the cells' centres; and what lies around each cell. Cost: a few operations a
-//! pixel; 2 (2 reach + 1) a cell.
+//! In: a map with one value per cell. Out: its values at pixels, interpolated linearly between the centres of cells; sums
+//! around each cell. Cost: a few operations per pixel; 2 (2 reach + 1) per cell.
 
 use crate::plane::Plane;
 use std::ops::Range;
 
-/// Between which two of `count` cells, each `side` pixels long, the centre of a pixel lies, and how far towards the second, 0..1: for
-/// linear interpolation, of means over cells, at the pixels. Beyond the outer centres it is the outer cell. Where sides are powers of 2
-/// all is exact, and the last fits an `f32`.
+/// The two of `count` cells between whose centres a pixel lies, and its position between them, 0..1.
+///
+/// Cells are `side` pixels long. Beyond the outer centres it is the outer cell alone. If `side` is a power of 2, the
+/// position is exact, also as `f32`.
 #[inline]
 pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
     let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
@@ -16,9 +17,9 @@ pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, 
     (first, (first + 1).min(count - 1), at - first as f64)
 }
 
-/// What can be interpolated.
+/// Values that can be interpolated linearly.
 pub trait Mix: Copy {
-    /// `part`, 0..=1, of the way to `other`.
+    /// The value at `part`, 0..=1, between `self` and `other`.
     fn towards(self, other: Self, part: f32) -> Self;
 }
 
@@ -36,8 +37,9 @@ impl<const N: usize> Mix for [f32; N] {
     }
 }
 
-/// Row `y` of a picture of which `map` is known by cells, each `side` pixels long and wide, of which `of` says the value: linear
-/// [between the cells](between_cells), first down and then along.
+/// Interpolates row `y` of an image from `map`, whose cells have `side` x `side` pixels and the values `of(cell)`.
+///
+/// The interpolation is linear [between cells](between_cells), first along the columns, then along the row.
 pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl Fn(S) -> T, y: usize, row: &mut [T]) {
     let (above, below, part) = between_cells(y, side, map.height());
     let pairs = map.row(above).iter().zip(map.row(below));
@@ -48,8 +50,10 @@ pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl 
     }
 }
 
-/// What lies within `reach` of each place, to either side, above and below, put together by `add`, first along the rows: sums over squares, or, of truths, whether
-/// one is near. Beyond the border there is nothing.
+/// Combines with `add` the values within `reach` of each position along both axes, first along the rows.
+///
+/// It computes sums over squares, or with logical or, whether a value nearby is true. Positions beyond the border are
+/// skipped.
 pub fn gathered<T: Copy + Default + Send + Sync>(
     plane: &Plane<T>,
     reach: usize,
@@ -68,7 +72,7 @@ pub fn gathered<T: Copy + Default + Send + Sync>(
     })
 }
 
-/// What is within `reach` of place `i` of `size`.
+/// The positions within `reach` of `i` in 0..`size`.
 pub fn near(i: usize, reach: usize, size: usize) -> Range<usize> {
     i.saturating_sub(reach)..(i + reach + 1).min(size)
 }
@@ -85,7 +89,7 @@ mod tests {
             [(0, 1, 0.0), (0, 1, 0.0), (0, 1, 0.125), (0, 1, 0.875), (1, 2, 0.125)]
         );
         assert_eq!(between_cells(11, 4, 3), (2, 2, 0.0));
-        // In sixteenths: 8 cells of 8 pixels, told exactly.
+        // For 8 cells of 8 pixels, positions are exact multiples of 1/16.
         assert!((0..64).all(|x| (16.0 * between_cells(x, 8, 8).2).fract() == 0.0));
     }
 
@@ -93,7 +97,7 @@ mod tests {
     fn rows_between_cells_are_bilinear_and_scaled() {
         let map = Plane::from_vec(2, 2, vec![0u8, 8, 16, 40]);
         let mut row = [0.0f32; 4];
-        // Cells of 2 pixels: row 1 lies a quarter, pixels 1 and 2 a quarter and three quarters of the way.
+        // Cells of 2 pixels: row 1 is at 1/4, pixels 1 and 2 are at 1/4 and 3/4.
         row_between_cells(&map, 2, |v| 0.5 * f32::from(v), 1, &mut row);
         let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
         assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);

@@ -1,4 +1,4 @@
-//! The report: what was done to every frame and what came of it, for programs.
+//! The report of a run: the processing of every frame and the results, for programs.
 //!
 //! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
 
@@ -21,7 +21,7 @@ use options::OptionsReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// The formats of a report, told by the extension of its file.
+/// The formats of a report, selected by the extension of its file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// `.json`, for programs.
@@ -47,7 +47,7 @@ impl Format {
 /// The version of the format: keys are only ever added to it.
 pub const SCHEMA: &str = "hdralign-report/1";
 
-/// What a run did.
+/// The report of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// [`SCHEMA`].
@@ -58,35 +58,35 @@ pub struct Report {
     pub width_px: usize,
     /// Height of every frame, orientation applied.
     pub height_px: usize,
-    /// What was asked for; none until the caller says.
+    /// Options of the run; `None` until the caller sets them.
     pub options: Option<OptionsReport>,
     /// The frame that the others are aligned to.
     pub reference: String,
     /// The frames by rising exposure.
     pub frames: Vec<FrameReport>,
-    /// The file of transforms that places were taken from, if any.
+    /// File that the transforms were read from, if any.
     pub transforms_from: Option<String>,
     /// The part of the reference that the results show.
     pub crop: Crop,
-    /// The response that was used; none where frames were only aligned.
+    /// The response that was used; null if the frames were only aligned.
     pub response: Option<ResponseReport>,
     /// Whether the frames were tone-mapped locally by the camera, and what was done about it; none where that was not looked at.
     pub local_processing: Option<LocalReport>,
-    /// What came of merging; none where frames were only aligned.
+    /// Statistics of the radiance map; null if the frames were only aligned.
     pub radiance: Option<MergeReport>,
-    /// How radiance was taken to cd/m2; null where it is relative.
+    /// Calibration of radiance to cd/m2; null if radiance is relative.
     pub calibration: Option<CalibrationReport>,
-    /// What red, green and blue of the radiance are; none where frames were only aligned.
+    /// Primaries of the radiance map; null if the frames were only aligned.
     pub colour: Option<ColourReport>,
     /// The light that the picture shows as white; none for that of the photographs, and where frames were only aligned.
     pub white_balance: Option<Light>,
-    /// What was left out because it moved; none where that was not asked for.
+    /// Result of deghosting; null without deghosting.
     pub ghosts: Option<GhostReport>,
-    /// What was found of flare; none where it was not sought.
+    /// Measured lens flare; null if it was not measured.
     pub flare: Option<FlareReport>,
     /// The files written.
     pub outputs: Vec<String>,
-    /// What the user should know.
+    /// The warnings.
     pub warnings: Vec<WarningReport>,
     /// Wall time of the stages, in seconds.
     pub time_s: Times,
@@ -111,7 +111,7 @@ impl From<Rect> for Crop {
     }
 }
 
-/// What red, green and blue are.
+/// The primaries of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColourReport {
     /// The colour space by name; null for primaries of another.
@@ -153,28 +153,28 @@ pub struct FrameReport {
     pub alignment: AlignmentReport,
 }
 
-/// The place of one frame.
+/// The alignment of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlignmentReport {
-    /// What became of it.
+    /// Alignment status.
     pub status: Status,
-    /// Who took it out; null for a frame that takes part.
+    /// What excluded the frame; null for a frame that is used.
     pub rejected_by: Option<RejectedBy>,
     /// The smallest model that explains its motion.
     pub model: Option<Model>,
     /// Nine numbers by rows, reference pixel -> frame pixel; null when rejected.
     pub homography: Option<[f64; 9]>,
-    /// How far the picture's centre moves, right and down.
+    /// Shift of the picture centre in px, right and down.
     pub shift_px: Option<[f64; 2]>,
-    /// How far the picture turns, from right towards down.
+    /// Rotation in degrees, clockwise (from right towards down).
     pub rotation_deg: Option<f64>,
     /// Matches that agree on the motion; null where features were not needed.
     pub inliers: Option<usize>,
     /// Keypoints found; null where features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Our own estimate of the root mean square error over the picture; of a frame whose place is assumed, the error that 19 of 20 keep.
+    /// Estimated root mean square error over the picture, in px; of a frame whose place is assumed, the error that 19 of 20 keep.
     pub error_px: Option<f64>,
-    /// 0..1; under 0.5 is doubtful.
+    /// Confidence, 0..1; below 0.5 is low.
     pub confidence: f64,
     /// Why it takes no part, or is taken as it lies, or what its place is assumed from.
     pub reason: Option<String>,
@@ -183,7 +183,7 @@ pub struct AlignmentReport {
 /// A warning.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct WarningReport {
-    /// In words.
+    /// Text of the warning.
     pub message: String,
     /// Whether the result is less than what was asked for.
     pub degrades: bool,
@@ -210,12 +210,12 @@ pub struct Times {
     pub tonemap: Option<f64>,
     /// Writing.
     pub write: Option<f64>,
-    /// All of it.
+    /// Total.
     pub total: f64,
 }
 
 impl Report {
-    /// The report of a bracket and its alignment; the rest is for the caller to add.
+    /// Creates the report of a bracket and its alignment; the caller adds the rest.
     pub fn new(bracket: &Bracket, alignment: &Alignment, crop: Rect) -> Self {
         let size = (bracket.width(), bracket.height());
         let found = alignment.placements.iter().zip(&alignment.features);
@@ -249,7 +249,7 @@ impl Report {
         self.outputs.extend(paths.iter().map(|p| text(p)));
     }
 
-    /// The report as JSON, ended by a line feed.
+    /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
         // Strings, numbers and lists of them: nothing in it can fail. A number that is not finite would become null.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"

@@ -1,4 +1,4 @@
-//! What was asked for, beside what came of it: for who reads a report a year later.
+//! The options of a run, recorded in its report so that it can be repeated later.
 //!
 //! In: the options of a run. Out: values as they are typed on the command line, with those that were left as they are. Cost: none.
 
@@ -13,35 +13,35 @@ use serde::Serialize;
 /// The options of a run; all from `exposures` on are none where frames were only aligned.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
-    /// Which methods sought the motion.
+    /// Alignment methods.
     pub align: AlignMode,
-    /// The robust fit of features.
+    /// Robust estimator for feature matches.
     pub robust: RobustMethod,
-    /// The largest rotation that bitmaps were searched for, to either side.
+    /// Largest rotation searched with bitmaps, in degrees, in both directions.
     pub max_rotation_deg: f64,
-    /// Which part of the reference was asked for: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in its pixels.
+    /// Requested part of the reference: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in its pixels.
     pub crop: String,
-    /// What became of the exposures.
+    /// Exposure correction.
     pub exposures: Option<Exposures>,
-    /// How the response was to be had: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; none where a file was given.
+    /// Method used to recover the camera response: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; none where a file was given.
     pub response_model: Option<&'static str>,
     /// The response file, as it was named.
     pub response_file: Option<String>,
-    /// How far codes were trusted.
+    /// Weighting function.
     pub weight: Option<Weight>,
-    /// 0..=1; none where what moved was not to be left out.
+    /// Strength of deghosting, 0..=1; null without deghosting.
     pub deghost_strength: Option<f64>,
-    /// Whether flare was sought.
+    /// Whether lens flare is subtracted.
     pub flare: Option<bool>,
-    /// The colour space asked for; none for that of the photographs.
+    /// Requested colour space; null for that of the photographs.
     pub colour: Option<Space>,
     /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
     pub operator: Option<Rendering>,
     /// What was changed of the picture: white balance, as typed, brightness, contrast, saturation, shadows and highlights.
     pub adjust: Option<adjust::Options>,
-    /// Bits of a code of the picture: 8 or 16.
+    /// Bits per channel of the picture: 8 or 16.
     pub bit_depth: Option<u8>,
-    /// The colours of the picture.
+    /// Colour space of the picture.
     pub picture_colour: Option<Colours>,
     /// The size of the picture: pixels of its longest side, or a percentage; none for that of the radiance.
     pub resize: Option<String>,

@@ -1,7 +1,9 @@
-//! Exposure fusion, after Mertens: of several exposures what is best in each, without seams. `mertens` fuses the aligned frames, without radiance or response;
-//! [`natural`](super::natural) exposures that it makes of the radiance.
+//! Exposure fusion (Mertens et al. 2007): blends the best exposed parts of several exposures without seams.
 //!
-//! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53 bytes a pixel, whatever the number of pictures.
+//! `mertens` fuses the aligned frames, without radiance or response; [`natural`](super::natural) fuses exposures computed from the radiance.
+//!
+//! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53 bytes a pixel, whatever the
+//! number of pictures.
 //! Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007), sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
 
 use super::settings::Setting;
@@ -10,15 +12,15 @@ use crate::plane::Plane;
 use crate::pyramid::burt_adelson::{collapse, gaussian_pyramid, laplacian_pyramid, levels};
 use rayon::prelude::*;
 
-/// What may be set: the exponents of the three measures, by which each counts.
+/// Exponents of the three quality measures.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[serde(tag = "name", rename = "mertens")]
 pub struct Options {
-    /// Of contrast: 0 leaves it out.
+    /// Exponent of contrast; 0 ignores it.
     pub contrast: f64,
-    /// Of saturation.
+    /// Exponent of saturation; 0 ignores it.
     pub saturation: f64,
-    /// Of being well exposed.
+    /// Exponent of well-exposedness; 0 ignores it.
     pub exposedness: f64,
 }
 
@@ -29,23 +31,28 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("contrast", (0.0, 4.0), &mut self.contrast, "how much contrast counts; 0 not at all"),
-            Setting::number("saturation", (0.0, 4.0), &mut self.saturation, "how much colourfulness counts"),
-            Setting::number("exposedness", (0.0, 4.0), &mut self.exposedness, "how much it counts to be well exposed"),
+            Setting::number(
+                "contrast",
+                (0.0, 4.0),
+                &mut self.contrast,
+                "exponent of the contrast measure; 0 ignores it",
+            ),
+            Setting::number("saturation", (0.0, 4.0), &mut self.saturation, "exponent of the saturation measure"),
+            Setting::number("exposedness", (0.0, 4.0), &mut self.exposedness, "exponent of the exposure measure"),
         ]
     }
 }
 
-/// The standard deviation of the measure of exposure about the middle of the range (section 3.1).
+/// Standard deviation of the well-exposedness measure around 0.5 (section 3.1).
 const WELL_EXPOSED: f32 = 0.2;
 
-/// A frame: code values 0..=1 in three planes; outside the frame, none, they are negative.
+/// A frame: code values 0..=1 in three planes. Negative values mean that the frame does not cover the pixel.
 pub type Channels = [Plane<f32>; 3];
 
-/// The fused picture of `count` frames of one size, each of which `frame` gives, twice. Values are codes, 0..=1.
+/// Fuses `count` frames of one size; `frame` is called twice for each. Values are code values, 0..=1.
 ///
 /// # Errors
 /// Those of `frame`.
@@ -53,18 +60,18 @@ pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, options: &O
     let mut total: Option<Plane<f32>> = None;
     for k in 0..count {
         let weights = weights(&frame(k)?, options);
-        total = Some(match total {
-            None => weights,
-            Some(sum) => added(sum, &weights),
-        });
+        match &mut total {
+            None => total = Some(weights),
+            Some(sum) => add(sum, &weights),
+        }
     }
     let Some(total) = total else { return Ok(std::array::from_fn(|_| Plane::filled(0, 0, 0.0))) };
     let depth = levels((total.width(), total.height()));
-    let mut fused: [Option<Vec<Plane<f32>>>; 3] = [None, None, None];
+    let mut fused: [Vec<Plane<f32>>; 3] = Default::default();
     for k in 0..count {
         let mut channels = frame(k)?;
         let mut share = weights(&channels, options);
-        // Equation 4; where no frame has any weight all count alike.
+        // Equation 4; where no frame has any weight, all have the same.
         let parts = share.as_mut_slice().par_iter_mut().zip(total.as_slice());
         parts.for_each(|(w, &sum)| *w = if sum > 0.0 { *w / sum } else { 1.0 / count as f32 });
         let shares = gaussian_pyramid(share, depth);
@@ -76,23 +83,23 @@ pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, options: &O
             for (level, share) in part.iter_mut().zip(&shares) {
                 level.as_mut_slice().iter_mut().zip(share.as_slice()).for_each(|(v, w)| *v *= w);
             }
-            *sum = Some(match sum.take() {
-                None => part,
-                Some(sum) => sum.into_iter().zip(&part).map(|(sum, part)| added(sum, part)).collect(),
-            });
+            if sum.is_empty() {
+                *sum = part;
+            } else {
+                sum.iter_mut().zip(&part).for_each(|(sum, part)| add(sum, part));
+            }
         });
     }
-    let whole: Vec<Plane<f32>> = fused.into_par_iter().map(|p| collapse(p.unwrap_or_default())).collect();
+    let whole: Vec<Plane<f32>> = fused.into_par_iter().map(collapse).collect();
     let mut whole = whole.into_iter();
     Ok(std::array::from_fn(|_| whole.next().unwrap_or_else(|| Plane::filled(0, 0, 0.0))))
 }
 
-fn added(mut sum: Plane<f32>, part: &Plane<f32>) -> Plane<f32> {
+fn add(sum: &mut Plane<f32>, part: &Plane<f32>) {
     sum.as_mut_slice().iter_mut().zip(part.as_slice()).for_each(|(s, p)| *s += p);
-    sum
 }
 
-/// Equation 3: contrast, saturation and exposedness, each to its power, multiplied; 0 outside the frame.
+/// Equation 3: the product of contrast, saturation and well-exposedness, each raised to its exponent; 0 outside the frame.
 fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
     let (width, height) = (channels[0].width(), channels[0].height());
     let grey = Plane::from_rows(width, height, |y, row| {
@@ -118,13 +125,13 @@ fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
             let bell = |v: f32| bells[(v.clamp(0.0, 1.0) * 1024.0) as usize];
             let exposed = bell(red[x]) * bell(green[x]) * bell(blue[x]);
             let weight = power(contrast, options.contrast) * power(variance.sqrt(), options.saturation) * exposed;
-            // Flat grey has neither contrast nor saturation, in no frame: then exposure decides, as nothing else can.
+            // Flat grey has neither contrast nor saturation in any frame; the small terms let exposure alone decide there.
             *w = if red[x] < 0.0 { 0.0 } else { weight + 1e-9 + 1e-6 * exposed };
         }
     })
 }
 
-/// Section 3.1: a Gaussian about 0.5.
+/// Section 3.1: a Gaussian around 0.5.
 fn bell(value: f32) -> f32 {
     let d = (value - 0.5) / WELL_EXPOSED;
     libm::expf(-0.5 * d * d)
@@ -175,7 +182,7 @@ mod tests {
         assert!((left - 0.5).abs() < 0.08 && (right - 0.5).abs() < 0.08, "{left} {right}");
     }
 
-    /// The pyramids of section 3.2 against a single level, which is a weighted mean: of flat frames it is the same.
+    /// For flat frames the pyramids of section 3.2 give the same as a single level, a weighted mean.
     #[test]
     fn flat_frames_give_their_weighted_mean_and_what_is_outside_counts_nothing() {
         let frames = [flat([0.2, 0.3, 0.4], (40, 30)), flat([0.6, 0.5, 0.7], (40, 30)), flat([-1.0; 3], (40, 30))];

@@ -1,30 +1,30 @@
-//! From the grid to the pixels: what an operator found for cells, as a straight line in each place that takes a pixel's own luminance
-//! to its tone.
+//! Carries an operator's result from the grid of cells to the pixels: a linear function for every place, which maps the luminance of a pixel to its
+//! tone.
 //!
-//! In: log2 luminance l and tone v of every cell. Out: for every place a and b of v = a l + b, so that edges and all detail finer than a cell
-//! are the picture's own. Cost: 60 ns a cell; a pixel two linear interpolations. Source: He, Sun, Tang, "Guided Image Filtering" (2013),
-//! section 3.1, equations 5 and 6, by which the ways of Kopf, Cohen, Lischinski, Uyttendaele, "Joint Bilateral Upsampling" (2007) to work
-//! small and to show large become a straight line.
+//! In: log2 luminance l and tone v of every cell. Out: for every place a and b of v = a l + b, so that edges and all detail finer than a cell are
+//! those of the picture. Cost: 60 ns a cell; two linear interpolations a pixel. Source: He, Sun, Tang, "Guided Image Filtering" (2013), section 3.1,
+//! equations 5 and 6; the idea of computing small and applying large is that of Kopf, Cohen, Lischinski, Uyttendaele, "Joint Bilateral Upsampling"
+//! (2007).
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{Mix, between_cells};
 
-/// The tone of every place: v = a l + b.
+/// A linear function for every place that maps log2 luminance l to tone v: v = a l + b.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Guide {
-    /// Sides of a cell in pixels.
+    /// Side of a cell in pixels.
     side: usize,
-    /// a and b of every cell; one cell stands for all places.
+    /// a and b of every cell; a single cell is valid everywhere.
     lines: Plane<[f32; 2]>,
 }
 
-/// Cells on either side that a line is fitted to.
+/// Radius of the window that a linear function is fitted to, in cells.
 const REACH: usize = 2;
 
-/// Variance of l, in square stops, from which on the fit is trusted rather than the slope of plain detail.
-const TRUSTED: f32 = 0.02;
+/// Regularisation: variance of l, in square stops, at which the fitted slope and the slope for detail have equal weight.
+const REGULARISATION: f32 = 0.02;
 
-/// A line rises, and no steeper than this: detail is not blown up.
+/// Largest slope, so that detail is not exaggerated; the smallest is 0.
 const STEEPEST: f32 = 1.5;
 
 impl Guide {
@@ -33,8 +33,8 @@ impl Guide {
         Guide { side: 1, lines: Plane::filled(1, 1, [1.0, shift as f32]) }
     }
 
-    /// The lines on which the tones `tones` of cells of `side` pixels lie over their luminances `logs`; where a place is flat, detail keeps
-    /// the contrast `detail`. Where cells are pixels it is `tones` itself.
+    /// Fits the tones `tones` to the log2 luminances `logs`, both of cells of `side` pixels. Where the scene is flat, the slope is `detail`. When cells
+    /// are single pixels, the result is `tones` itself.
     pub fn fitted(logs: &Plane<f32>, tones: &Plane<f32>, side: usize, detail: f32) -> Self {
         let (width, height) = (logs.width(), logs.height());
         if side == 1 || width * height == 1 {
@@ -42,9 +42,20 @@ impl Guide {
             let lines = logs.as_slice().iter().zip(tones.as_slice()).map(line).collect();
             return Guide { side, lines: Plane::from_vec(width, height, lines) };
         }
-        // Equations 5 and 6 with the slope drawn to `detail` instead of 0.
+        Guide::regressed(logs, tones, side, detail, REGULARISATION)
+    }
+
+    /// Smooths `values` of cells of `side` pixels and keeps edges: where the variance is `half`, half of the deviation from the surroundings is left.
+    /// This is the guided filter of a picture by itself (section 3.2).
+    pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
+        Guide::regressed(values, values, side, 0.0, half)
+    }
+
+    /// Equations 5 and 6, with the slope regularised towards `slope` instead of 0.
+    fn regressed(from: &Plane<f32>, to: &Plane<f32>, side: usize, slope: f32, regularisation: f32) -> Self {
+        let (width, height) = (from.width(), from.height());
         let moments = Plane::from_rows(width, height, |y, row| {
-            for (m, (&l, &v)) in row.iter_mut().zip(logs.row(y).iter().zip(tones.row(y))) {
+            for (m, (&l, &v)) in row.iter_mut().zip(from.row(y).iter().zip(to.row(y))) {
                 *m = [l, v, l * l, l * v];
             }
         });
@@ -52,48 +63,30 @@ impl Guide {
         let lines = Plane::from_rows(width, height, |y, row| {
             for (line, &[l, v, ll, lv]) in row.iter_mut().zip(means.row(y)) {
                 let (variance, covariance) = ((ll - l * l).max(0.0), lv - l * v);
-                let a = ((covariance + TRUSTED * detail) / (variance + TRUSTED)).clamp(0.0, STEEPEST);
+                let a = ((covariance + regularisation * slope) / (variance + regularisation)).clamp(0.0, STEEPEST);
                 *line = [a, v - a * l];
             }
         });
         Guide { side, lines: box_mean(&lines) }
     }
 
-    /// The lines that smooth `values` of cells of `side` pixels: where their variance is `half`, half of what differs from the surroundings is left; edges are
-    /// kept. The guided filter of a picture by itself (section 3.2).
-    pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
-        let (width, height) = (values.width(), values.height());
-        let moments = Plane::from_rows(width, height, |y, row| {
-            row.iter_mut().zip(values.row(y)).for_each(|(m, &v)| *m = [v, v * v]);
-        });
-        let means = box_mean(&moments);
-        let lines = Plane::from_rows(width, height, |y, row| {
-            for (line, &[v, vv]) in row.iter_mut().zip(means.row(y)) {
-                let variance = (vv - v * v).max(0.0);
-                let a = variance / (variance + half);
-                *line = [a, v - a * v];
-            }
-        });
-        Guide { side, lines: box_mean(&lines) }
-    }
-
-    /// The lines of row `y` of the picture, one for each column of cells, into `row`.
+    /// Writes a and b for row `y` of the picture, one pair for each column of cells, to `row`.
     pub fn row(&self, y: usize, row: &mut Vec<[f32; 2]>) {
         self.row_of(&self.lines, y, row);
     }
 
-    /// What `plane`, which has the same cells, has at row `y` of the picture, for each column of cells, into `row`.
+    /// Writes the values of `plane`, which has the same cells, at row `y` of the picture to `row`, one for each column of cells and a copy of the last.
     pub fn row_of<T: Mix>(&self, plane: &Plane<T>, y: usize, row: &mut Vec<T>) {
         let (first, second, part) = between_cells(y, self.side, plane.height());
         row.clear();
         let pairs = plane.row(first).iter().zip(plane.row(second));
         row.extend(pairs.map(|(&p, &q)| p.towards(q, part as f32)));
-        // One more, so that every column has a right neighbour.
+        // The copy gives every column a right neighbour.
         row.extend(row.last().copied());
     }
 
-    /// Where in such a row each of `width` pixels lies: the cell, and the part of the way to the next one.
-    pub fn columns(&self, width: usize) -> (Vec<u32>, Vec<f32>) {
+    /// The position of each of `width` pixels in such a row.
+    pub fn columns(&self, width: usize) -> Columns {
         (0..width)
             .map(|x| {
                 let (cell, _, part) = between_cells(x, self.side, self.lines.width());
@@ -103,7 +96,19 @@ impl Guide {
     }
 }
 
-/// The means over squares of 2 REACH + 1 cells; the border cell stands for those beyond.
+/// For each pixel of a row, its cell and the fraction of the way to the next cell.
+pub type Columns = (Vec<u32>, Vec<f32>);
+
+/// The pairs in `row` interpolated at the pixels from column `x` on.
+#[inline(always)]
+pub fn interpolated(columns: &Columns, x: usize, row: &[[f32; 2]]) -> impl Iterator<Item = [f32; 2]> {
+    columns.0[x..].iter().zip(&columns.1[x..]).map(|(&cell, &part)| {
+        let (p, q) = (row[cell as usize], row[cell as usize + 1]);
+        [p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])]
+    })
+}
+
+/// The means over squares of 2 REACH + 1 cells; cells beyond the border equal the border cell.
 fn box_mean<const N: usize>(plane: &Plane<[f32; N]>) -> Plane<[f32; N]>
 where
     [f32; N]: Default,
@@ -133,8 +138,8 @@ where
 mod tests {
     use super::*;
 
-    /// A scene with an edge and texture, on cells of 4 pixels, and tones that are a curve of it: at the pixels the curve comes back within a
-    /// few hundredths of a stop; on the edge, 5 stops high, one line leaves the curve by up to 0.02 (5 / 2)^2 = 0.125.
+    /// A scene with an edge and texture, on cells of 4 pixels, with tones that are a curve of luminance: at the pixels the curve is recovered within a
+    /// few hundredths of a stop. On the edge, 5 stops high, a line deviates from the curve by up to 0.02 (5 / 2)^2 = 0.125.
     #[test]
     fn lines_carry_a_curve_to_the_pixels() {
         let pixel = |x: usize, y: usize| if x > 150 { 3.0 } else { -2.0 } + 0.3 * ((x * 5 + y * 3) as f32 * 0.1).sin();

@@ -1,8 +1,9 @@
-//! Tone mapping: from radiance to a picture.
+//! Tone mapping: radiance to a display-encoded picture.
 //!
-//! In: a [`RadianceMap`], in any unit and primaries, or its rows as they come. Out: a [`DisplayImage`], 8-bit sRGB, or rows of [`codes`](display::codes). Each
-//! [`Operator`] is one paper in one file: it looks at the whole `overview` on a grid of at most a million cells and settles `tones`, by
-//! which rows are mapped. Colour, gamut and encoding are the same for all, in `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
+//! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows of [`codes`](display::codes).
+//! Each [`Operator`] implements one paper in one file. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns
+//! `tones`, which map the rows. Colour, gamut mapping and encoding are shared by all operators: see `tones`, [`display`] and
+//! [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
 pub mod display;
@@ -31,27 +32,27 @@ pub struct DisplayImage {
     pub pixels: Plane<[u8; 3]>,
 }
 
-/// Tone mapping operator: from radiance to the range of a display.
+/// A tone mapping operator with its settings.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(tag = "name", rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// Exposures made from the radiance and fused, with the colours of the photographs.
+    /// Exposure fusion of exposures computed from the radiance, with the colours of the photographs.
     Natural(natural::Options),
-    /// Global, photographic curve: Reinhard et al. 2002.
+    /// Global photographic tone curve: Reinhard et al. 2002.
     Reinhard02(operators::reinhard::Options),
     /// Local, dodging and burning: Reinhard et al. 2002.
     Reinhard02Local(operators::reinhard::Options),
-    /// Global, adaptive logarithm: Drago et al. 2003.
+    /// Global adaptive logarithm: Drago et al. 2003.
     Drago(operators::drago::Options),
-    /// Local, bilateral base and detail: Durand & Dorsey 2002.
+    /// Local, bilateral base and detail layers: Durand & Dorsey 2002.
     Durand(operators::durand::Options),
     /// Local, attenuated gradients: Fattal et al. 2002.
     Fattal(operators::fattal::Options),
-    /// Local, contrasts as the eye perceives them: Mantiuk et al. 2006.
+    /// Local, perceived contrasts at every scale: Mantiuk et al. 2006.
     Mantiuk06(operators::mantiuk06::Options),
-    /// Global, curve with the most visible contrasts on a display: Mantiuk et al. 2008.
+    /// Global, tone curve optimised for a display and its room: Mantiuk et al. 2008.
     Mantiuk08(operators::mantiuk08::Options),
 }
 
@@ -62,12 +63,12 @@ impl Default for Operator {
 }
 
 impl Operator {
-    /// The name used by the command line and by reports.
+    /// The name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// What may be set of it.
+    /// The settings of this operator.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Operator::Natural(options) => options.settings(),
@@ -80,18 +81,18 @@ impl Operator {
         }
     }
 
-    /// Checks the settings against their ranges.
+    /// Checks that every setting is within its range.
     ///
     /// # Errors
-    /// [`Error::Option`](crate::error::Error::Option) for the first that is out of its range.
+    /// [`Error::Option`](crate::error::Error::Option) for the first setting that is out of range.
     pub fn validate(&self) -> Result<()> {
         settings::validate(&self.clone().settings(), self.name())
     }
 
-    /// What maps rows of the picture of `scene`.
+    /// Analyses `scene` and returns its tone mapping.
     pub fn tones(&self, scene: &Scene) -> Tones {
-        // Nothing in it says what is dark and what is bright.
-        if scene.is_plain() {
+        // A uniform scene has no dark and bright parts to adapt to.
+        if scene.is_uniform() {
             return Tones::as_photographed(scene.to_srgb, scene.size.0);
         }
         match self {
@@ -107,13 +108,13 @@ impl Operator {
     }
 }
 
-/// Source of the picture.
+/// How the picture is made.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 pub enum Rendering {
-    /// Radiance, by a tone mapping operator.
+    /// From the radiance, by a tone mapping operator.
     Toned(Operator),
-    /// The aligned frames, by exposure fusion.
+    /// From the aligned frames, by exposure fusion.
     Fused(fusion::Options),
 }
 
@@ -124,7 +125,7 @@ impl Default for Rendering {
 }
 
 impl Rendering {
-    /// Every rendering with its default settings, and a phrase on each.
+    /// Every rendering with its default settings and a one-line description.
     pub fn every() -> Vec<(Rendering, &'static str)> {
         let toned = Operator::iter().map(|operator| {
             let about = operator.get_documentation().unwrap_or_default();
@@ -137,7 +138,7 @@ impl Rendering {
         toned.chain([fused]).collect()
     }
 
-    /// The name used by the command line and by reports.
+    /// The name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         match self {
             Rendering::Toned(operator) => operator.name(),
@@ -145,7 +146,7 @@ impl Rendering {
         }
     }
 
-    /// What may be set of it.
+    /// The settings of this rendering.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Rendering::Toned(operator) => operator.settings(),
@@ -153,10 +154,10 @@ impl Rendering {
         }
     }
 
-    /// Checks the settings against their ranges.
+    /// Checks that every setting is within its range.
     ///
     /// # Errors
-    /// [`Error::Option`](crate::error::Error::Option) for the first that is out of its range.
+    /// [`Error::Option`](crate::error::Error::Option) for the first setting that is out of range.
     pub fn validate(&self) -> Result<()> {
         settings::validate(&self.clone().settings(), self.name())
     }
@@ -164,15 +165,18 @@ impl Rendering {
     /// Sets `key` to `value`.
     ///
     /// # Errors
-    /// [`Error::Option`](crate::error::Error::Option) where there is no such setting, or the value is out of its range.
+    /// [`Error::Option`](crate::error::Error::Option) when there is no such setting or the value is out of range.
     pub fn set(&mut self, key: &str, value: f64) -> Result<()> {
         let name = self.name();
         settings::set(self.settings(), name, key, value)
     }
 }
 
-/// The picture of `radiance` by `operator`, with what is known of the photographs that it was merged from; the operator's [settings](Operator::settings) are within their ranges.
-/// Same radiance but for a factor, same picture, unless options fix the scale, or it is of one tone.
+/// Tone-maps `radiance` with `operator`.
+///
+/// `photographed` describes the photographs that the radiance was merged from, if they are known. The [settings](Operator::settings) of the operator
+/// must be within their ranges. Scaling the radiance by a factor does not change the picture, unless a setting fixes the scale or the radiance is
+/// uniform.
 pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
@@ -198,7 +202,7 @@ mod tests {
         }
     }
 
-    /// Found by the property tests: beyond 2^127 of the key the local shoulder was no number, and so were the places in the table of tones.
+    /// Found by the property tests: beyond 2^127 times the key the local shoulder was NaN, and so were the positions in the table of tones.
     #[test]
     fn the_ends_of_what_floats_hold_give_a_picture() {
         let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];
@@ -212,7 +216,7 @@ mod tests {
         }
     }
 
-    /// Radiance 1 is the middle code; 4.7 and what is above it is white (1 / 0.2159 = 4.63); the least code but 0 is 0.00014 / 0.2159.
+    /// Radiance 1 gives the middle code value; 4.7 and above gives white (1 / 0.2159 = 4.63); the smallest code value above 0 is at 0.00014 / 0.2159.
     #[test]
     fn one_tone_is_what_the_photographs_showed() {
         for operator in Operator::iter() {

@@ -1,7 +1,7 @@
-//! The picture from afar: what an operator must know of all of it before the first row is mapped.
+//! Overview of a scene: the statistics that an operator needs before it can map the first row.
 //!
-//! In: radiance by rows, from top to bottom, in portions of any height. Out: a [`Scene`]: luminance on a grid of square cells, and how often
-//! which luminance occurs. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`] cells, however large the picture is.
+//! In: radiance rows, from top to bottom, in portions of any height. Out: a [`Scene`]: mean luminance and colour on a grid of square cells, and a
+//! sample of the luminances. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`] cells, however large the picture is.
 
 use super::display::{LUMINANCE, ToSrgb, luminance};
 use crate::bracket::colour::Primaries;
@@ -10,28 +10,28 @@ use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, log2, vectorised};
 use rayon::prelude::*;
 
-/// Cells that are enough: smaller pictures have a cell for each pixel. Operators may take fewer.
+/// Largest number of cells. Smaller pictures have one cell per pixel; operators may use fewer.
 pub const MOST_CELLS: usize = 1 << 20;
 
-/// Samples that are enough: percentiles within a tenth of a percent.
+/// Largest number of sampled luminances: enough for percentiles within a tenth of a percent.
 const SAMPLES: usize = 1 << 18;
 
-/// A scene of which rows are still to come.
+/// Collects the overview of a scene while its rows arrive.
 #[derive(Debug, Clone)]
 pub struct Overview {
     to_srgb: ToSrgb,
     size: (usize, usize),
     side: usize,
-    /// Of every cell the sums of log2 luminance and of red and blue over luminance, and of how many pixels.
+    /// For every cell: the sum of log2 luminance, the sums of red and of blue over luminance, and the number of lit pixels.
     cells: Plane<[f32; 4]>,
     step: usize,
-    /// log2 of the luminances of every `step`-th pixel of every `step`-th row.
+    /// log2 luminance of every `step`-th pixel of every `step`-th row.
     sample: Vec<f32>,
     photographed: Option<Photographed>,
 }
 
 impl Overview {
-    /// A picture of `width` x `height` pixels of which nothing was seen yet.
+    /// Starts the overview of a picture of `width` x `height` pixels.
     pub fn new((width, height): (usize, usize), primaries: &Primaries) -> Self {
         let (mut side, mut step) = (1, 1);
         while width.div_ceil(side) * height.div_ceil(side) > MOST_CELLS {
@@ -51,18 +51,18 @@ impl Overview {
         }
     }
 
-    /// With what is known of the photographs.
+    /// Adds the description of the photographs.
     pub fn photographed(self, photographed: Option<Photographed>) -> Self {
         Overview { photographed, ..self }
     }
 
-    /// With light of the chromaticity `light`, an xy beside D65, shown as white, from the `primaries` that it is made for.
+    /// Shows light of the chromaticity `light` (CIE xy, relative to D65) as white; `primaries` are those of the radiance.
     pub fn balanced(self, primaries: &Primaries, light: [f64; 2]) -> Self {
         Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
     }
 
-    /// Sees the rows `pixels`, which begin with row `first`. The portions do not show in what comes of it: each cell adds up its pixels
-    /// in their order.
+    /// Adds the rows `pixels`, the first of which is row `first` of the picture. The result does not depend on the portions, because each cell sums
+    /// its pixels in order.
     pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
         let (side, step, to_srgb) = (self.side, self.step, self.to_srgb);
         let (width, end) = (pixels.width(), first + pixels.height());
@@ -102,33 +102,36 @@ impl Overview {
         self.sample.extend(samples.iter().flatten());
     }
 
-    /// All of it, of which every row was seen; `None` for a picture without light.
+    /// The finished overview, after every row was added; `None` when no pixel has light.
     pub fn scene(self) -> Option<Scene> {
-        let mut sample = self.sample;
-        let means = || self.cells.as_slice().iter().filter(|c| c[3] > 0.0).map(|c| c[0] / c[3]);
+        let Overview { to_srgb, size, side, cells, mut sample, photographed, .. } = self;
+        let (width, height) = (cells.width(), cells.height());
+        let cells = cells.into_vec();
+        let lit = || cells.iter().filter(|c| c[3] > 0.0).map(|c| c[0] / c[3]);
         if sample.is_empty() {
-            // The few lit pixels are none of the sample.
-            sample.extend(means());
+            // None of the few lit pixels is in the sample.
+            sample.extend(lit());
         }
-        let darkest = means().min_by(f32::total_cmp)?;
+        let darkest = lit().min_by(f32::total_cmp)?;
         sample.sort_unstable_by(f32::total_cmp);
-        let logs = self.cells.as_slice().iter().map(|c| if c[3] > 0.0 { c[0] / c[3] } else { darkest }).collect();
-        let ratios = |c: &[f32; 4]| if c[3] > 0.0 { [c[1] / c[3], c[2] / c[3]] } else { [1.0; 2] };
-        let colours = self.cells.as_slice().iter().map(ratios).collect();
-        let colours = Plane::from_vec(self.cells.width(), self.cells.height(), colours);
-        let logs = Plane::from_vec(self.cells.width(), self.cells.height(), logs);
-        let Overview { to_srgb, size, side, photographed, .. } = self;
+        let means = |c: &[f32; 4]| match c[3] > 0.0 {
+            true => (c[0] / c[3], [c[1] / c[3], c[2] / c[3]]),
+            false => (darkest, [1.0; 2]),
+        };
+        let (logs, colours) = cells.iter().map(means).unzip();
+        let (logs, colours) = (Plane::from_vec(width, height, logs), Plane::from_vec(width, height, colours));
         Some(Scene { to_srgb, size, side, logs, colours, sample, photographed })
     }
 }
 
-/// What a plain surface may vary by, in stops, through noise and rounding; the least that light falls off by towards a picture's corners is more.
-const ONE_TONE: f32 = 0.25;
+/// Largest range, in stops, of a scene that counts as uniform: noise and rounding stay below it, and the falloff of light towards the corners of a
+/// picture is larger.
+const UNIFORM_STOPS: f32 = 0.25;
 
-/// What stands for the logarithm where there is no light.
+/// Stands for the logarithm of no light.
 const UNLIT: f32 = -1000.0;
 
-/// log2 of the luminances of a row, and red and blue over luminance, of colours that sRGB has.
+/// Computes log2 luminance, and red and blue over luminance, of a row. The ratios are clamped to those of sRGB colours.
 struct Logs<'a> {
     to_srgb: &'a ToSrgb,
     row: &'a [[f32; 3]],
@@ -147,15 +150,15 @@ impl Loops for Logs<'_> {
             let is_lit = (f32::MIN_POSITIVE..=f32::MAX).contains(&l);
             let value = log2(l);
             *log = if is_lit { value } else { UNLIT };
-            // No more than pure red and pure blue have.
+            // At most the ratios of pure red and pure blue.
             let ratio = |c: f32, i: usize| at_most(at_least(c / l, 0.0), 1.0 / LUMINANCE[i]);
             *ratios = if is_lit { [ratio(rgb[0], 0), ratio(rgb[2], 2)] } else { [0.0; 2] };
         }
     }
 }
 
-/// The value that a part `p` of `sorted`, which are rising and at least one, is below. Of both ends at least one value lies beyond it, where
-/// there are enough: a single odd pixel does not decide, however small the picture.
+/// The value below which a share `p` of `sorted` lies; `sorted` is ascending and not empty. With five values or more at least one lies beyond the
+/// result at either end, so that a single outlier does not decide, however small the picture.
 pub fn quantile(sorted: &[f32], p: f64) -> f32 {
     let last = sorted.len() - 1;
     let place = last as f64 * p;
@@ -164,80 +167,74 @@ pub fn quantile(sorted: &[f32], p: f64) -> f32 {
     sorted[(place as usize).min(last)]
 }
 
-/// A scene, all of which was seen.
+/// The overview of a complete scene.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// To the primaries of the display.
+    /// Conversion to linear sRGB.
     pub to_srgb: ToSrgb,
     /// Width and height of the picture in pixels.
     pub size: (usize, usize),
-    /// Sides of a cell, in pixels; at the right and lower end cells are cut.
+    /// Side of a cell in pixels; cells at the right and lower border may be smaller.
     pub side: usize,
-    /// The mean of log2 luminance in each cell; where there is no light the darkest of the others.
+    /// Mean log2 luminance of each cell; cells without light have the value of the darkest other cell.
     pub logs: Plane<f32>,
-    /// The means of red and of blue over luminance in each cell, of linear sRGB.
+    /// Mean of red over luminance and of blue over luminance in each cell, in linear sRGB.
     pub colours: Plane<[f32; 2]>,
-    /// log2 luminances of pixels, rising.
+    /// log2 luminances of sampled pixels, ascending.
     sample: Vec<f32>,
-    /// What is known of the photographs.
+    /// Description of the photographs, if they are known.
     pub photographed: Option<Photographed>,
 }
 
 impl Scene {
-    /// The log2 luminance that a part `p`, 0..=1, of the pixels is below.
+    /// The log2 luminance below which a share `p`, 0..=1, of the pixels lies.
     pub fn percentile(&self, p: f64) -> f64 {
         f64::from(quantile(&self.sample, p))
     }
 
-    /// Whether it is of one tone: all that is lit within `ONE_TONE`.
-    pub fn is_plain(&self) -> bool {
+    /// Whether the scene is uniform: all its light is within `UNIFORM_STOPS`.
+    pub fn is_uniform(&self) -> bool {
         let cells = self.logs.as_slice().iter();
         let (least, most) =
             self.sample.iter().chain(cells).fold((f32::MAX, f32::MIN), |(a, b), &l| (a.min(l), b.max(l)));
-        most - least <= ONE_TONE
+        most - least <= UNIFORM_STOPS
     }
 
-    /// The mean of the log2 luminances, those beyond `ends` counted as the ends.
+    /// The mean log2 luminance, with values clamped to the range given.
     pub fn average_within(&self, (dark, bright): (f64, f64)) -> f64 {
         let sum: f64 = self.sample.iter().map(|&l| f64::from(l).clamp(dark, bright)).sum();
         sum / self.sample.len() as f64
     }
 
-    /// The cells without what hardly has light: a stop below what a thousandth of the pixels is below. It is noise, and no edge or contrast.
+    /// The cells clamped from below to one stop under the 0.1th percentile: what is darker is noise, not contrast.
     pub fn lit(&self) -> Plane<f32> {
         let dark = self.percentile(0.001) as f32 - 1.0;
         let lit = self.logs.as_slice().iter().map(|l| l.max(dark)).collect();
         Plane::from_vec(self.logs.width(), self.logs.height(), lit)
     }
 
-    /// The grid with cells of twice the sides, or more, until there are at most `cells` of them.
+    /// The scene on a grid of at most `cells` cells, each made of a whole number of the present ones.
     pub fn coarser(&self, cells: usize) -> Scene {
+        let (width, height) = (self.logs.width(), self.logs.height());
         let mut by = 1;
-        while self.logs.width().div_ceil(by) * self.logs.height().div_ceil(by) > cells {
+        while width.div_ceil(by) * height.div_ceil(by) > cells {
             by += 1;
         }
-        let (width, height) = (self.logs.width(), self.logs.height());
-        let cells = |x: usize, y: usize| {
-            let (rows, columns) = (y * by..((y + 1) * by).min(height), x * by..((x + 1) * by).min(width));
-            let count = (rows.len() * columns.len()) as f32;
-            (rows.flat_map(move |y| columns.clone().map(move |x| (x, y))), count)
-        };
-        let logs = Plane::from_rows(width.div_ceil(by), height.div_ceil(by), |y, row| {
+        let (across, down) = (width.div_ceil(by), height.div_ceil(by));
+        let means = Plane::from_rows(across, down, |y, row: &mut [[f32; 3]]| {
             for (x, cell) in row.iter_mut().enumerate() {
-                let (cells, count) = cells(x, y);
-                *cell = cells.map(|(x, y)| self.logs.at(x, y)).sum::<f32>() / count;
-            }
-        });
-        let colours = Plane::from_rows(width.div_ceil(by), height.div_ceil(by), |y, row| {
-            for (x, cell) in row.iter_mut().enumerate() {
-                let (cells, count) = cells(x, y);
-                let sums = cells.fold([0.0f32; 2], |[r, b], (x, y)| {
+                let (rows, columns) = (y * by..((y + 1) * by).min(height), x * by..((x + 1) * by).min(width));
+                let count = (rows.len() * columns.len()) as f32;
+                let cells = rows.flat_map(|y| columns.clone().map(move |x| (x, y)));
+                let sums = cells.fold([0.0f32; 3], |[l, r, b], (x, y)| {
                     let [red, blue] = self.colours.at(x, y);
-                    [r + red, b + blue]
+                    [l + self.logs.at(x, y), r + red, b + blue]
                 });
                 *cell = sums.map(|sum| sum / count);
             }
         });
+        let (logs, colours) = means.into_vec().into_iter().map(|[l, r, b]| (l, [r, b])).unzip();
+        let (logs, colours) = (Plane::from_vec(across, down, logs), Plane::from_vec(across, down, colours));
         Scene { logs, colours, side: self.side * by, sample: self.sample.clone(), ..*self }
     }
 }

@@ -1,38 +1,38 @@
-//! A picture at a smaller size, row by row: in linear light, so that fine bright detail keeps its brightness.
+//! Downscaling row by row, in linear light, so that fine bright detail keeps its brightness.
 //!
 //! In: rows of light or radiance, from the first to the last, in portions of any size. Out: rows of the smaller picture as they become complete.
-//! Cost: 25 ns a pixel, over all threads. Memory: some 75 bytes for each column of what comes in, and the portion.
-//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990): Lanczos' kernel with three lobes, as wide as the smaller
-//! picture's pixels ask for, along one axis after the other.
+//! Cost: 25 ns a pixel, over all threads. Memory: about 75 bytes for each input column, and the portion.
+//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990): Lanczos' kernel with three lobes, scaled to the pixels of the
+//! smaller picture, applied along one axis after the other.
 //!
-//! Linear light has no upper end near its middle: beside a window the kernel's negative lobes would draw a black line. What comes of them is
-//! therefore kept within what the kernel's main lobe sees.
+//! Linear light has a large range: beside a window the negative lobes of the kernel would draw a black line. The result is therefore clamped to the
+//! range of the pixels under the kernel's main lobe.
 
 use crate::align::resampling::lanczos::lanczos3;
 use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::ops::Range;
 
-/// The kernel's reach, in pixels of the smaller picture.
+/// Radius of the kernel, in pixels of the smaller picture.
 const REACH: f64 = 3.0;
 
-/// What each pixel of the smaller picture is made of, along one axis.
+/// The input pixels and weights of each output pixel, along one axis.
 #[derive(Debug, Clone)]
 struct Taps {
-    /// The pixels that it sees, where its weights begin, and the pixels under the main lobe.
+    /// For each output pixel: its input pixels, the index of its first weight, and the input pixels under the main lobe.
     places: Vec<(Range<usize>, usize, Range<usize>)>,
     weights: Vec<f32>,
 }
 
 impl Taps {
-    /// From `from` pixels to `to`, which are not more.
+    /// Scales `from` pixels to `to`, which is not larger.
     fn new(from: usize, to: usize) -> Self {
         let step = from as f64 / to as f64;
         let (mut places, mut weights) = (Vec::with_capacity(to), Vec::new());
         for i in 0..to {
             let centre = (i as f64 + 0.5) * step - 0.5;
             let within = |reach: f64| {
-                // The casts keep what is before the first pixel at it.
+                // The cast clamps negative positions to 0.
                 let first = (centre - reach * step).ceil() as usize;
                 let last = ((centre + reach * step).floor() as usize).min(from - 1);
                 first..last + 1
@@ -46,7 +46,7 @@ impl Taps {
         Taps { places, weights }
     }
 
-    /// One line of pixels made smaller.
+    /// Scales one row of pixels.
     fn line(&self, from: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let pixel = |(seen, first, lobe): &(Range<usize>, usize, Range<usize>)| {
             let (mut sum, mut least, mut most) = ([0.0f32; 3], [f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -61,40 +61,40 @@ impl Taps {
                     most[c] = if p[c] > most[c] { p[c] } else { most[c] };
                 }
             }
-            std::array::from_fn(|c| kept(sum[c], least[c], most[c]))
+            std::array::from_fn(|c| clamped(sum[c], least[c], most[c]))
         };
         self.places.iter().map(pixel).collect()
     }
 }
 
-/// `value` within `least` and `most`.
+/// Clamps `value` to `least..=most`; NaN becomes `least`.
 #[inline(always)]
-fn kept(value: f32, least: f32, most: f32) -> f32 {
+fn clamped(value: f32, least: f32, most: f32) -> f32 {
     let value = if value > least { value } else { least };
     if value < most { value } else { most }
 }
 
-/// A picture that is being made smaller.
+/// Downscales a picture row by row.
 #[derive(Debug, Clone)]
 pub struct Resizer {
     width: usize,
     columns: Taps,
     rows: Taps,
-    /// Rows of the picture, as wide as the smaller one, from row `first` on.
+    /// Rows of the picture from row `first` on, already scaled to the output width.
     lines: VecDeque<Vec<[f32; 3]>>,
     first: usize,
-    /// Rows of the smaller picture that were given out.
+    /// Number of output rows that were returned.
     done: usize,
 }
 
 impl Resizer {
-    /// From a picture of `from` pixels to one of `to`, which has no side that is longer or 0.
+    /// Scales a picture of `from` pixels to `to` pixels; no side of `to` is longer than that of `from`, or 0.
     pub fn new(from: (usize, usize), to: (usize, usize)) -> Self {
         let (columns, rows) = (Taps::new(from.0, to.0), Taps::new(from.1, to.1));
         Resizer { width: from.0, columns, rows, lines: VecDeque::new(), first: 0, done: 0 }
     }
 
-    /// Takes whole rows, and puts those of the smaller picture that are complete with them into `out`, which is emptied first.
+    /// Takes whole input rows and replaces the contents of `out` by the output rows that they complete.
     pub fn push(&mut self, rows: &[[f32; 3]], out: &mut Vec<[f32; 3]>) {
         let lines: Vec<Vec<[f32; 3]>> = rows.par_chunks(self.width).map(|row| self.columns.line(row)).collect();
         self.lines.extend(lines);
@@ -111,7 +111,7 @@ impl Resizer {
         self.first = needed;
     }
 
-    /// Row `y` of the smaller picture, of which all rows are there.
+    /// Computes output row `y`, all input rows of which are present.
     fn row(&self, y: usize, to: &mut [[f32; 3]]) {
         let (seen, first, lobe) = &self.rows.places[y];
         let line = |j: usize| self.lines[j - self.first].as_flattened();
@@ -129,7 +129,7 @@ impl Resizer {
             }
         }
         for ((sum, least), most) in to.iter_mut().zip(least).zip(most) {
-            *sum = kept(*sum, least, most);
+            *sum = clamped(*sum, least, most);
         }
     }
 }
@@ -165,13 +165,13 @@ mod tests {
             let whole = resized(&picture, to, 173);
             assert!([1, 5, 64].iter().all(|&portion| resized(&picture, to, portion) == whole), "{to:?}");
         }
-        // Whole places have one weight, but for the rounding of sines.
+        // Whole positions have one weight, but for the rounding of sines.
         let same = resized(&picture, (61, 173), 64);
         let off = same.as_flattened().iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f32::max) < 1e-3, "the same size is the same picture");
     }
 
-    /// A plane keeps its value and a ramp its slope; an edge of 1 : 1000 has no line beside it.
+    /// A uniform picture keeps its value and a ramp its slope; an edge of 1 : 1000 has no line beside it.
     #[test]
     fn light_is_kept_and_edges_do_not_ring() {
         for to in [(150, 90), (77, 31), (40, 13)] {

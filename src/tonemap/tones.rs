@@ -1,12 +1,12 @@
-//! Tones: what an operator has settled, so that rows can be mapped to codes as they come.
+//! Tones: the result of an operator, which maps rows of radiance to code values.
 //!
-//! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of codes. Colour is
-//! the same for all operators but `natural`: hue is kept in linear light, saturation is corrected for the contrast that the curve takes away, and colours
-//! that the display lacks are drawn to grey. Cost: 8 ns a pixel and core.
+//! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of code values. Colour is
+//! handled the same way for all operators but `natural`: hue is kept in linear light, saturation is corrected for the loss of contrast, and colours
+//! outside the gamut are desaturated. Cost: 8 ns a pixel and core.
 //! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
 
 use super::display::{ToSrgb, into_gamut, luminance};
-use super::guide::Guide;
+use super::guide::{Columns, Guide, interpolated};
 use super::overview::Scene;
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
@@ -15,21 +15,21 @@ use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised
 use crate::tonemap::display::codes::{Code, Encoder};
 use crate::tonemap::display::oklab;
 
-/// Tones v that the curve has entries for: log2, so many to the octave, between which it is straight.
+/// Entries of the curve: so many to the octave, with linear interpolation, from the tone FIRST (log2) on.
 const PER_OCTAVE: usize = 64;
 const OCTAVES: usize = 48;
 const FIRST: f32 = -24.0;
 
-/// From the tone v to the display.
+/// Maps the tone v to the display.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
-    /// Of every entry the luminance, relative to display white, and the share of saturation that is kept.
+    /// For every entry the luminance relative to display white, and the factor on saturation.
     entries: Vec<[f32; 2]>,
 }
 
 impl Curve {
-    /// `display` gives for a tone the luminance, 0..=1 and never falling, `contrast` the slope of log display luminance over log scene
-    /// luminance by which saturation is corrected. `saturation` times what Mantiuk's fit gives is kept.
+    /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing; `contrast` the slope of log display luminance over log
+    /// scene luminance, by which saturation is corrected. `saturation` is a factor on the result of Mantiuk's fit.
     pub fn new(display: impl Fn(f64) -> f64, contrast: impl Fn(f64) -> f64, saturation: f64) -> Self {
         let entry = |i| {
             let v = f64::from(FIRST) + i as f64 / PER_OCTAVE as f64;
@@ -38,7 +38,7 @@ impl Curve {
         Curve { entries: (0..=PER_OCTAVE * OCTAVES).map(entry).collect() }
     }
 
-    /// The luminance relative to display white that the tone `v` has.
+    /// The luminance of the tone `v` relative to display white.
     pub fn display(&self, v: f32) -> f32 {
         let (entry, part) = place(v);
         let (p, q) = (self.entries[entry as usize][0], self.entries[entry as usize + 1][0]);
@@ -46,18 +46,18 @@ impl Curve {
     }
 }
 
-/// The entry before the tone `v`, and the part of the way to the next.
+/// The entry before the tone `v`, and the fraction of the way to the next.
 #[inline(always)]
 fn place(v: f32) -> (u32, f32) {
     let most = (PER_OCTAVE * OCTAVES) as f32 - 0.01;
-    // What is no number goes to the first: vectors have no bounds that stop it.
+    // NaN is sent to the first entry; the comparison keeps the loop vectorised.
     let scaled = (v - FIRST) * PER_OCTAVE as f32;
     let scaled = at_most(if scaled > 0.0 { scaled } else { 0.0 }, most);
     let whole = floor32(scaled);
     (integer32(whole), scaled - whole)
 }
 
-/// Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c is the contrast left.
+/// Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c is the remaining contrast.
 fn corrected(contrast: f64) -> f64 {
     const K1: f64 = 2.3892;
     const K2: f64 = 0.8552;
@@ -65,45 +65,45 @@ fn corrected(contrast: f64) -> f64 {
     (1.0 + K1) * power / (1.0 + K1 * power)
 }
 
-/// What maps rows of radiance to codes.
+/// Maps rows of radiance to code values.
 #[derive(Debug, Clone)]
 pub struct Tones {
     to_srgb: ToSrgb,
     guide: Guide,
     curve: Curve,
-    /// What is left of the scene's chroma, and the turn of its hue in radians, by the guide's cells; where there is none, as the curve says.
+    /// Factor on the chroma of the scene and rotation of its hue in radians, for the cells of the guide; without it the curve sets the saturation.
     chroma: Option<Plane<[f32; 2]>>,
-    /// Where in the guide's rows the columns of the picture lie.
-    columns: (Vec<u32>, Vec<f32>),
+    /// Position of the picture's columns in the rows of the guide.
+    columns: Columns,
 }
 
 impl Tones {
-    /// Of a picture `width` pixels wide.
+    /// Tones of a picture `width` pixels wide.
     pub fn new(to_srgb: ToSrgb, guide: Guide, curve: Curve, width: usize) -> Self {
         let columns = guide.columns(width);
         Tones { to_srgb, guide, curve, chroma: None, columns }
     }
 
-    /// With so much of the scene's chroma, and so much turned in hue, by the guide's cells: colours are those of OkLab, and are drawn to grey there where the display has none
-    /// of theirs.
+    /// Sets the factor on chroma and the rotation of hue for the cells of the guide. Colours are then computed in OkLab, and those outside the gamut are
+    /// desaturated there.
     pub fn with_chroma(self, chroma: Plane<[f32; 2]>) -> Self {
         Tones { chroma: Some(chroma), ..self }
     }
 
-    /// Black: of a picture without light.
+    /// Tones that map everything to black, for a picture without light.
     pub fn black(width: usize) -> Self {
         let none = Curve::new(|_| 0.0, |_| 0.0, 0.0);
         Tones::new(ToSrgb::from(&crate::bracket::colour::Primaries::SRGB), Guide::shifted(0.0), none, width)
     }
 
-    /// As a photograph shows it: radiance 1 has the middle code, 128, as in the reference that it was merged to.
+    /// Tones that map radiance 1 to the middle code value, 128, as in the reference frame that it was merged to.
     pub fn as_photographed(to_srgb: ToSrgb, width: usize) -> Self {
         let middle = srgb_to_linear(128.0 / 255.0);
         let curve = Curve::new(|v| middle * libm::exp2(v), |_| 1.0, 1.0);
         Tones::new(to_srgb, Guide::shifted(0.0), curve, width)
     }
 
-    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to as many codes of `encoder`.
+    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to code values of `encoder`.
     pub fn map<C: Code>(&self, encoder: &Encoder, first: usize, rows: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let width = self.columns.0.len().max(1);
         let mut lines = Vec::new();
@@ -117,7 +117,7 @@ impl Tones {
         }
     }
 
-    /// The luminances on the display, 0..=1, of the cells of `grid`.
+    /// The display luminances, 0..=1, of the cells of `grid`.
     pub fn displayed(&self, grid: &Scene) -> Plane<f32> {
         let (width, height) = (self.columns.0.len(), grid.size.1);
         let centre = |cell: usize, end: usize| (cell * grid.side + grid.side / 2).min(end.max(1) - 1);
@@ -133,14 +133,14 @@ impl Tones {
         })
     }
 
-    /// The sRGB codes of `radiance`.
+    /// The sRGB picture of `radiance`.
     pub fn picture(&self, radiance: &Plane<[f32; 3]>) -> Plane<[u8; 3]> {
         let encoder = Encoder::default();
         Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(&encoder, y, radiance.row(y), row))
     }
 
-    /// Light of the encoder's primaries, relative to display white, of as many pixels as are worked out side by side; `x` is the column of the first. `lines`
-    /// and `chroma` are of the row.
+    /// Maps a block of radiance, in place, to light of the encoder's primaries relative to display white. `x` is the column of the first pixel; `lines`
+    /// and `chroma` are those of the row.
     #[inline(always)]
     fn pixels(
         &self,
@@ -154,7 +154,7 @@ impl Tones {
         let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         for i in 0..BLOCK {
-            // Beyond any light there is; finite, so that what follows is.
+            // Clamped, so that everything that follows is finite.
             let [r, g, b] = self.to_srgb.apply([red[i], green[i], blue[i]]).map(|c| at_most(c, 1e37));
             (red[i], green[i], blue[i]) = (r, g, b);
             light[i] = luminance([r, g, b]);
@@ -168,10 +168,7 @@ impl Tones {
                 *v = a * *v + b;
             }
         } else {
-            let columns = (self.columns.0[x..].iter(), self.columns.1[x..].iter());
-            for ((v, &cell), &part) in tone.iter_mut().zip(columns.0).zip(columns.1) {
-                let (p, q) = (lines[cell as usize], lines[cell as usize + 1]);
-                let (a, b) = (p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1]));
+            for (v, [a, b]) in tone.iter_mut().zip(interpolated(&self.columns, x, lines)) {
                 *v = a * *v + b;
             }
         }
@@ -195,11 +192,11 @@ impl Tones {
             }
         } else {
             let mut turn = [0.0f32; BLOCK];
-            let columns = (self.columns.0[x..].iter(), self.columns.1[x..].iter());
-            for (((share, turn), &cell), &part) in share.iter_mut().zip(&mut turn).zip(columns.0).zip(columns.1) {
-                let (p, q) = (chroma[cell as usize], chroma[cell as usize + 1]);
-                *share *= p[0] + part * (q[0] - p[0]);
-                *turn = p[1] + part * (q[1] - p[1]);
+            for ((share, turn), [factor, angle]) in
+                share.iter_mut().zip(&mut turn).zip(interpolated(&self.columns, x, chroma))
+            {
+                *share *= factor;
+                *turn = angle;
             }
             let mut lit = light;
             lit.iter_mut().for_each(|light| *light = at_least(*light, f32::MIN_POSITIVE));
@@ -208,20 +205,19 @@ impl Tones {
             shown.colours(&mut colours, |rgb| encoder.from_srgb(rgb));
             [*red, *green, *blue] = colours;
         }
-        for i in 0..BLOCK {
-            // Without light, or without a number, it is black.
-            let is_lit = light[i] >= f32::MIN_POSITIVE;
-            red[i] = if is_lit { red[i] } else { 0.0 };
-            green[i] = if is_lit { green[i] } else { 0.0 };
-            blue[i] = if is_lit { blue[i] } else { 0.0 };
+        for channel in [red, green, blue] {
+            for (c, light) in channel.iter_mut().zip(&light) {
+                // No light, or NaN, is black.
+                *c = if *light >= f32::MIN_POSITIVE { *c } else { 0.0 };
+            }
         }
     }
 }
 
-/// Pixels that are worked out side by side.
+/// Pixels that are computed together.
 const BLOCK: usize = 64;
 
-/// A row that is mapped to codes.
+/// A row to map to code values.
 struct Mapped<'a, C> {
     tones: &'a Tones,
     lines: &'a [[f32; 2]],
@@ -273,8 +269,8 @@ mod tests {
         Tones::new(ToSrgb::from(&Primaries::SRGB), guide, curve, 500)
     }
 
-    /// The chain as it is printed, in doubles. The pieces of the curves are straight over 1/64 stop: (ln 2 / 64)^2 / 8 = 1.5e-5 of a value,
-    /// the logarithm within 2e-7 of a value below 8. Half a code is at most 0.0045 of linear light.
+    /// The equations of the papers in doubles. The curves are linear over 1/64 stop: (ln 2 / 64)^2 / 8 = 1.5e-5 of a value; the logarithm is within 2e-7
+    /// of a value below 8. Half a code value is at most 0.0045 of linear light.
     #[test]
     fn pixels_are_those_of_the_papers() {
         let map = ramp();

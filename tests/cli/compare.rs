@@ -246,7 +246,7 @@ fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
         ("a.exr .", "it is a folder"),
         ("a.exr a.exr --tolerance-de 1", "--tolerance-stops"),
         ("a.png a.png --tolerance-stops 1", "--tolerance-de"),
-        ("a.exr a.exr --tolerance-stops -1", "no tolerance"),
+        ("a.exr a.exr --tolerance-stops -1", "-1 is not a tolerance"),
         ("a.exr a.exr --max-differing 101", "percent"),
         ("a.exr a.exr --diff d.jpg", ".png"),
         ("a.exr a.exr --diff a.png", "--force"),
@@ -374,7 +374,7 @@ fn a_unit_that_is_no_number_is_not_believed_and_black_is_not_the_same() {
     folder.put("dim.exr", &with_white(&bytes, 1e-12));
     let (run, json) = compare(&folder, "dim.exr black.exr --min-psnr 60");
     let reason = json["reason"].as_str().unwrap_or_default();
-    assert!(run.code == 1 && reason.contains("not equal, and PU21-PSNR says nothing"), "{json}");
+    assert!(run.code == 1 && reason.contains("not equal, and PU21-PSNR cannot measure the difference"), "{json}");
 }
 
 /// Alpha, depth and a second view, as renderers write them beside the colours.

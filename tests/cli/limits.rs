@@ -338,7 +338,7 @@ fn files_of_absurd_length_are_not_read() {
 fn devices_and_folders_are_no_photographs() {
     let folder = Folder::with_bracket();
     fs::create_dir(folder.at("sub.jpg")).expect("a folder");
-    let zero = ["/dev/zero", "MB may be read"];
+    let zero = ["/dev/zero", "MB are read"];
     refused(&folder, "merge w1.jpg /dev/zero -o a.png", &["/dev/zero", "nothing but zeros"]);
     refused(&folder, "merge w1.jpg w2.jpg --transforms /dev/zero -o a.png", &zero);
     refused(&folder, "merge w1.jpg /dev/null -o a.png", &["/dev/null", "empty"]);

@@ -124,7 +124,7 @@ fn rejection_in_transforms_is_warned_of_unless_it_is_the_users() {
     });
     let run = folder.line("align w2.jpg w3.jpg w4.jpg --transforms t.json --json --strict");
     assert_eq!(run.code, 3, "{run:?}");
-    assert!(run.stderr.contains("w2.jpg: left out: a bird"), "{run:?}");
+    assert!(run.stderr.contains("w2.jpg: rejected: a bird"), "{run:?}");
     assert_eq!(frame(&report(&run.stdout), "w2.jpg")["rejected_by"], "alignment");
     // What the user excludes is in the file as that, and stays so.
     let folder = Folder::with_bracket();

@@ -75,7 +75,7 @@ fn two_sizes_are_refused_with_both() {
         &folder,
         "merge w1.jpg narrow.jpg -o a.exr",
         1,
-        &["narrow.jpg", "280x200", "w1.jpg", "300x200", "one size"],
+        &["narrow.jpg", "280x200", "w1.jpg", "300x200", "the same size"],
     );
 }
 
@@ -268,7 +268,7 @@ fn transforms_of_other_photographs_are_named() {
     folder.line("align w2.jpg w3.jpg --reference w3.jpg --transforms t.json").done();
     for options in ["", "--reference w4.jpg"] {
         let line = format!("merge w4.jpg w5.jpg --transforms t.json -o a.exr {options}");
-        refused(&folder, &line, 1, &["t.json", "of other photographs", "its reference, w3.jpg, is not among these"]);
+        refused(&folder, &line, 1, &["t.json", "for other photographs", "its reference, w3.jpg, is not among these"]);
     }
 }
 
@@ -276,7 +276,7 @@ fn transforms_of_other_photographs_are_named() {
 fn a_response_file_that_is_none_is_named() {
     let folder = Folder::with_bracket();
     folder.put("r.json", b"{\"schema\": \"something/7\"}");
-    refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response r.json", 1, &["r.json", "no usable response file"]);
+    refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response r.json", 1, &["r.json", "not a usable response file"]);
     refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response gone.json", 1, &["gone.json"]);
 }
 

@@ -170,7 +170,7 @@ fn a_bad_bracket_is_left_out_of_the_response_where_that_is_asked_for() {
     assert_eq!(report.brackets.len(), 3);
     let told: Vec<&str> = report.warnings.iter().filter(|w| w.degrades).map(|w| w.message.as_str()).collect();
     assert_eq!(told.len(), 2, "{told:?}");
-    assert!(told[0].contains("s1.jpg: its bracket is left out") && told[0].contains("bad.jpg"), "{told:?}");
+    assert!(told[0].contains("s1.jpg: its bracket is not used") && told[0].contains("bad.jpg"), "{told:?}");
     assert!(told[1].contains("at least two photographs"), "{told:?}");
     assert_eq!(folder.bytes("mixed.json"), folder.bytes("good.json"), "what is left out takes no part");
 

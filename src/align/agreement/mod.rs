@@ -1,9 +1,9 @@
-//! Agreement: a local check of a transform, tile by tile, by a measure that no other method has optimised.
+//! Agreement: a local check of a transform, tile by tile, with a measure that no other method optimises.
 //!
 //! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the
-//! displacement of those that agree. Cost: some twenty correlations of each tile, of three multiply-adds a pixel.
+//! displacement of those that agree. Cost: some twenty correlations per tile, with three multiply-adds per pixel.
 //! Source: normalised cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), which does
-//! not depend on gain and offset, within a few pixels about the place.
+//! not depend on gain and offset, searched within a few pixels.
 
 mod tile;
 mod tile_fit;
@@ -20,21 +20,21 @@ use rayon::prelude::*;
 
 /// Tiles along the long side.
 const TILES: usize = 16;
-/// Least side of a tile, in pixels: a narrower picture has none and cannot be checked.
+/// Least side of a tile, in pixels. A narrower picture has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// How far around its place a tile is sought, in pixels.
+/// Search range of a tile around its position, in pixels.
 const REACH: isize = 3;
 
 /// The agreement of the tiles with a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
-    /// Tiles whose best match is where the transform puts it.
+    /// Tiles whose best match is at the position given by the transform.
     pub agreeing: usize,
-    /// Tiles with as much structure that match elsewhere, or nowhere.
+    /// Tiles with enough structure that match elsewhere, or nowhere.
     pub disagreeing: usize,
     /// Tiles that are uniform, too dark, too bright, or outside the frame.
     pub undecided: usize,
-    /// Of the nine parts of the picture (three by three), those in which a tile agrees.
+    /// Number of parts of the picture, of three by three, in which a tile agrees.
     pub parts: usize,
     /// The median displacement of the agreeing tiles, in pixels of the planes.
     pub offset: f64,
@@ -48,7 +48,7 @@ impl Agreement {
         (self.agreeing as f64 + 1.5) / ((self.agreeing + self.disagreeing) as f64 + 5.0)
     }
 
-    /// How much of the picture the agreeing tiles cover, 1/2..=1.
+    /// The coverage of the picture by agreeing tiles, 1/2..=1.
     pub fn coverage(&self) -> f64 {
         0.5 + 0.5 * self.parts.min(ENOUGH_PARTS) as f64 / ENOUGH_PARTS as f64
     }
@@ -58,17 +58,18 @@ impl Agreement {
 const ENOUGH_PARTS: usize = 4;
 
 impl TileCheck {
-    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both: the sum of
-    /// the logarithms of the ratio of what the two leave unexplained of a tile's pattern. Positive for this, negative
-    /// for the other.
+    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both.
+    ///
+    /// The sum over the tiles of the logarithm of the ratio of their unexplained variances. Positive for this
+    /// transform, negative for the other.
     pub fn evidence_over(&self, other: &TileCheck) -> f64 {
-        let left = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
+        let unexplained = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
-        both.map(|(a, b)| libm::log(left(b) / left(a))).sum()
+        both.map(|(a, b)| libm::log(unexplained(b) / unexplained(a))).sum()
     }
 }
 
-/// What noise leaves unexplained of a tile's pattern even where it is right.
+/// Share of a tile's variance that noise leaves unexplained under the true transform.
 const UNEXPLAINED: f64 = 0.05;
 
 /// The displacement of a tile.
@@ -76,76 +77,67 @@ const UNEXPLAINED: f64 = 0.05;
 pub struct TileDisplacement {
     /// Its centre in the reference, in pixels of the planes.
     pub centre: [f64; 2],
-    /// Minus the second derivatives of its correlation about the best match, [xx, xy, yy], per pixel^2: how sharply it
-    /// is placed, each way.
+    /// Negative second derivatives of its correlation at the best match, [xx, xy, yy], per pixel^2: the precision of
+    /// its position in each direction.
     pub sharpness: [f64; 3],
-    /// `sharpness` times how far it lies from where the transform puts it, in the reference's directions. (Along an
-    /// edge neither is known.)
+    /// `sharpness` times the displacement from the position given by the transform, in the reference's directions.
+    /// (Along an edge both are zero.)
     pub pull: [f64; 2],
 }
 
 /// The check of a transform: all tiles together, and each by itself.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TileCheck {
-    /// All together.
+    /// The summary of all tiles.
     pub agreement: Agreement,
-    /// The correlation of each tile at its place; none where it is undecided.
+    /// The correlation of each tile at its position; none where it is undecided.
     pub correlations: Vec<Option<f32>>,
-    /// Of the agreeing tiles, all whose best match is not at the rim of the search.
+    /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,
 }
 
-/// How far the two frames agree under `h`, reference -> frame, in pixels of the planes.
+/// Checks the transform `h`, reference -> frame in pixels of the planes, by tiles.
 pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     let (width, height) = (both.reference.width(), both.reference.height());
     let warped = warped_to_reference(&both.frame, h, (width, height));
-    // Of a strip that is longer than so many squares the whole width.
+    // In a strip longer than TILES squares, a tile spans the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
     let checked = |i| check_tile(both, &warped, i % columns * side, i / columns * side, side);
     let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(checked).collect();
     let mut sum = Agreement::default();
     let mut displacements = Vec::new();
-    let mut each = Vec::with_capacity(tiles.len());
     let mut offsets = Vec::new();
-    let mut correlations = 0.0;
     let mut parts = [false; 9];
     for (i, tile) in tiles.iter().enumerate() {
-        each.push(match *tile {
-            Tile::Undecided => None,
-            Tile::Agrees { correlation, .. } | Tile::Disagrees { correlation } => Some(correlation),
-        });
         match *tile {
             Tile::Undecided => sum.undecided += 1,
-            Tile::Agrees { offset, correlation, peak } => {
+            Tile::Disagrees { .. } => sum.disagreeing += 1,
+            Tile::Agrees { offset, peak, .. } => {
                 sum.agreeing += 1;
                 let middle = |at: usize| (at * side) as f64 + (side as f64 - 1.0) / 2.0;
                 displacements.extend(peak.map(|p| p.about([middle(i % columns), middle(i / columns)])));
                 parts[i / columns * 3 / rows * 3 + i % columns * 3 / columns] = true;
                 offsets.push(offset);
-                correlations += f64::from(correlation);
-            }
-            Tile::Disagrees { correlation } => {
-                sum.disagreeing += 1;
-                correlations += f64::from(correlation);
             }
         }
     }
     sum.parts = parts.iter().filter(|&&p| p).count();
     sum.offset = median(offsets).map_or(0.0, f64::from);
-    sum.correlation = correlations / (sum.agreeing + sum.disagreeing).max(1) as f64;
-    TileCheck { agreement: sum, correlations: each, displacements }
+    let correlations: Vec<Option<f32>> = tiles.iter().map(Tile::correlation).collect();
+    let total = correlations.iter().flatten().fold(0.0, |total, &c| total + f64::from(c));
+    sum.correlation = total / (sum.agreeing + sum.disagreeing).max(1) as f64;
+    TileCheck { agreement: sum, correlations, displacements }
 }
 
-/// The frame on the reference's grid, [`REACH`] pixels of nothing (NaN) around it, and nothing where the frame does not
-/// reach.
+/// The frame on the reference's grid, with a margin of [`REACH`] pixels. NaN in the margin and outside the frame.
 fn warped_to_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize)) -> Plane<f32> {
     let margin = REACH as usize;
     let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
     let mut warped = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
     warped.fill_rows(|row_at, row| {
         let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
-        // Over a few pixels a projective map is a straight line to within a ten-thousandth of a pixel.
+        // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
         for (start, piece) in row[margin..margin + width].chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
             let from = map(h, start as f64, y as f64);
             let to = map(h, (start + PIECE) as f64, y as f64);
@@ -165,7 +157,7 @@ fn warped_to_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (u
     warped
 }
 
-/// Pixels of a row that are placed by one straight line.
+/// Pixels of a row whose positions are interpolated linearly.
 const PIECE: usize = 16;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What the tiles say of transforms that are right, and of such as are wrong by a known amount.
+//! Agreement with true transforms, and with transforms that have a known error.
 
 use super::*;
 use crate::align::photometric::ToneTables;
@@ -7,7 +7,7 @@ use crate::align::transform::Transform;
 
 const SIZE: (usize, usize) = (480, 320);
 
-/// The opinion of `claimed` on two exposures, the second moved by `truth`.
+/// The agreement of two exposures with the transform `claimed`.
 fn agreement_of(reference: &Plane<u8>, frame: &Plane<u8>, claimed: &Transform) -> Agreement {
     let h = claimed.matrix(SIZE.0, SIZE.1);
     check_tiles(&CommonExposure::new(reference, frame, &ToneTables::between(reference, frame, &h)), &h).agreement
@@ -28,7 +28,7 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
         assert!(right.disagreeing == 0 && 2 * right.agreeing > tiles, "{right:?}");
         // A tile of 900 pixels is placed to some hundredths of a pixel (`TILE_NOISE_PX`).
         assert!(right.offset < 0.1 && right.correlation > 0.9, "{right:?}");
-        // Half a pixel is beyond none of the tiles, but they see it.
+        // All tiles measure an error of half a pixel.
         let near = agreement_of(&reference, &frame, &rigid(4.3 + 0.3, -2.2 - 0.4, 0.6));
         assert!(near.disagreeing == 0 && (near.offset - 0.5).abs() < 0.1, "{near:?}");
         // Five pixels is beyond the tiles' reach.

@@ -1,8 +1,8 @@
-//! One tile: where it correlates best within a few pixels about its place.
+//! The check of one tile: its best correlation within a few pixels around its position.
 //!
 //! In: two frames at a common exposure, the second warped to the reference's grid, and a tile. Out: whether the tile
-//! agrees with its place, and the paraboloid of its correlations. Cost: some twenty correlations, of three
-//! multiply-adds a pixel. Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
+//! agrees, and the paraboloid of its correlations. Cost: some twenty correlations, with three multiply-adds per pixel.
+//! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::{REACH, TileDisplacement};
 use crate::align::photometric::CommonExposure;
@@ -12,12 +12,13 @@ use crate::simd::{Loops, vectorised};
 /// Least standard deviation of a tile's weighted pixels for it to be decided, in grey values.
 const LEAST_CONTRAST: f32 = 2.5;
 
-/// ... and the fewest of them: a lamp in the night is enough.
+/// Fewest pixels with weight for a tile to be decided: a lamp at night is enough.
 const LEAST_PIXELS: f32 = 64.0;
 
-/// Weight below which a pixel does not count.
+/// Weight below which a pixel is ignored.
 const LEAST_WEIGHT: f32 = 0.01;
 
+/// The result for one tile: `correlation` at its position, `offset` of the best match in pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Tile {
     Undecided,
@@ -25,7 +26,17 @@ pub(super) enum Tile {
     Disagrees { correlation: f32 },
 }
 
-/// The paraboloid about the best of a tile's correlations.
+impl Tile {
+    /// The correlation at its position; none where it is undecided.
+    pub(super) fn correlation(&self) -> Option<f32> {
+        match *self {
+            Tile::Undecided => None,
+            Tile::Agrees { correlation, .. } | Tile::Disagrees { correlation } => Some(correlation),
+        }
+    }
+}
+
+/// The paraboloid around the best correlation of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Peak {
     at: Shift,
@@ -34,7 +45,7 @@ pub(super) struct Peak {
 }
 
 impl Peak {
-    /// It lies at `at` + S^-1 g, so S times that is S `at` + g.
+    /// The displacement of the tile with this centre. The peak is at `at` + S^-1 g, so the pull is S `at` + g.
     pub(super) fn about(&self, centre: [f64; 2]) -> TileDisplacement {
         let [xx, xy, yy] = self.sharpness;
         let (x, y) = (self.at.0 as f64, self.at.1 as f64);
@@ -43,16 +54,16 @@ impl Peak {
     }
 }
 
-/// A tile's pixels of the reference that count, less their mean; 0 elsewhere.
+/// The pixels of a tile in the reference minus their mean; 0 where the weight is too small.
 struct Pattern {
     left: usize,
     top: usize,
     side: usize,
     /// By rows.
     values: Vec<f32>,
-    /// 1 where a pixel counts, 0 elsewhere.
+    /// 1 where a pixel has enough weight, 0 elsewhere.
     mask: Vec<f32>,
-    /// How many count.
+    /// Number of pixels with enough weight.
     count: f32,
     /// The sum of the squares of `values`.
     energy: f32,
@@ -84,13 +95,13 @@ impl Pattern {
         has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 
-    /// The correlation with what lies (dx, dy) beside the place; not a number where the frame does not reach.
+    /// The correlation with the frame shifted by `shift`; NaN outside the frame.
     fn correlation(&self, warped: &Plane<f32>, shift: Shift) -> f32 {
         let (sums, squares, products) = vectorised(Moments { pattern: self, warped, shift });
         let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
         let sum = total(sums);
         let variance = total(squares) - sum * sum / self.count;
-        // A frame without structure where the reference has some agrees with nothing.
+        // The least variance keeps the correlation low where the frame has no structure.
         if variance.is_nan() {
             f32::NAN
         } else {
@@ -99,7 +110,7 @@ impl Pattern {
     }
 }
 
-/// The sums that a correlation is made of, over what lies `shift` beside a pattern's place.
+/// Computes the sums of a correlation of a pattern with the frame shifted by `shift`.
 struct Moments<'a> {
     pattern: &'a Pattern,
     warped: &'a Plane<f32>,
@@ -107,7 +118,7 @@ struct Moments<'a> {
 }
 
 impl Loops for Moments<'_> {
-    /// The sums of the frame's levels, of their squares, and of their products with the pattern.
+    /// The sums of the frame's grey values, of their squares, and of their products with the pattern.
     type Output = ([f32; LANES], [f32; LANES], [f32; LANES]);
 
     #[inline(always)]
@@ -142,7 +153,7 @@ impl Loops for Moments<'_> {
     }
 }
 
-/// Sums that are kept side by side, to be computed together.
+/// Partial sums that are computed side by side.
 const LANES: usize = 8;
 
 /// Whole pixels to the right and down.
@@ -159,7 +170,7 @@ struct Correlations<'a> {
 const SPAN: usize = 2 * REACH as usize + 1;
 
 impl Correlations<'_> {
-    /// The correlation at a shift; not a number beyond reach.
+    /// The correlation at a shift; NaN beyond [`REACH`].
     fn at(&mut self, (dx, dy): Shift) -> f32 {
         if dx.abs() > REACH || dy.abs() > REACH {
             return f32::NAN;
@@ -168,7 +179,7 @@ impl Correlations<'_> {
         *known.get_or_insert_with(|| self.pattern.correlation(self.warped, (dx, dy)))
     }
 
-    /// The top of the hill on which `start` lies.
+    /// Climbs from `start` to the next local maximum.
     fn climb(&mut self, start: Shift) -> (f32, Shift) {
         let mut best = (self.at(start), start);
         loop {
@@ -193,10 +204,8 @@ impl Correlations<'_> {
         let bend = before - 2.0 * here + after;
         if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
     }
-}
 
-impl Correlations<'_> {
-    /// The paraboloid through `at` and its eight neighbours; none where one of them is not known.
+    /// The paraboloid through a shift and its eight neighbours; none where one of them is NaN.
     fn peak(&mut self, (x, y): Shift) -> Option<Peak> {
         let mut c = [[0.0f64; 3]; 3];
         for (j, row) in (-1..).zip(&mut c) {
@@ -208,13 +217,14 @@ impl Correlations<'_> {
         let xx = 2.0 * c[1][1] - c[1][0] - c[1][2];
         let yy = 2.0 * c[1][1] - c[0][1] - c[2][1];
         let xy = -0.25 * (c[2][2] - c[2][0] - c[0][2] + c[0][0]);
-        // A ridge that is not quite straight may turn up along its crest: it has no position there.
+        // A curved ridge may rise along its crest, where it has no maximum: limits the cross term.
         let limit = 0.95 * (xx * yy).max(0.0).sqrt();
         let known = c.iter().flatten().all(|v| v.is_finite()) && xx >= 0.0 && yy >= 0.0;
         known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })
     }
 }
 
+/// Checks the tile of this side whose top-left pixel is (`left`, `top`).
 pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, side: usize) -> Tile {
     let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Undecided };
     let mut correlations = Correlations { pattern: &pattern, warped, known: [[None; SPAN]; SPAN] };
@@ -223,7 +233,7 @@ pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize
         return Tile::Undecided;
     }
     let mut best = correlations.climb((0, 0));
-    // Smoothed planes correlate smoothly: other hills within reach show at its rim.
+    // Smoothed planes have smooth correlations: other maxima within reach are visible from the edge.
     for start in RIM {
         if correlations.at(start) > best.0 {
             best = correlations.climb(start);
@@ -243,8 +253,8 @@ pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize
     Tile::Agrees { offset: (x * x + y * y).sqrt(), correlation: here, peak: correlations.peak(best.1) }
 }
 
-/// Where other hills are sought.
+/// Shifts from which other maxima are searched.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 
-/// A tile that correlates less does not agree.
+/// Least correlation of an agreeing tile.
 const LEAST_CORRELATION: f32 = 0.4;

@@ -1,10 +1,10 @@
-//! The transform that the displacements of the tiles fit best.
+//! The transform that fits the displacements of the tiles best.
 //!
-//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and how well
-//! they determine it. Cost: negligible beside the check. Source: Newton's method on the sum of the correlations; tiles
-//! that moved by themselves lose their weight (Tukey's biweight).
+//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and its error
+//! estimate. Cost: negligible compared with the check. Source: Newton's method on the sum of the correlations; tiles on
+//! moving objects are down-weighted (Tukey's biweight).
 //!
-//! Flare, motion blur, or noise that bends the intensity map displace the grey values of every edge to the same side,
+//! Flare, motion blur, and noise that bends the intensity map displace the grey values of all edges to the same side,
 //! and [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and
 //! offset.
 
@@ -19,25 +19,25 @@ const LEAST_TILES: usize = 8;
 const TUKEY: f64 = 4.685;
 /// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
 const MEDIAN_SQUARE: f64 = 1.386;
-/// What neighbouring tiles have in common makes the error so many times what it would be if they had nothing.
+/// Factor of the error for the correlation between neighbouring tiles.
 const CORRELATION_FACTOR: f64 = 1.5;
-/// Rounds of weighting.
+/// Rounds of reweighting.
 const ROUNDS: usize = 5;
 
-/// The transform that the displacements of the tiles fit.
+/// The transform fitted to the displacements of the tiles.
 #[derive(Debug, Clone)]
 pub(crate) struct TileFit {
-    /// That transform, in pixels of the planes.
+    /// The fitted transform, in pixels of the planes.
     pub(crate) h: Matrix3<f64>,
     /// Its distance from the one that was checked, as root mean square over the picture, in pixels of the planes.
     pub(crate) moved: f64,
-    /// Its error estimate, the same way.
+    /// Its error estimate, in the same unit.
     pub(crate) error: f64,
-    /// The change in units of its error: about 1 if the transform is the same.
+    /// The change in units of its error: about 1 if the transform was right.
     pub(crate) significance: f64,
 }
 
-/// The fit to the displacements of the tiles of planes of `size` under the transform `h`; none where they are too few.
+/// Fits a transform to the displacements of the tiles under `h`, for planes of `size`; none where they are too few.
 pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
     let tiles = &check_tiles.displacements;
     if tiles.len() < LEAST_TILES {
@@ -73,23 +73,22 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
     Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
 }
 
-/// S v.
+/// The sharpness S of the tile times `v`.
 fn times(tile: &TileDisplacement, v: [f64; 2]) -> [f64; 2] {
     let [xx, xy, yy] = tile.sharpness;
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
-/// (d - J s)^T S (d - J s): how far the tile's best match is from where the step `s` puts it, in units of its
-/// sharpness.
+/// The residual (d - J s)^T S (d - J s) of a tile with the displacement d and the sharpness S after the step s.
 fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
     let mut moved = [0.0; 2];
     for (p, s) in step.iter().enumerate() {
         moved[0] += j[p][0] * s;
         moved[1] += j[p][1] * s;
     }
-    let goes = times(tile, moved);
-    let left = [tile.pull[0] - goes[0], tile.pull[1] - goes[1]];
-    // r^T S^-1 r, S made safe to invert: along an edge both r and S vanish.
+    let fitted = times(tile, moved);
+    let left = [tile.pull[0] - fitted[0], tile.pull[1] - fitted[1]];
+    // r^T S^-1 r. S is regularised, because along an edge both r and S vanish.
     let [xx, xy, yy] = tile.sharpness;
     let safe = 0.02 * (xx + yy) + 1e-12;
     let (xx, yy) = (xx + safe, yy + safe);

@@ -1,14 +1,16 @@
-//! Packed bitmaps, 64 pixels to a word.
+//! Packed bitmaps, 64 pixels per word.
 //!
-//! In: grey planes and the zones at which they are cut. Out: threshold and exclusion bitmaps. Cost: two word operations
-//! a pixel (they compile to byte-wise SIMD). Source: Ward 2003, section 2.1 and its listing (see
+//! In: grey planes and their threshold zones. Out: threshold and exclusion bitmaps. Cost: two word operations per pixel
+//! (they compile to byte-wise SIMD). Source: Ward 2003, section 2.1 and its listing (see
 //! [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::grey::{GreyPyramid, Percentile};
 use crate::plane::Plane;
 use std::ops::Range;
 
-/// One bit a pixel; rows are padded to whole words with zeros, and with a zero word at each end.
+/// A bitmap with one bit per pixel.
+///
+/// Rows are padded with zeros to whole words, with one more zero word at each end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bitmap {
     width: usize,
@@ -36,7 +38,7 @@ impl Bitmap {
         self.row(y)[1 + x / 64] >> (x % 64) & 1 == 1
     }
 
-    /// Words of a row, the padding word at each end among them.
+    /// Words per row, including the padding word at each end.
     pub(super) fn stride(&self) -> usize {
         self.width.div_ceil(64) + 2
     }
@@ -52,14 +54,16 @@ impl Bitmap {
     }
 }
 
-/// Bit i is the lowest bit of byte i, whose other bits are 0. The product carries nothing: byte i and factor j meet at
-/// bit 8 i + 7 (8 - j), another for every pair, and the eight with i = j in the top byte.
+/// Gathers the lowest bits of eight bytes into one byte: bit i is that of byte i. All other bits must be 0.
+///
+/// The product has no carries: byte i times factor j sets bit 8 i + 7 (8 - j), which is different for every pair, and
+/// the eight pairs with i = j set the top byte.
 #[inline]
 fn gather(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
-/// The bits of up to 64 pixels for which `set` is 1 and not 0.
+/// Packs 64 pixels into a word. `set` returns 1 for a pixel whose bit is set, else 0.
 #[inline]
 fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
     let flags = pixels.map(set);
@@ -67,10 +71,10 @@ fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
     eights.iter().rev().fold(0, |bits, &eight| bits << 8 | gather(eight))
 }
 
-/// The 64 bits of a padded row that begin at pixel `bit`; zero outside the row.
+/// The 64 bits of a padded row starting at pixel `bit`; bits outside the row are zero.
 #[inline]
 pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
-    // The padding itself is zero: with less than a word and its neighbour in the row there is nothing.
+    // Where fewer than two words of the padded row are left, these are padding, which is zero.
     let first = usize::try_from((bit >> 6) + 1).unwrap_or(row.len());
     match row.get(first..).and_then(|r| r.first_chunk::<2>()) {
         Some(&[low, high]) => join(low, high, (bit & 63) as u32),
@@ -78,36 +82,36 @@ pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
     }
 }
 
-/// The 64 bits that begin `offset` (0..64) bits into `low`.
+/// The 64 bits starting `offset` (0..64) bits into `low` and continuing in `high`.
 #[inline(always)]
 pub(super) fn join(low: u64, high: u64, offset: u32) -> u64 {
     (low >> offset) | (high << 1) << (63 - offset)
 }
 
-/// Where a picture is cut into dark and bright, and the grey values about the cut that do not count.
+/// The threshold between dark and bright, and the grey values around it that are excluded from comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Zone {
-    /// The lowest grey value that does not count.
+    /// The lowest excluded grey value.
     pub low: u8,
     /// The highest grey value that is dark.
     pub threshold: u8,
-    /// The highest grey value that does not count.
+    /// The highest excluded grey value.
     pub high: u8,
 }
 
 impl Zone {
-    /// The grey values up to `tolerance` away from `threshold` do not count.
+    /// The zone that excludes grey values up to `tolerance` away from `threshold`.
     pub fn about(threshold: u8, tolerance: u8) -> Self {
         Zone { low: threshold.saturating_sub(tolerance), threshold, high: threshold.saturating_add(tolerance) }
     }
 }
 
-/// A median threshold bitmap and the exclusion bitmap that goes with it.
+/// A median threshold bitmap and its exclusion bitmap.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThresholdBitmaps {
-    /// Brighter than the threshold.
+    /// Set where the pixel is brighter than the threshold.
     pub threshold: Bitmap,
-    /// Far enough from the threshold for noise not to decide: these pixels count.
+    /// Set where the pixel is compared: far enough from the threshold not to change sides by noise.
     pub exclusion: Bitmap,
 }
 
@@ -120,7 +124,7 @@ impl ThresholdBitmaps {
         Self::new(pyramid.level(i), &Zone::about(pyramid.histogram(i).value_at(percentile), exclusion))
     }
 
-    /// The bitmaps of `plane`, cut at `zone`.
+    /// The bitmaps of `plane` for the threshold and exclusion of `zone`.
     pub fn new(plane: &Plane<u8>, zone: &Zone) -> Self {
         let Zone { low, threshold, high } = *zone;
         let (width, height) = (plane.width(), plane.height());

@@ -1,44 +1,45 @@
-//! Sub-pixel end of the bitmap search: the minimum of the XOR counts.
+//! Sub-pixel refinement of the bitmap search: the minimum of the XOR counts.
 //!
 //! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the
 //! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts eight times; two to four
 //! rounds are enough. Nothing but the observations is allocated after [`Descent::new`]. Source: the counts are Ward's
-//! (2003, section 2). Where the thesis tries angle after angle (chapter 4), here the counts of each part of the
-//! picture, a pixel or two to either side, give the displacement of that part; shift and rotation are the least-squares
-//! fit to all parts.
+//! (2003, section 2). The thesis tries one angle after another (chapter 4). Here the picture is divided into a grid of
+//! cells. The counts under shifts of up to two pixels give the displacement of each cell, and shift and rotation are
+//! the least-squares fit to all cells.
 
 use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
 use nalgebra::{SMatrix, SVector};
 
-/// A step by less changes nothing that matters, in pixels of the level.
+/// Step below which the descent ends, in pixels of the level.
 const SETTLED: f64 = 0.02;
 /// Least share of the pixels that must be compared for a rate.
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
-/// Parts of the picture along a side, each of which gives observations of the motion.
-const PARTS: usize = 6;
-/// How far the motion, or a part from it, may be off before anything is known, in pixels of the level.
+/// Cells of the picture along a side, each of which gives observations of the motion.
+const CELLS: usize = 6;
+/// Prior standard deviation of each parameter, in pixels of the level.
 const PRIOR_PX: f64 = 1.0;
-/// The largest step of a round, in pixels of the level: the counts reach no farther.
+/// The largest step of a round, in pixels of the level: as far as the counts reach.
 const LONGEST_STEP: f64 = 2.0;
-/// Times that the parts are weighed anew by their residuals.
+/// Number of times that the observations are reweighted by their residuals.
 const REWEIGHTED: usize = 3;
-/// Displacements at which is counted, in pixels.
+/// Displacements at which mismatches are counted, in pixels.
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
-/// The shifts tried from the middle.
+/// The eight nearest shifts.
 const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
-/// Points along a side at which the error is averaged.
+/// Points along a side over which the error is averaged.
 const GRID: usize = 7;
 
-/// A motion's parameters for the fit: what the eight numbers of a homography near none add to the motion along both
-/// axes, at places in heights from the centre; then how much brighter the frame is cut than the reference, as the
-/// displacement that this is mistaken for.
+/// Number of parameters of the fit.
+///
+/// Eight are those of a homography near the identity, with positions in picture heights from the centre. The ninth is
+/// the difference between the thresholds of frame and reference, as the displacement of an edge that it causes.
 const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// The observation of one kind of edge of one part along one axis: `row` . parameters = `value`, in pixels, with
-/// variance 1 / `weight` if every differing pixel were independent of the others.
+/// The observation of one kind of edge of one cell along one axis: `row` . parameters = `value`, in pixels, with
+/// variance 1 / `weight` if all differing pixels were independent.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,
@@ -46,7 +47,7 @@ struct Observation {
     weight: f64,
 }
 
-/// Two frames' bitmaps at one level, and room to warp_onto one on the other.
+/// The bitmaps of two frames on one level, with a buffer for the warped frame.
 pub(crate) struct Descent<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
@@ -55,7 +56,7 @@ pub(crate) struct Descent<'a> {
 }
 
 impl<'a> Descent<'a> {
-    /// For rotations of at most `max_angle` radians to either side, none where it is 0.
+    /// A descent with rotations of at most `max_angle` radians in either direction; 0 allows none.
     pub(crate) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
         let warped = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
         Descent { reference, frame, warped, max_angle }
@@ -69,32 +70,34 @@ impl<'a> Descent<'a> {
         self.reference.threshold.height()
     }
 
-    /// The root mean square distance of a pixel from the centre: what a rotation by a radian moves, in pixels.
+    /// The root mean square distance of a pixel from the centre, in pixels.
     pub(crate) fn arm(&self) -> f64 {
         let (width, height) = (self.width() as f64, self.height() as f64);
         ((width * width + height * height) / 12.0).sqrt()
     }
 
-    /// The share that differs `right` and `down` of where the frame lies now; 1 where too little can be compared.
+    /// The share of pixels that differ with the warped frame shifted by (`right`, `down`); 1 where too few can be
+    /// compared.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
         let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
         if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
     }
 
-    /// The share that differs under `motion`; 1 where too little can be compared.
+    /// The share of pixels that differ under `motion`; 1 where too few can be compared.
     pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
         self.frame.warp_onto(motion, rounding, &mut self.warped);
         self.rate_beside(0, 0)
     }
 
-    /// From `start` to a motion none of whose neighbours has a lower rate, and the rate there: the eight nearest shifts
-    /// and the angles that move a pixel by half of one and by one, in turn. For small pictures, whose parts have too
-    /// few edges each.
+    /// Descends from `start` to a motion none of whose neighbours has a lower rate; returns the rate and the motion.
+    ///
+    /// Neighbours are the eight nearest shifts and the angles that move a pixel by a half and by one, in turn. Used for
+    /// small pictures, whose cells have too few edges.
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
-        // Each round that goes on lowers the rate, so this ends; the bound is for plateaus of noise.
+        // Each round but the last lowers the rate; the bound limits the time on noisy plateaus.
         for _ in 0..8 {
             let centre = best.1;
             self.frame.warp_onto(&centre, Rounding::Nearest, &mut self.warped);
@@ -121,7 +124,7 @@ impl<'a> Descent<'a> {
         best
     }
 
-    /// From `start` to where the fewest pixels differ, in at most `rounds` steps.
+    /// Descends from `start` to the motion with the fewest differing pixels, in at most `rounds` steps.
     pub(crate) fn descend(&mut self, start: Motion, rounds: usize) -> Motion {
         let mut here = start;
         let height = self.height() as f64;
@@ -141,9 +144,11 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// How `motion` compares; and how far it may be off, root mean square over the picture, in pixels of the level:
-    /// what the observations leave open of a shift and a rotation, and what they would still change about it if they
-    /// could agree on any homography, less what chance makes of that.
+    /// The differing pixels under `motion`, and its error estimate: root mean square over the picture, in pixels of the
+    /// level.
+    ///
+    /// The error combines the uncertainty of the fitted shift and rotation with the change that a homography fitted to
+    /// the same observations would make, less the cell of that change that is expected by chance.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -166,41 +171,41 @@ impl<'a> Descent<'a> {
         if self.max_angle > 0.0 { RIGID } else { SHIFT }
     }
 
-    /// The parts' observations of the error of `motion`.
+    /// The observations of the error of `motion` in all cells.
     ///
-    /// Let a part have edges that are brighter on the right, of total height p, and others of total height q. With the
-    /// frame t to the right of where it belongs, it is darker than the reference in p t pixels and brighter in q t; t
-    /// to the left, the other way round. Pixels near the threshold do not count: each number is less by as much as the
-    /// zones are wide, and if one frame is cut brighter than the other by what displaces an edge by c, one kind of
-    /// number is less by more, the other by less. With D(t), B(t) the numbers at displacement t, and o the displacement
-    /// sought,
+    /// Let a cell have edges that are brighter on the right, of total height p, and edges that are darker on the right,
+    /// of total height q. If the frame is displaced to the right by t, it is darker than the reference in p t pixels
+    /// and brighter in q t pixels; if it is displaced to the left, the other way round. Excluded pixels reduce each
+    /// count by the width of the exclusion zones. A difference between the thresholds that displaces an edge by c
+    /// reduces one kind of count by more and the other by less. With the counts D(t) of darker and B(t) of brighter
+    /// pixels at displacement t, and the unknown displacement o,
     ///
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
     ///
-    /// where p and q are the mean growth from 1 to 2 on either side. This holds exactly for |o| <= 1 where edges are
-    /// sharp, and for any o where the numbers grow as the square. Where the picture is so fine that they grow no
-    /// farther than to 1, that of 0 to 1 and
-    /// D(1) - B(-1) = -2 p (o - c) say more. At o = 0 the left sides are 0 whatever their form.
+    /// where p and q are the mean growth of the counts from t = 1 to 2 on both sides. This holds exactly for |o| <= 1
+    /// where edges are sharp, and for any o where the counts grow quadratically. In finely structured pictures the
+    /// counts only grow up to t = 1. There the growth from 0 to 1 and D(1) - B(-1) = -2 p (o - c) are more precise. At
+    /// o = 0 the left sides are 0 whatever the form of the counts.
     fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
         self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
         let (width, height) = (self.width(), self.height());
-        let columns = PARTS.min(width.div_ceil(64));
-        let mut counts = [[[Mismatches::default(); PARTS * PARTS]; 5]; 2];
+        let columns = CELLS.min(width.div_ceil(64));
+        let mut counts = [[[Mismatches::default(); CELLS * CELLS]; 5]; 2];
         for (axis, steps) in counts.iter_mut().enumerate() {
-            for (parts, t) in steps.iter_mut().zip(STEPS) {
+            for (cells, t) in steps.iter_mut().zip(STEPS) {
                 let (dx, dy) = if axis == 0 { (t, 0) } else { (0, t) };
-                mismatches(self.reference, &self.warped, (dx, dy), columns, &mut parts[..columns * PARTS]);
+                mismatches(self.reference, &self.warped, (dx, dy), columns, &mut cells[..columns * CELLS]);
             }
         }
         let words = width.div_ceil(64);
         let middle = |i: usize, of: usize, n: usize| (n * i / of + n * (i + 1) / of) as f64 / 2.0;
-        let mut observations = Vec::with_capacity(4 * columns * PARTS);
-        for part in 0..columns * PARTS {
-            let x = 64.0 * middle(part % columns, columns, words) - width as f64 / 2.0;
-            let y = middle(part / columns, PARTS, height) - height as f64 / 2.0;
+        let mut observations = Vec::with_capacity(4 * columns * CELLS);
+        for cell in 0..columns * CELLS {
+            let x = 64.0 * middle(cell % columns, columns, words) - width as f64 / 2.0;
+            let y = middle(cell / columns, CELLS, height) - height as f64 / 2.0;
             for (axis, steps) in counts.iter().enumerate() {
                 let row = field(axis, x / height as f64, y / height as f64);
-                let [far_back, back, here, on, far_on] = steps.each_ref().map(|parts| parts[part]);
+                let [far_back, back, here, on, far_on] = steps.each_ref().map(|cells| cells[cell]);
                 let kinds = [
                     (here.darker, [on.darker, far_on.darker], here.brighter, [back.brighter, far_back.brighter], -1.0),
                     (here.brighter, [on.brighter, far_on.brighter], here.darker, [back.darker, far_back.darker], 1.0),
@@ -208,19 +213,19 @@ impl<'a> Descent<'a> {
                 for (none_on, on, none_back, back, cut) in kinds {
                     let [none, near, far] =
                         [none_on + none_back, on[0] + back[0], on[1] + back[1]].map(|n: u64| n as f64);
-                    let lean = [0, 1].map(|k| back[k] as f64 - on[k] as f64);
-                    // Growth, lean and count, each with what it comes to for a displacement of 1.
-                    let wide = ((far - near) / 2.0, (lean[0] + lean[1]) / 4.0, (near + far) / 16.0);
-                    let narrow = ((near - none) / 2.0, lean[0] / 2.0, near / 4.0);
+                    let asymmetry = [0, 1].map(|k| back[k] as f64 - on[k] as f64);
+                    // Growth, asymmetry and its variance, each for a displacement of 1.
+                    let wide = ((far - near) / 2.0, (asymmetry[0] + asymmetry[1]) / 4.0, (near + far) / 16.0);
+                    let narrow = ((near - none) / 2.0, asymmetry[0] / 2.0, near / 4.0);
                     let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);
-                    let (growth, lean, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
-                    // What grows by less than chance does is no edge.
+                    let (growth, asymmetry, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
+                    // Growth within four standard deviations of chance is not an edge.
                     if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;
                         observations.push(Observation {
                             row,
-                            value: lean / growth,
+                            value: asymmetry / growth,
                             weight: growth * growth / variance,
                         });
                     }
@@ -231,7 +236,7 @@ impl<'a> Descent<'a> {
     }
 }
 
-/// What each parameter adds to the motion along an axis, at a place in heights from the centre.
+/// The derivatives of the motion along an axis by each parameter, at a position in picture heights from the centre.
 fn field(axis: usize, x: f64, y: f64) -> Row {
     Row::from(if axis == 0 {
         [1.0, x, y, 0.0, 0.0, 0.0, x * x, x * y, 0.0]
@@ -240,7 +245,7 @@ fn field(axis: usize, x: f64, y: f64) -> Row {
     })
 }
 
-/// The parameters of a model, each as what it makes of the nine.
+/// The free parameters of a model, each as a combination of the nine parameters.
 type Free = &'static [&'static [(usize, f64)]];
 const SHIFT: Free = &[&[(0, 1.0)], &[(3, 1.0)], &[(8, 1.0)]];
 const RIGID: Free = &[&[(0, 1.0)], &[(3, 1.0)], &[(2, -1.0), (4, 1.0)], &[(8, 1.0)]];
@@ -256,7 +261,7 @@ const HOMOGRAPHY: Free = &[
     &[(8, 1.0)],
 ];
 
-/// A least-squares fit, robust by reweighting (Cauchy's weights), and how much it leaves open.
+/// A robust least-squares fit (reweighted with Cauchy's weights), and its covariance.
 struct Fit {
     best: Row,
     covariance: Square,
@@ -265,37 +270,37 @@ struct Fit {
 impl Fit {
     fn of(observations: &[Observation], free: Free) -> Self {
         let mut basis = Square::zeros();
-        for (k, parts) in free.iter().enumerate() {
-            for &(i, share) in *parts {
+        for (k, terms) in free.iter().enumerate() {
+            for &(i, share) in *terms {
                 basis[(i, k)] = share;
             }
         }
         let mut fit = Fit { best: Row::zeros(), covariance: Square::zeros() };
-        // Neighbouring pixels that differ are not independent: the residuals give the number that counts as one.
+        // Neighbouring pixels that differ are not independent. The residuals give the factor of the variance.
         let mut noise: f64 = 1.0;
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);
             let mut right = Row::zeros();
-            let (mut sum, mut total_trust) = (0.0, 0.0);
+            let (mut sum, mut total_weight) = (0.0, 0.0);
             for observation in observations {
                 let row = basis.transpose() * observation.row;
                 let off = observation.value - observation.row.dot(&fit.best);
                 let squared = off * off * observation.weight / noise;
-                let trust = if pass == 0 { 1.0 } else { 1.0 / (1.0 + squared / (CAUCHY * CAUCHY)) };
-                normal += row * row.transpose() * (observation.weight * trust / noise);
-                right += row * (observation.value * observation.weight * trust / noise);
-                sum += off * off * observation.weight * trust;
-                total_trust += trust;
+                let robust = if pass == 0 { 1.0 } else { 1.0 / (1.0 + squared / (CAUCHY * CAUCHY)) };
+                normal += row * row.transpose() * (observation.weight * robust / noise);
+                right += row * (observation.value * observation.weight * robust / noise);
+                sum += off * off * observation.weight * robust;
+                total_weight += robust;
             }
             let inverse = normal.try_inverse().unwrap_or_else(|| Square::identity() * (PRIOR_PX * PRIOR_PX));
             fit = Fit { best: basis * (inverse * right), covariance: basis * inverse * basis.transpose() };
-            noise = (sum / (total_trust - free.len() as f64).max(1.0)).max(1.0);
+            noise = (sum / (total_weight - free.len() as f64).max(1.0)).max(1.0);
         }
         fit
     }
 }
 
-/// A observation this many standard deviations off has half its weight.
+/// An observation with a residual of this many standard deviations has half its weight.
 const CAUCHY: f64 = 2.4;
 
 #[cfg(test)]
@@ -334,7 +339,7 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // Slopes of 24 px, wavy so that both axes have a say: three look to the left for every one that looks to the
+        // Slopes of 24 px, wavy so that both axes contribute: three rise to the right for every one that falls to the
         // right.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();

@@ -1,19 +1,19 @@
-//! Bitmaps compared under a shift: by XOR, AND and popcount, 64 pixels at a time.
+//! Comparison of bitmaps under a shift by XOR, AND and popcount, 64 pixels at a time.
 //!
-//! In: the bitmaps of two frames, and a shift. Out: how many pixels differ, over the overlap or for each part of it.
-//! Cost: about 0.3 word operations a pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its listing (see
-//! [`bitmaps`](crate::align::bitmaps)).
+//! In: the bitmaps of two frames, and a shift. Out: the number of pixels that differ, in the overlap or in each cell of
+//! a grid. Cost: about 0.3 word operations per pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its
+//! listing (see [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::bitmaps::bitmap::{ThresholdBitmaps, Words, join};
 use crate::simd::{Loops, vectorised};
 use std::ops::Range;
 
-/// How two pairs of bitmaps compare under a motion.
+/// The number of pixels that differ between the bitmaps of two frames under a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Difference {
-    /// Pixels that differ and count in both.
+    /// Pixels that are excluded in neither frame and differ.
     pub differing: u64,
-    /// Pixels that count in both.
+    /// Pixels that are excluded in neither frame.
     pub compared: u64,
 }
 
@@ -24,7 +24,7 @@ impl Difference {
     }
 }
 
-/// How many pixels that count in both are bright in one alone.
+/// The number of pixels, excluded in neither frame, that are bright in one frame only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Mismatches {
     /// Bright in the reference, dark in the frame.
@@ -33,8 +33,8 @@ pub struct Mismatches {
     pub brighter: u64,
 }
 
-/// The difference when the frame's pixel (x + `dx`, y + `dy`) is held against the reference's (x, y), over the whole
-/// overlap.
+/// The difference over the whole overlap when the frame's pixel (x + `dx`, y + `dy`) is compared with the reference's
+/// (x, y).
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
     let mut sum = Difference::default();
     let mut add = |(reference, low, high): (Words<'_>, Words<'_>, Words<'_>)| {
@@ -45,8 +45,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     let (words, stride) = (reference.threshold.stride() as i64 - 2, reference.threshold.stride() as i64);
     let (whole, height) = (dx >> 6, reference.threshold.height() as i64);
     if matches!(whole, -1 | 0) && dy.abs() < height {
-        // What a shift by less than a word takes from beyond a row's end is its padding, so that all rows are one; the
-        // outermost words are padding too.
+        // A shift by less than a word reads only padding beyond the end of a row, so that all rows can be compared as
+        // one sequence of words. The outermost words are padding too.
         let near = 0.max(-dy) * stride + 1..(height - 0.max(dy)) * stride - 1;
         add(overlap(reference, frame, near, dy * stride + whole));
         return sum;
@@ -61,7 +61,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     sum
 }
 
-/// The words `near` of the reference, and the frame's from `far` words farther on in which theirs begin and end.
+/// The words `near` of the reference, and the words of the frame, `far` farther on, in which the corresponding bits
+/// begin and end.
 #[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
@@ -73,8 +74,8 @@ fn overlap<'a>(
     (reference.words(range(0)), frame.words(range(far)), frame.words(range(far + 1)))
 }
 
-/// How many pixels differ and count, and how many count. The words of the frame begin `offset` bits into `low` and end
-/// in `high`.
+/// Counts the differing and the compared pixels. The words of the frame begin `offset` bits into `low` and end in
+/// `high`.
 struct Count<'a> {
     reference: Words<'a>,
     low: Words<'a>,
@@ -101,18 +102,19 @@ impl Loops for Count<'_> {
     }
 }
 
-/// The mismatches under a shift of less than a word to (`dx`, `dy`), for each part of the reference by itself:
-/// `columns` of them (in whole words) from left to right, as many rows of them as fit in `parts`, row by row.
+/// Counts the mismatches in each cell of a grid over the reference, under the shift (`dx`, `dy`) of less than a word.
+///
+/// The grid has `columns` columns of whole words; `cells` holds its cells row by row.
 pub fn mismatches(
     reference: &ThresholdBitmaps,
     frame: &ThresholdBitmaps,
     (dx, dy): (i64, i64),
     columns: usize,
-    parts: &mut [Mismatches],
+    cells: &mut [Mismatches],
 ) {
     let (height, stride) = (reference.threshold.height() as i64, reference.threshold.stride() as i64);
-    let (words, rows) = (stride - 2, (parts.len() / columns) as i64);
-    parts.fill(Mismatches::default());
+    let (words, rows) = (stride - 2, (cells.len() / columns) as i64);
+    cells.fill(Mismatches::default());
     for row in 0..rows {
         let band = (height * row / rows).max(-dy)..(height * (row + 1) / rows).min(height - dy);
         for first in (0..words).step_by(WORDS) {
@@ -121,15 +123,15 @@ pub fn mismatches(
                 vectorised(Band { reference, frame, rows: band.clone(), words: first..first + n, shift: (dx, dy) });
             for k in 0..n as usize {
                 let column = ((first as usize + k + 1) * columns - 1) / words as usize;
-                let part = &mut parts[row as usize * columns + column];
-                part.darker += counts.0[k];
-                part.brighter += counts.1[k];
+                let cell = &mut cells[row as usize * columns + column];
+                cell.darker += counts.0[k];
+                cell.brighter += counts.1[k];
             }
         }
     }
 }
 
-/// Some rows and up to eight words of the reference, and the frame under a shift.
+/// Some rows of up to [`WORDS`] words of the reference, and the frame under a shift.
 struct Band<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
@@ -138,11 +140,11 @@ struct Band<'a> {
     shift: (i64, i64),
 }
 
-/// Words that go down a band side by side.
+/// Words of a band that are counted side by side.
 const WORDS: usize = 8;
 
 impl Loops for Band<'_> {
-    /// How many pixels that count are bright in the reference alone, and in the frame alone, for each word.
+    /// For each word, the compared pixels that are bright only in the reference, and only in the frame.
     type Output = ([u64; WORDS], [u64; WORDS]);
 
     #[inline(always)]
@@ -158,7 +160,7 @@ impl Loops for Band<'_> {
     }
 }
 
-/// As [`Count`], for each word by itself.
+/// Adds the mismatches of each word to `counts`.
 #[inline(always)]
 fn cross(
     reference: Words<'_>,
@@ -223,10 +225,10 @@ mod tests {
     fn crossings_of_the_parts_are_those_of_their_pixels() {
         let (a, b) = (bitmaps(1, 400, 50), bitmaps(2, 400, 50));
         for (dx, dy) in [(0, 0), (-2, 1), (1, -2), (63, 30)] {
-            let mut parts = [Mismatches { darker: 7, brighter: 7 }; 15];
-            mismatches(&a, &b, (dx, dy), 3, &mut parts);
+            let mut cells = [Mismatches { darker: 7, brighter: 7 }; 15];
+            mismatches(&a, &b, (dx, dy), 3, &mut cells);
             let whole = difference_shifted(&a, &b, dx, dy);
-            assert_eq!(parts.iter().map(|p| p.darker + p.brighter).sum::<u64>(), whole.differing);
+            assert_eq!(cells.iter().map(|p| p.darker + p.brighter).sum::<u64>(), whole.differing);
             // The second of the second row has words 2 and 3, rows 10..20.
             let inside = |x: i64, y: i64| (128..256).contains(&x) && (10..20).contains(&y);
             let bright = |x: i64, y: i64| a.threshold.get(x as usize, y as usize);
@@ -234,7 +236,7 @@ mod tests {
                 by_pixel(&a, &b, |x, y| (inside(x, y) && bright(x, y) == is_bright).then_some((x + dx, y + dy)))
                     .differing
             });
-            assert_eq!([parts[4].darker, parts[4].brighter], slow, "{dx} {dy}");
+            assert_eq!([cells[4].darker, cells[4].brighter], slow, "{dx} {dy}");
         }
     }
 }

@@ -3,12 +3,12 @@
 //!
 //! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a
 //! pixel, its error estimate, and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for
-//! 1024 x 768, from two grey planes on. Source: Ward, "Fast, Robust Image Registration for Compositing High Dynamic
-//! Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation is the thesis's (chapter 4).
+//! 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing High
+//! Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4 of
+//! the thesis.
 //!
-//! On the coarsest level every shift and angle is tried. A few candidates are followed by whole pixels from level to
-//! level; where the parts of the picture have enough edges, the best one is refined to the minimum of the XOR counts
-//! (`descent`).
+//! Every shift and angle is tried on the coarsest level. A few candidates are followed from level to level by whole
+//! pixels. Once the level is large enough, the best one is refined to the minimum of the XOR counts (`descent`).
 
 pub(crate) mod bitmap;
 mod descent;
@@ -33,11 +33,12 @@ use crate::align::transform::Transform;
 /// How the bitmaps are made and searched.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MtbOptions {
-    /// The largest rotation sought, in degrees to either side.
+    /// The largest rotation searched, in degrees in either direction.
     pub max_rotation_deg: f64,
-    /// The largest shift sought at the coarsest level, as a share of the long side.
+    /// The largest shift searched at the coarsest level, as a fraction of the long side.
     pub max_shift: f64,
-    /// Grey levels on either side of the threshold in which pixels do not count (Ward: 4).
+    /// Half-width of the exclusion zone: pixels within this many grey values of the threshold are not compared (Ward:
+    /// 4).
     pub exclusion: u8,
 }
 
@@ -52,19 +53,19 @@ impl Default for MtbOptions {
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.
     pub motion: Motion,
-    /// How far the motion may be off, root mean square over the picture, in pixels of the full size: by noise, and by
-    /// what no shift and rotation can follow.
+    /// Error estimate of the motion: root mean square over the picture, in pixels of the full size. It covers noise and
+    /// displacements that no shift and rotation can describe.
     pub error_px: f64,
-    /// The threshold used in both.
+    /// The percentile of the threshold, the same in both frames.
     pub percentile: Percentile,
-    /// Over the whole overlap, how many pixels differ, at the finest level searched.
+    /// The differing pixels of the whole overlap under the motion, on the finest level searched.
     pub difference: Difference,
-    /// The same where nothing moves.
+    /// The same without any motion.
     pub difference_unmoved: Difference,
 }
 
 impl MtbMatch {
-    /// The motion as a transform: the identity where there is none.
+    /// The motion as a transform; the identity if nothing moved.
     pub fn transform(&self) -> Transform {
         if self.motion == Motion::default() {
             return Transform::Identity;

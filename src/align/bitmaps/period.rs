@@ -1,10 +1,9 @@
-//! Detection of repeating pictures: a frame then matches in more than one place, and the first match need not be the
-//! right one.
+//! Detection of repeating pictures, in which a frame matches in more than one place.
 //!
-//! In: a grey pyramid. Out: yes or no. Cost: a few milliseconds: one packed comparison for every shift within reach, on
-//! a small level. Source: Ward's bitmaps (2003), of the picture against itself. A picture that does not repeat differs
-//! by about half its pixels under a shift, or by less and less towards none; a facade hardly differs at its period, and
-//! much half-way.
+//! In: a grey pyramid. Out: whether the picture repeats. Cost: a few milliseconds: one packed comparison for every
+//! shift within reach, on a small level. Source: Ward's bitmaps (2003), applied to the picture and itself. In a picture
+//! that does not repeat, about half of the pixels differ under a shift, and fewer the smaller the shift is. In a facade
+//! hardly any pixel differs under a shift by its period, and many differ under half of it.
 
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::own_percentile;
@@ -12,20 +11,18 @@ use crate::align::bitmaps::{MtbOptions, ThresholdBitmaps};
 use crate::align::grey::GreyPyramid;
 use rayon::prelude::*;
 
-/// Short side of the level that is looked at: fine enough for the windows of a facade.
+/// The short side of the level examined is less than this, in pixels: fine enough for the windows of a facade.
 const SIDE: usize = 256;
-/// At its period a picture differs by no more than this share of what it does on the way there.
+/// Largest ratio of the differing pixels under a shift by a period to those under half of it.
 const ALIKE: f64 = 0.6;
-/// Shifts smaller than this are not distinguished from none, in pixels of the level.
+/// Smallest period that is detected, in pixels of the level.
 const LEAST: i64 = 5;
-/// Where the picture differs from itself by less than this on the way, it is plain rather than periodic.
+/// Least share of pixels that differ under half a period; with fewer the picture is uniform rather than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;
 
-/// Whether `picture` looks the same again, shifted by more than a few pixels, and no farther than `options` has frames
-/// sought.
+/// Whether `picture` matches itself under a shift of more than a few pixels, up to the largest shift of `options`.
 pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
-    let fits = |i: &usize| picture.size(*i).0.min(picture.size(*i).1) < SIDE;
-    let level = (0..picture.len()).find(fits).unwrap_or(picture.len() - 1);
+    let level = picture.level_narrower_than(SIDE);
     let plane = picture.level(level);
     let bitmaps = ThresholdBitmaps::of_level(
         picture,

@@ -7,16 +7,15 @@ use crate::align::bitmaps::descent::{Descent, LEAST_COMPARED};
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::{common_histograms, common_percentile, matched_zones};
 use crate::align::bitmaps::{Motion, MtbMatch, MtbOptions, Rounding, ThresholdBitmaps, Zone};
-use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile};
+use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile, level_within};
 use crate::plane::Plane;
 
-/// The motion under which the bitmaps of `reference` and `frame` differ least. `finest` is the largest level searched:
-/// 0 for the full size, or for the largest of at most [`ENOUGH_PIXELS`].
+/// Finds the motion under which the bitmaps of `reference` and `frame` differ least.
+///
+/// `finest` is the largest level searched. Levels of more than [`ENOUGH_PIXELS`] pixels are skipped, except the coarsest.
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
-    let area = |(width, height): (usize, usize)| width * height;
-    let enough = (0..coarsest).find(|&i| area(reference.size(i)) <= ENOUGH_PIXELS).unwrap_or(coarsest);
-    let finest = finest.clamp(enough, coarsest);
+    let finest = finest.clamp(level_within(reference, ENOUGH_PIXELS), coarsest);
     let max_angle = options.max_rotation_deg.to_radians();
     let mut pair = BitmapPair::new(reference, frame, coarsest, options.exclusion);
     let mut candidates = pair.search_everywhere(options.max_shift, max_angle);
@@ -30,7 +29,7 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
         };
         if candidates.len() > 1 || !is_certain {
-            // One that is much worse by whole pixels is not made better by their fractions.
+            // Sub-pixel refinement does not make up for a much higher rate at whole pixels.
             let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
             let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
             let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
@@ -40,10 +39,10 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             for c in &mut candidates {
                 *c = descent.descend(*c, rounds);
             }
-        }
-        if is_certain && candidates.len() > 1 {
-            let refined = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
-            candidates = best_distinct(refined, 1, distinct);
+            if candidates.len() > 1 {
+                let refined = candidates.iter().map(|c| (descent.rate(c, Rounding::Dithered), *c)).collect();
+                candidates = best_distinct(refined, 1, distinct);
+            }
         }
         if level == finest {
             return pair.conclude(&mut descent, candidates[0], level, reference.size(0));
@@ -53,22 +52,19 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             *c = Motion { dx: 2.0 * c.dx, dy: 2.0 * c.dy, ..*c };
         }
         pair = if is_certain {
-            let common = common_histograms(reference.level(level), frame.level(level), &candidates[0]);
-            BitmapPair::cut(
-                reference.level(level),
-                frame.level(level),
-                (&common.0, &common.1),
-                exclusion_at(level, options.exclusion),
-            )
+            let (a, b) = (reference.level(level), frame.level(level));
+            let (in_a, in_b) = common_histograms(a, b, &candidates[0]);
+            BitmapPair::from_histograms(a, b, (&in_a, &in_b), exclusion_at(level, options.exclusion))
         } else {
             BitmapPair::new(reference, frame, level, options.exclusion)
         };
     }
 }
 
-/// Other motions under which the bitmaps nearly agree: what a facade's period or plain surfaces make of the search. At
-/// most `most`, the best first, no two alike, all with the rotation of `angle`; sought over all shifts at a level of
-/// moderate size.
+/// Finds further motions under which the bitmaps nearly agree, as repeating facades or uniform surfaces cause.
+///
+/// Tries all shifts on a level of moderate size, all rotated by `angle` radians. Returns at most `most` distinct
+/// motions, the best first.
 pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -76,9 +72,7 @@ pub fn alternatives(
     most: usize,
     options: &MtbOptions,
 ) -> Vec<Motion> {
-    let level = (0..reference.len())
-        .find(|&i| reference.size(i).0.min(reference.size(i).1) < 2 * ALTERNATIVES_SIDE)
-        .unwrap_or(reference.len() - 1);
+    let level = reference.level_narrower_than(2 * ALTERNATIVES_SIDE);
     let pair = BitmapPair::new(reference, frame, level, options.exclusion);
     let scale = (1u64 << level) as f64;
     let rated = pair.rate_shifts(angle, pair.reach(options.max_shift));
@@ -87,12 +81,12 @@ pub fn alternatives(
     found.into_iter().map(|m| Motion { dx: m.dx * scale, dy: m.dy * scale, ..m }).collect()
 }
 
-/// The bitmaps of two frames at one level, cut at the same radiance.
+/// The bitmaps of two frames on one level, with thresholds at the same radiance.
 pub(crate) struct BitmapPair {
     pub(crate) reference: ThresholdBitmaps,
     pub(crate) frame: ThresholdBitmaps,
     pub(crate) percentile: Percentile,
-    /// Where each was cut.
+    /// The threshold zones of the reference and of the frame.
     pub(crate) zones: [Zone; 2],
 }
 
@@ -100,11 +94,16 @@ impl BitmapPair {
     pub(crate) fn new(reference: &GreyPyramid, frame: &GreyPyramid, level: usize, exclusion: u8) -> Self {
         let exclusion = exclusion_at(level, exclusion);
         let histograms = (reference.histogram(level), frame.histogram(level));
-        BitmapPair::cut(reference.level(level), frame.level(level), histograms, exclusion)
+        BitmapPair::from_histograms(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
-    /// Cut at the same ranks of the two histograms.
-    fn cut(reference: &Plane<u8>, frame: &Plane<u8>, histograms: (&Histogram, &Histogram), exclusion: u8) -> Self {
+    /// The bitmaps with thresholds at the same ranks of the two histograms.
+    fn from_histograms(
+        reference: &Plane<u8>,
+        frame: &Plane<u8>,
+        histograms: (&Histogram, &Histogram),
+        exclusion: u8,
+    ) -> Self {
         let percentile = common_percentile(histograms.0, histograms.1, exclusion);
         let zones = matched_zones(histograms.0, histograms.1, percentile, exclusion);
         BitmapPair {
@@ -115,15 +114,20 @@ impl BitmapPair {
         }
     }
 
-    fn short_side(&self) -> usize {
-        self.reference.threshold.width().min(self.reference.threshold.height())
+    fn size(&self) -> (usize, usize) {
+        (self.reference.threshold.width(), self.reference.threshold.height())
     }
 
-    /// The largest shifts sought, to the side and up or down, in pixels of this level: as many as [`MOST_WORK`] allows,
-    /// and none that leaves nothing in common. Neither is of any moment to a picture less than four times as long as it
-    /// is wide.
+    fn short_side(&self) -> usize {
+        self.size().0.min(self.size().1)
+    }
+
+    /// The largest horizontal and vertical shift searched, in pixels of this level.
+    ///
+    /// Limited by [`MOST_WORK`] and to shifts that leave an overlap. Neither limit matters for pictures less than four
+    /// times as long as wide.
     fn reach(&self, max_shift: f64) -> (i64, i64) {
-        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let (width, height) = self.size();
         let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
         let (mut x, mut y) = (reach.min(width as i64 - 1), reach.min(height as i64 - 1));
         let words = ((width.div_ceil(64) + ROW_WORDS) * height) as i64;
@@ -133,25 +137,26 @@ impl BitmapPair {
         (x, y)
     }
 
-    /// The share that differs at every whole shift up to `reach`, turned by `angle`.
+    /// The share of pixels that differ at every whole shift up to `reach`, with a rotation by `angle`.
     fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
-        let (width, height) = (self.reference.threshold.width(), self.reference.threshold.height());
+        let (width, height) = self.size();
         let mut turned = ThresholdBitmaps::blank(width, height);
         self.frame.warp_onto(&Motion { angle, ..Motion::default() }, Rounding::Nearest, &mut turned);
         let mut rated = Vec::with_capacity(((2 * reach.0 + 1) * (2 * reach.1 + 1)) as usize);
         for dy in -reach.1..=reach.1 {
             for dx in -reach.0..=reach.0 {
                 let difference = difference_shifted(&self.reference, &turned, dx, dy);
-                let says = difference.compared as f64 >= LEAST_COMPARED * (width * height) as f64;
+                let is_measured = difference.compared as f64 >= LEAST_COMPARED * (width * height) as f64;
                 let motion = Motion { angle, ..Motion::default() }.beside(dx, dy);
-                rated.push((if says { difference.rate() } else { 1.0 }, motion));
+                rated.push((if is_measured { difference.rate() } else { 1.0 }, motion));
             }
         }
         rated
     }
 
-    /// Every whole shift within reach, at every angle that moves the rim of the inscribed circle by a pixel: the best
-    /// few that are not neighbours.
+    /// The best distinct motions of all whole shifts within reach and all angles.
+    ///
+    /// The angles are spaced so that each step moves the rim of the inscribed circle by a pixel.
     fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
         let step = 2.0 / self.short_side() as f64;
         let turns = libm::floor(max_angle / step) as i64;
@@ -162,15 +167,15 @@ impl BitmapPair {
         })
     }
 
-    /// The motion at full size from `found` at `level`, or none at all if that is within the error.
+    /// The match at full size for the motion `found` on `level`; no motion if it is within its error.
     fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
-        let here = &self.reference.threshold;
+        let (width, height) = self.size();
         let (mut difference, error) = descent.assess(&found);
         let mut error_px = scale * error;
-        // What halving drops at the right and below moves the centre about which the picture turns.
+        // Halving drops odd columns and rows, which moves the centre of rotation.
         let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
-        let (x, y) = (off(full.0, here.width()), off(full.1, here.height()));
+        let (x, y) = (off(full.0, width), off(full.1, height));
         let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
         let mut motion = Motion {
             dx: scale * found.dx + x - (c * x - s * y),
@@ -187,37 +192,38 @@ impl BitmapPair {
     }
 }
 
-/// The exclusion at `level`: every halving halves the noise, but not what rounding to grey values makes.
+/// The exclusion on `level`: every halving of the size halves the noise, but not the rounding to grey values.
 fn exclusion_at(level: usize, exclusion: u8) -> u8 {
     exclusion.div_ceil(1 << level.min(7))
 }
 
-/// A motion of no more than so many times its error is none.
+/// A motion of at most this multiple of its error estimate is treated as no motion.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Short side of the level on which alternatives are sought, in pixels: fine enough for the periods of facades.
+/// Least short side of the level on which alternatives are searched, in pixels: fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Most words of bitmaps that are compared for one angle where every shift is tried: some tenths of a second.
-/// Alternatives of a picture of 4:1 take as many, all others fewer.
+/// Most bitmap words compared per angle where every shift is tried: some tenths of a second. Reached by the
+/// alternatives of pictures of 4:1 or longer only.
 const MOST_WORK: i64 = 1 << 29;
-/// To begin a row takes as long as so many words.
+/// Overhead of a row, in words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
 
-/// Candidates followed from the coarsest level on, two thirds of them from each level to the next.
+/// Candidates followed from the coarsest level on; each following level keeps two thirds of them.
 const BEAM: usize = 9;
 
-/// A candidate of which so many times more differs than of the best is given up.
+/// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
 const MOST_EXCESS: f64 = 1.5;
 
-/// From a level of this short side on only the best is followed.
+/// Short side from which on a level is refined to fractions of a pixel, and only the best candidate is followed, in
+/// pixels.
 const CERTAIN_SIDE: usize = 200;
 
 /// Rounds of the descent on each level, and on the last.
 const ROUNDS: usize = 2;
 const MOST_ROUNDS: usize = 4;
 
-/// The best `most` of the rated motions of which each is `distinct` from those before it.
+/// The `most` motions with the lowest rates of which each is `distinct` from those before it.
 fn best_distinct(
     mut rated: Vec<(f64, Motion)>,
     most: usize,
@@ -233,7 +239,7 @@ fn best_distinct(
     kept
 }
 
-/// Of equal rates the smaller motion comes first.
+/// Orders motions of equal rate: the smaller one first.
 fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
     let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
     size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))

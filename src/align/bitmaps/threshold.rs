@@ -1,27 +1,28 @@
-//! The threshold of a bitmap, its exclusion zone, and both matched between two exposures.
+//! Thresholds and exclusion zones of bitmaps, matched between two exposures.
 //!
 //! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward
 //! 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values).
 //!
-//! Both frames are cut at the same radiance, found by the ranks of their pixels; that is ours. A zone of 4 grey values
-//! is some stops in a dark frame and a fraction of one in a bright one, the median depends on what is in the picture,
-//! and on smooth surfaces either moves the contours.
+//! Unlike in Ward's method, the thresholds of both frames are at the same radiance, found by the ranks of the pixels. A
+//! zone of 4 grey values is some stops wide in a dark frame and a fraction of a stop in a bright one, and the median
+//! depends on the content of the frame. On smooth surfaces both displace the contours.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
 use crate::plane::Plane;
 
-/// Of the pixels that count at this zone, the share on the side that has fewer: 0 where the bitmap is blank.
+/// The smaller of the shares of pixels below and above `zone`: 0 for a blank bitmap.
 fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
-/// A bitmap with a smaller share of its pixels on one side has too little structure: half of what Ward's outer
+/// Least share of pixels on either side of the zone for a bitmap with enough structure: half of what Ward's outer
 /// percentiles can give.
 const LEAST_BALANCE: f64 = 0.085;
 
-/// The percentile at which both bitmaps have structure: the median unless it is too extreme in either, else of every
-/// fifth the one that parts both best.
+/// The percentile at which both bitmaps have structure.
+///
+/// The median unless it is too extreme in either frame; otherwise the multiple of five percent with the best balance.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -39,8 +40,10 @@ pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
     common_percentile(histogram, histogram, exclusion)
 }
 
-/// The zones of two frames of which the wider, `exclusion` levels to either side of the percentile, gives the ranks,
-/// and the other the levels that have these ranks.
+/// The zones of two frames that cover the same ranks of their histograms.
+///
+/// The zone that covers more ranks is `exclusion` grey values to either side of the percentile; the other consists of
+/// the grey values at the same ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
     let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {
@@ -60,8 +63,7 @@ pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclu
     }
 }
 
-/// The histograms of what both frames show when the frame lies on the reference by `motion`: of pixels that are pairs,
-/// about `PAIRED` of them.
+/// The histograms of the common area of two frames under `motion`, from about `PAIRED` pairs of pixels.
 pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Motion) -> (Histogram, Histogram) {
     let (width, height) = (reference.width(), reference.height());
     let step = ((width * height) as f64 / PAIRED as f64).sqrt().max(1.0) as usize;
@@ -83,7 +85,7 @@ pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Moti
     (Histogram(a), Histogram(b))
 }
 
-/// Pairs of pixels that are compared: their ranks differ by what moved, and by noise, not by chance.
+/// Pairs of pixels in the histograms: enough for ranks to differ by motion and noise rather than by sampling.
 const PAIRED: usize = 1 << 15;
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! Bitmaps warped to another picture's grid by a shift and a rotation.
 //!
-//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, so that every comparison near by
-//! is one under a shift. Cost: 1 to 7 pieces of a word up to 5 deg, some 10 ns each; nothing is allocated. Source: the
-//! thesis rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row into pieces of rows is
-//! ours.
+//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, where neighbouring motions are
+//! compared by shifts alone. Cost: 1 to 7 pieces per word for up to 5 degrees, some 10 ns each; nothing is allocated.
+//! Source: the thesis rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row into pieces of
+//! rows is new here.
 
 use crate::align::bitmaps::ThresholdBitmaps;
 use crate::align::bitmaps::bitmap::bits_from;
@@ -20,7 +20,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The motion that takes a pixel to where this one takes that `right` and `down` of it.
+    /// The motion that maps each pixel to where this one maps the pixel `right` and `down` of it.
     pub fn beside(&self, right: i64, down: i64) -> Motion {
         let (s, c) = (libm::sin(self.angle), libm::cos(self.angle));
         let (right, down) = (right as f64, down as f64);
@@ -28,31 +28,32 @@ impl Motion {
     }
 }
 
-/// How a place between pixels becomes a pixel.
+/// Rounding of a position between pixels to a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rounding {
     /// To the nearest.
     Nearest,
-    /// To either neighbour, the nearer the more often, by a fixed pattern that changes with every word of 64 pixels and
-    /// every row: what is counted then goes evenly with the motion, without the steps of whole pixels, which would draw
-    /// every result to themselves.
+    /// To either neighbour, the nearer one more often, by a fixed pattern that changes with every word of 64 pixels and
+    /// every row. Counts then vary smoothly with the motion; steps at whole pixels would bias every result towards
+    /// them.
     Dithered,
 }
 
-/// Where the pixels of a grid lie under a motion, in 32 binary places: sums are exact, and the same on every machine.
+/// The positions of a grid's pixels under a motion, in fixed point with 32 fractional bits: sums are exact, and the
+/// same on every machine.
 struct PixelMap {
     rounding: Rounding,
-    /// A step to the right moves so far.
+    /// Displacement by one pixel to the right.
     cos: i64,
     sin: i64,
-    /// Pixels to the right for one row, 0 where none of the columns gets there.
+    /// Pixels to the right after which the row changes; 0 if it does not change within the width.
     run: f64,
-    /// Where (0, 0) lies, and what a step down adds.
+    /// The position of pixel (0, 0), and the displacement by one pixel down.
     origin: (i64, i64),
     down: (i64, i64),
 }
 
-/// Where pixel 0 of a row would lie by the rounding of one of its words.
+/// The position of pixel 0 of a row, with the rounding offset of one of its words added.
 struct Block(i64, i64);
 
 const ONE: f64 = 4_294_967_296.0;
@@ -68,11 +69,11 @@ impl PixelMap {
         PixelMap { rounding, cos: fixed(cos), sin, run, origin, down: (-sin, fixed(cos)) }
     }
 
-    /// The word of 64 pixels `word` of row `y`.
+    /// The block of word `word` (64 pixels) of row `y`.
     #[inline]
     fn block(&self, word: usize, y: usize) -> Block {
-        // What is added before the fraction is cut off. Multiples of the powers of the plastic number and of sqrt 2 and
-        // the golden ratio spread evenly whether one goes along a row, down a column or over the plane.
+        // Offsets added before truncation. Multiples of powers of the plastic number, of sqrt 2 and of the golden ratio
+        // are evenly distributed along rows, along columns and over the plane.
         let (half_x, half_y) = match self.rounding {
             Rounding::Nearest => (1 << 31, 1 << 31),
             Rounding::Dithered => {
@@ -85,8 +86,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// The pixels from `x` on, at most to `end`, that lie in one row next to each other: the end of them, and the
-    /// column and row of the first.
+    /// The run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row: its end, and the column
+    /// and row of its first pixel.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -97,7 +98,7 @@ impl PixelMap {
             let fraction = down & 0xFFFF_FFFF;
             let left = if self.sin > 0 { (1 << 32) - fraction } else { fraction + 1 };
             piece_end = end.min(x + 1 + (left as f64 * self.run) as i64);
-            // By rounding it may be a pixel too far.
+            // Rounding may make it one pixel too long.
             if (block.1 + (piece_end - 1) * self.sin) >> 32 != row {
                 piece_end -= 1;
             }
@@ -110,20 +111,20 @@ impl PixelMap {
 }
 
 impl ThresholdBitmaps {
-    /// These bitmaps warped to the grid of `onto`, which is of the same size: pixel (x, y) of `onto` becomes the pixel
-    /// to which `motion` takes (x, y), rounded by `rounding`; where there is none it does not count.
+    /// Warps these bitmaps to the grid of `onto`, which has the same size.
     ///
-    /// Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels; each piece between is a packed
-    /// shift.
+    /// Pixel (x, y) of `onto` becomes the pixel to which `motion` maps (x, y), rounded by `rounding`; it is excluded
+    /// where that is outside. Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels, so that
+    /// each piece in between is a packed shift.
     ///
     /// # Panics
-    /// When the sizes differ: a fault of the caller.
+    /// When the sizes differ.
     pub fn warp_onto(&self, motion: &Motion, rounding: Rounding, onto: &mut ThresholdBitmaps) {
         let (width, height) = (self.threshold.width(), self.threshold.height());
         assert_eq!(
             (width, height),
             (onto.threshold.width(), onto.threshold.height()),
-            "bitmaps are laid on a grid of their size"
+            "bitmaps are warped to a grid of their own size"
         );
         let places = PixelMap::new(motion, rounding, width, height);
         for y in 0..height {

@@ -1,9 +1,10 @@
-//! What the robust estimators share: options, the draws of their trials, and the pairs that agree with a homography.
+//! Common parts of the robust estimators: options, random samples, and the inliers of a homography.
 //!
-//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: that of a fit for each draw. Source: Fischler &
-//! Bolles, CACM 24(6), 1981.
+//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: one fit for each trial. Source: Fischler & Bolles,
+//! CACM 24(6), 1981.
 //!
-//! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*): the result is the same on any machine.
+//! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*), so the result is the same on any
+//! machine.
 
 use crate::align::features::homography::{PointPair, fit};
 use crate::align::transform::map;
@@ -12,13 +13,13 @@ use nalgebra::Matrix3;
 /// Options of the robust estimators.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RansacOptions {
-    /// Largest distance of an inlier from where the homography puts it, in pixels.
+    /// Largest distance of an inlier from its predicted position, in pixels.
     pub threshold: f64,
-    /// Wanted probability that one trial had four inliers.
+    /// Required probability that at least one trial draws four inliers.
     pub confidence: f64,
-    /// Trials at the most.
+    /// Largest number of trials.
     pub max_trials: u64,
-    /// Seed of the draws.
+    /// Seed of the random samples.
     pub seed: u64,
 }
 
@@ -28,23 +29,23 @@ impl Default for RansacOptions {
     }
 }
 
-/// A homography and the pairs that agree with it.
+/// A homography and its inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consensus {
     /// Reference pixel -> frame pixel.
     pub homography: Matrix3<f64>,
-    /// Indices of the pairs that agree with it, rising: for RANSAC those within the threshold.
+    /// Ascending indices of the pairs within the estimator's limit: for RANSAC its threshold.
     pub inliers: Vec<usize>,
-    /// Root mean square distance of the inliers from where they should be, in pixels.
+    /// Root mean square distance of the inliers from their predicted positions, in pixels.
     pub rms: f64,
 }
 
 impl Consensus {
-    /// What agrees with `homography` to within the square root of `limit`; none where no more than would agree with
-    /// any.
+    /// The consensus of `homography`, with the pairs whose squared distance is at most `limit`; none for fewer than five
+    /// inliers.
     pub(crate) fn new(pairs: &[PointPair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
         let inliers = inliers(pairs, &homography, limit);
-        // Four pairs always agree with themselves.
+        // Any four pairs determine a homography, and are its inliers.
         if inliers.len() < 5 {
             return None;
         }
@@ -53,34 +54,37 @@ impl Consensus {
     }
 }
 
-/// Squared distance between where `h` puts the pair's first point and its second, in pixels squared.
+/// Squared distance of the pair's second point from the first one mapped by `h`, in pixels squared.
 pub fn distance_squared(h: &Matrix3<f64>, pair: &PointPair) -> f64 {
     let (u, v) = map(h, pair.0[0], pair.0[1]);
     (u - pair.1[0]) * (u - pair.1[0]) + (v - pair.1[1]) * (v - pair.1[1])
 }
 
-/// The homography of the four pairs that trial `trial` draws; none where no camera could have seen them so.
+/// The homography of the four pairs drawn by trial `trial`; none if no camera can produce such pairs.
 pub(crate) fn guess(pairs: &[PointPair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
     let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
     same_handed(&four).then(|| fit(&four, None))?
 }
 
+/// Indices of the pairs whose squared distance under `h` is at most `limit`.
 pub(crate) fn inliers(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
-/// Trials after which four of the `right` of `all` pairs were drawn at once with the wanted probability: ln(1 - p) /
-/// ln(1 - q) where one trial does with probability q = C(right, 4) / C(all, 4), as no pair is drawn twice; at the most
-/// those of the options.
+/// Number of trials needed to draw four of the `right` pairs among `all` with the required probability p, at most
+/// `options.max_trials`.
+///
+/// It is ln(1 - p) / ln(1 - q). A single trial succeeds with probability q = C(right, 4) / C(all, 4), as pairs are drawn
+/// without replacement.
 pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
     let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
-    // Both logarithms are negative, or 0 or infinite at the limits; the ratio that is no number is of q = 0 and p = 1.
+    // Infinite or NaN for q = 0 or p = 1; the comparison is then false.
     let trials = (libm::log1p(-options.confidence) / libm::log1p(-all_four)).ceil();
     if trials < options.max_trials as f64 { (trials as u64).max(1) } else { options.max_trials }
 }
 
-/// Whether each three of the four points turn the same way in both pictures, as a camera that did not pass through them
-/// leaves them.
+/// Whether every three of the four points have the same orientation in both frames, as for points in front of the
+/// camera.
 fn same_handed(four: &[PointPair; 4]) -> bool {
     let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)].iter().all(|&(i, j, k)| {
@@ -89,7 +93,7 @@ fn same_handed(four: &[PointPair; 4]) -> bool {
     })
 }
 
-/// Four different indices below `n`, from the seed and the number of the trial.
+/// Four different indices below `n`, determined by the seed and the number of the trial.
 fn draw(seed: u64, trial: u64, n: usize) -> [usize; 4] {
     let mut four = [0; 4];
     let mut counter = 0;
@@ -106,7 +110,7 @@ fn draw(seed: u64, trial: u64, n: usize) -> [usize; 4] {
     four
 }
 
-/// A counter-based generator: the finaliser of SplitMix64 (Steele, Lea & Flood 2014) over seed, trial and draw.
+/// Counter-based random generator: the finaliser of SplitMix64 (Steele, Lea & Flood 2014) of seed, trial and draw.
 fn random(seed: u64, trial: u64, draw: u64) -> u64 {
     let mut z = seed ^ (trial << 16 | draw).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -124,7 +128,7 @@ pub(crate) mod tests {
         random(99, i, k) as f64 / u64::MAX as f64 - 0.5
     }
 
-    /// `n` pairs of which `wrong` are anything; the others are off by up to `sigma` px on each axis.
+    /// `n` pairs, the first `wrong` of them random; the others have an error of up to `sigma` px along each axis.
     pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
@@ -153,14 +157,14 @@ pub(crate) mod tests {
     fn trials_are_those_of_draws_without_replacement() {
         let options = RansacOptions { max_trials: u64::MAX, ..RansacOptions::default() };
         for (right, all) in [(5, 10), (6, 9), (8, 20), (300, 500)] {
-            // Every way to draw four, one after the other.
+            // The number of ordered draws of four.
             let ways = |n: usize| (n - 3..=n).product::<usize>() as f64;
             let hit = ways(right) / ways(all);
             let trials = trials_for(right, all, &options) as f64;
             let miss = |trials: f64| libm::pow(1.0 - hit, trials);
             assert!(miss(trials) <= 1e-4 * (1.0 + 1e-9) && miss(trials - 1.0) > 1e-4, "{right} of {all}: {trials}");
         }
-        // Half of ten: 5 / 210 of the draws, where 1 / 16 was counted on.
+        // Half of ten: 5 / 210 of the draws succeed, not 1 / 16 as with replacement.
         assert_eq!(trials_for(5, 10, &options), 383);
         assert_eq!((trials_for(10, 10, &options), trials_for(3, 10, &options)), (1, u64::MAX));
         assert_eq!(trials_for(3, 10, &RansacOptions::default()), 3000);

@@ -1,7 +1,7 @@
-//! The homography on which the matches of two frames agree, of all their feature sets together.
+//! The homography between two frames, from the matches of all their feature sets.
 //!
-//! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three tables of matches, two of them
-//! guided, and a robust fit each. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
+//! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three rounds of matching, two of them
+//! guided, each with a robust fit. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
 
 use crate::align::AlignOptions;
 use crate::align::features::duplicates::MatchIndex;
@@ -12,7 +12,7 @@ use crate::align::features::{
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 
-/// The matches of all sets by the ratio alone, in pixels of the full size.
+/// The matches of all feature sets by the ratio test alone, in pixels of the full size.
 pub(crate) fn pairs(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -22,9 +22,10 @@ pub(crate) fn pairs(
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
-/// The homography that the matches of all sets agree on, in pixels of the full size, and those that do; sought again
-/// among the matches near the index that it gives, where what repeats elsewhere no longer competes (Hartley & Zisserman
-/// 2004, algorithm 4.6).
+/// The homography supported by the matches of all feature sets, and its inliers, in pixels of the full size.
+///
+/// The matching is repeated near the positions that the first homography predicts: there, similar structure elsewhere
+/// no longer competes (Hartley & Zisserman 2004, algorithm 4.6). None if there is no consensus.
 pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -39,7 +40,7 @@ pub(crate) fn by_matches(
     if best.inliers.len() < LEAST_GUIDES {
         return Some(best);
     }
-    // The nearer the place is known, the less it takes to be the right one.
+    // The smaller the search radius, the weaker the ratio test can be.
     for (radius, ratio) in [(WIDE_PX, options.ratio), (NARROW_PX, 0.5 * (1.0 + options.ratio))] {
         let guide = Guide { motion: to_full.try_inverse()? * best.homography * to_full, radius };
         let guided = Matches::new(reference, frame, to_full, ratio, Some(&guide));
@@ -50,7 +51,7 @@ pub(crate) fn by_matches(
     Some(matches.settle(best, pixel))
 }
 
-/// The motion on which most of `pairs` agree, by `method`.
+/// The homography that most of `pairs` support, estimated with `method`.
 pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
     match method {
         RobustMethod::Ransac => ransac::search(pairs, options),
@@ -58,23 +59,23 @@ pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: Robus
     }
 }
 
-/// Where fewer agree it may be by chance, and a guide made of them would find others that do.
+/// Fewest inliers for guided matching: fewer may agree by chance, and guided matching would confirm them.
 const LEAST_GUIDES: usize = 8;
-/// How far from its place a guided match may lie, in pixels of the level: some times what makes it an inlier.
+/// Search radius of the first guided matching, in pixels of the level: four times the default threshold of inliers.
 const WIDE_PX: f64 = 10.0;
-/// ... and once more, when the place is known better.
+/// Search radius of the second guided matching, in pixels of the level.
 const NARROW_PX: f64 = 6.0;
-/// How far a keypoint of scale 1 is off, in pixels of the level; one of scale s is by the square root of that as much.
-/// Measured on rendered brackets.
+/// Standard deviation of the position of a keypoint of scale 1, in pixels of the level; it grows with the square root
+/// of the scale. Measured on rendered brackets.
 const KEYPOINT_PX: f64 = 0.6;
-/// Refits by which the weights settle.
+/// Iterations of the reweighted fit.
 const REFITS: usize = 8;
 
-/// The matches of all sets.
+/// The matches of all feature sets.
 pub(super) struct Matches {
-    /// In pixels of the full size.
+    /// The positions, in pixels of the full size.
     pub(super) pairs: Vec<PointPair>,
-    /// The larger scale of each pair's points, at least 1, in pixels of the level.
+    /// The larger of the two scales of each pair, at least 1, in pixels of the level.
     pub(super) scales: Vec<f64>,
 }
 
@@ -90,10 +91,8 @@ impl Matches {
             let (x, y) = map(to_full, k.x.into(), k.y.into());
             [x, y]
         };
-        let plain = [(&reference.plain, &frame.plain)];
         let mut index = MatchIndex::default();
-        let (pairs, scales) = plain
-            .into_iter()
+        let (pairs, scales) = std::iter::once((&reference.plain, &frame.plain))
             .chain(reference.mtb.iter().zip(&frame.mtb))
             .flat_map(|(a, b)| {
                 let matches = match_mutual(a, b, ratio, guide);
@@ -105,9 +104,10 @@ impl Matches {
         Matches { pairs, scales }
     }
 
-    /// `found`, fitted once more to those that agree, each by how well its keypoints are placed: a large one is placed
-    /// less well, and one that is far off counts less (weights of Geman & McClure). `pixel` is the width of a pixel of
-    /// the level.
+    /// Fits the homography of `found` again to its inliers, weighted by their precision.
+    ///
+    /// Positions of large keypoints are less precise, and distant inliers count less (weights of Geman & McClure).
+    /// `pixel` is the width of a pixel of the level, in pixels of the full size.
     pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
         let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
         let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };

@@ -1,7 +1,7 @@
-//! The features of a frame: of its grey picture, and of its threshold bitmaps.
+//! The features of a frame: of its grey image and of its threshold bitmaps.
 //!
-//! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: a run of [`sift`] over the level, one over a quarter of
-//! its samples for each bitmap.
+//! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: [`sift`] on the level, and on a quarter as many samples
+//! for each bitmap.
 
 use crate::align::features::duplicates::KeypointIndex;
 use crate::align::features::keypoint::{Features, Keypoint};
@@ -12,47 +12,52 @@ use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use rayon::prelude::*;
 
-/// Features of a frame: of the plain picture, and of its threshold bitmaps.
+/// Features of a frame: of the grey image, and of its threshold bitmaps.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FeatureSets {
     pub(crate) plain: Features,
-    /// One set for each of [`PERCENTILES`].
+    /// The features of the bitmap at each of [`PERCENTILES`].
     pub(crate) mtb: Vec<Features>,
     pub(crate) counts: KeypointCounts,
 }
 
 impl FeatureSets {
-    /// The keypoints of the bitmaps; what several have, once, as they are counted.
+    /// The keypoints of all bitmaps; a keypoint of several bitmaps is listed once.
     pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
-        let mut index = KeypointIndex::default();
-        let mut all = Vec::with_capacity(self.counts.mtb);
-        for set in &self.mtb {
-            all.extend(set.keypoints.iter().filter(|k| !index.has(k)).copied());
-            index.add(&set.keypoints);
-        }
-        all
+        additional(&[], &self.mtb)
     }
 }
 
-/// Which of `points` are also among `others`: within a pixel, and of like scale.
+/// The keypoints of `sets` that are neither in `known` nor in an earlier set.
+fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
+    let mut index = KeypointIndex::default();
+    index.add(known);
+    let mut found = Vec::new();
+    for set in sets {
+        found.extend(set.keypoints.iter().filter(|k| !index.has(k)).copied());
+        index.add(&set.keypoints);
+    }
+    found
+}
+
+/// For each of `points`, whether `others` has the same keypoint: within a pixel, and of similar scale.
 pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
     let mut index = KeypointIndex::default();
     index.add(others);
     points.iter().map(|k| index.has(k)).collect()
 }
 
-/// Percent of the pixels that are not above the threshold of each bitmap: Ward's 17, 50 and 83, those halfway, and two
-/// beyond.
+/// Percentiles of the bitmaps' thresholds: Ward's 17, 50 and 83, the two between them, and one beyond each end.
 pub(super) const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 
-/// Smoothing before the threshold, in pixels: it takes the grain off the bitmap's edges.
+/// Standard deviation of the smoothing before the threshold, in pixels: removes noise from the edges of the bitmap.
 const SMOOTHING: f64 = 0.7;
 
-/// The features of a frame, on level `level` of its pyramid.
+/// The features of a frame on level `level` of its pyramid.
 pub(crate) fn features(pyramid: &GreyPyramid, level: usize, sift: &SiftOptions, exclusion: u8) -> FeatureSets {
     let grey = pyramid.level(level);
     let smooth = smoothed(grey);
-    // What is finer than a pixel in a bitmap is the staircase of its edges: it is not doubled.
+    // A bitmap is not doubled: its only detail below a pixel is the staircase of its edges.
     let coarse = SiftOptions { double: false, ..sift.clone() };
     let (plain, mtb) = rayon::join(
         || sift::detect(grey, sift),
@@ -64,20 +69,15 @@ pub(crate) fn features(pyramid: &GreyPyramid, level: usize, sift: &SiftOptions, 
     FeatureSets { counts: count(&plain, &mtb), plain, mtb }
 }
 
+/// `grey` as floats, smoothed against noise.
 pub(super) fn smoothed(grey: &Plane<u8>) -> Plane<f32> {
-    let codes = Plane::from_rows(grey.width(), grey.height(), |y, row| {
-        for (v, g) in row.iter_mut().zip(grey.row(y)) {
-            *v = f32::from(*g);
-        }
-    });
-    gaussian(&codes, SMOOTHING)
+    gaussian(&grey.map(f32::from), SMOOTHING)
 }
 
-/// Steps of a grey value to which a threshold is known: in a dark frame all percentiles may lie within two or three
-/// levels.
+/// Histogram bins for one grey value: in a dark frame all percentiles may lie within two or three grey values.
 const STEPS: f32 = 16.0;
 
-/// The level at each of [`PERCENTILES`].
+/// The grey value at each of [`PERCENTILES`].
 pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
     let mut counts = [0u64; 256 * STEPS as usize];
     let most = counts.len() - 1;
@@ -95,9 +95,10 @@ pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
     })
 }
 
-/// The bitmap at `threshold` as a picture: black below, white above. Within half the exclusion to either side, where
-/// noise would decide (Ward's exclusion bitmap), it goes from one to the other in proportion: noise makes no contrast
-/// there, and an edge keeps its place.
+/// The bitmap at `threshold` as a grey image: black below the threshold, white above it.
+///
+/// Within half of `exclusion` to either side, where noise would decide (Ward's exclusion bitmap), it is a linear ramp:
+/// noise causes little contrast there, and edges keep their positions.
 pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plane<u8> {
     let slope = 255.0 / f32::from(exclusion.max(1));
     Plane::from_rows(smooth.width(), smooth.height(), |y, row| {
@@ -107,16 +108,12 @@ pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plan
     })
 }
 
-/// How many points there are of each kind; those of several bitmaps, and those of both kinds, counted once.
+/// The number of keypoints of the grey image, of the bitmaps and of both; a keypoint that is found repeatedly counts
+/// once.
 pub(super) fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
-    let (mut of_bitmaps, mut of_all) = (KeypointIndex::default(), KeypointIndex::default());
-    let mut counts = KeypointCounts { plain: plain.len(), mtb: 0, merged: plain.len() };
-    of_all.add(&plain.keypoints);
-    for set in mtb {
-        counts.mtb += of_bitmaps.new_among(&set.keypoints);
-        counts.merged += of_all.new_among(&set.keypoints);
-        of_bitmaps.add(&set.keypoints);
-        of_all.add(&set.keypoints);
+    KeypointCounts {
+        plain: plain.len(),
+        mtb: additional(&[], mtb).len(),
+        merged: plain.len() + additional(&plain.keypoints, mtb).len(),
     }
-    counts
 }

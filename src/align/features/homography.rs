@@ -1,7 +1,7 @@
-//! The homography from point pairs: the normalised direct linear transformation.
+//! Homography from point pairs by the normalised direct linear transformation.
 //!
-//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right number 1. Cost: 45
-//! multiply-adds a pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.,
+//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x and its lower right element 1. Cost: 45
+//! multiply-adds per pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.,
 //! 2004), algorithm 4.2.
 
 use crate::align::transform::map;
@@ -10,18 +10,19 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 /// A point of the reference and the same point of the frame, in pixels.
 pub type PointPair = ([f64; 2], [f64; 2]);
 
-/// The homography that fits `pairs` best in the algebraic sense after normalisation; none where fewer than four pairs,
-/// or their arrangement (three of four on a line, say), leave it open, or where it would turn a reference point inside
-/// out.
+/// The homography with the least algebraic error for `pairs`, after normalisation.
 ///
-/// `weights`, if given, has one value of at least 0 for each pair; otherwise all count alike.
+/// `weights`, if given, has one value of at least 0 for each pair; otherwise all weights are 1.
+///
+/// None if the pairs do not determine a homography (fewer than four, or three of four on a line), if it puts a
+/// reference point behind the camera, or if it mirrors the image.
 pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
     let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
     if (0..pairs.len()).filter(|&i| weight(i) > 0.0).count() < 4 {
         return None;
     }
-    let from = normalisation(pairs.iter().map(|p| p.0).enumerate().map(|(i, p)| (p, weight(i))))?;
-    let to = normalisation(pairs.iter().map(|p| p.1).enumerate().map(|(i, p)| (p, weight(i))))?;
+    let from = normalisation(pairs.iter().enumerate().map(|(i, p)| (p.0, weight(i))))?;
+    let to = normalisation(pairs.iter().enumerate().map(|(i, p)| (p.1, weight(i))))?;
     // A^T A for the rows (0, -x, y' x) and (x, 0, -x' x) of eq. 4.3, in normalised coordinates.
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for (i, (p, q)) in pairs.iter().enumerate() {
@@ -37,7 +38,7 @@ pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>>
     let eigen = normal.symmetric_eigen();
     let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    // The second smallest must stand out from rounding: otherwise a whole family of homographies fits.
+    // If the second smallest eigenvalue is 0 within rounding, the homography is not unique.
     if eigen.eigenvalues[order[1]] <= 1e-9 * eigen.eigenvalues[order[8]] {
         return None;
     }
@@ -49,7 +50,7 @@ pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>>
     (h.iter().all(|v| v.is_finite()) && in_front && h.determinant() > 0.0).then_some(h)
 }
 
-/// The similarity that puts the points' centroid at the origin and their root mean square distance from it at sqrt(2).
+/// The similarity that moves the centroid to the origin and scales the root mean square distance from it to sqrt(2).
 fn normalisation(points: impl Iterator<Item = ([f64; 2], f64)> + Clone) -> Option<Matrix3<f64>> {
     let (mut sx, mut sy, mut sw) = (0.0, 0.0, 0.0);
     for (p, w) in points.clone() {
@@ -68,7 +69,7 @@ mod tests {
     fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
-                // Points on a parabola modulo the picture's size: no three of any four on a line.
+                // Points on a parabola modulo the image size: no three of any four are on a line.
                 let (x, y) = ((i * 1237 % 4000) as f64, (i * i * 331 % 3000) as f64);
                 let (u, v) = map(h, x, y);
                 ([x, y], [u, v])
@@ -84,7 +85,7 @@ mod tests {
             let h = fit(&pairs(&H, n), None).unwrap();
             for (p, q) in pairs(&H, 50) {
                 let (u, v) = map(&h, p[0], p[1]);
-                // Squaring A leaves half of the sixteen digits: 1e-8 of 4000 px, and the points are well spread.
+                // Squaring A leaves half of the sixteen digits: 1e-8 of 4000 px, for well-spread points.
                 assert!((u - q[0]).hypot(v - q[1]) < 1e-5, "{n}: {h}");
             }
         }

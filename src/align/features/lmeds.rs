@@ -1,12 +1,12 @@
 //! LMedS: the homography with the least median of squared distances.
 //!
 //! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over
-//! the pairs a trial; for a confidence of 0.9999 some 140 trials, several times that for fewer than ten pairs. Source:
-//! Rousseeuw, "Least Median of Squares Regression", JASA 79(388), 1984; the scale from the median and the refit are
-//! Rousseeuw & Leroy's (Robust Regression and Outlier Detection, 1987, chapter 5).
+//! the pairs per trial; about 140 trials for a confidence of 0.9999, several times that for fewer than ten pairs.
+//! Source: Rousseeuw, "Least Median of Squares Regression", JASA 79(388), 1984; the scale from the median and the refit
+//! are from Rousseeuw & Leroy (Robust Regression and Outlier Detection, 1987, chapter 5).
 //!
-//! Unlike RANSAC it needs no threshold, as the median itself measures the scatter of the inliers; with more than half
-//! of the pairs wrong it finds nothing.
+//! Unlike RANSAC it needs no threshold, as the median measures the scatter of the inliers. It finds nothing if more
+//! than half of the pairs are wrong.
 
 use crate::align::features::consensus::{guess, inliers, trials_for};
 use crate::align::features::homography::{PointPair, fit};
@@ -14,29 +14,31 @@ use crate::align::features::{Consensus, RansacOptions, distance_squared};
 use crate::statistics::median;
 use nalgebra::Matrix3;
 
-/// Standard deviations, by the median, within which a pair is right.
+/// Largest distance of an inlier, in standard deviations (estimated from the median).
 const WITHIN: f64 = 2.5;
-/// Scatter that is taken for granted, in pixels: no keypoint is known better.
+/// Least standard deviation, in pixels: no keypoint is more precise.
 const LEAST_SIGMA: f64 = 0.02;
-/// A radius of so many of RANSAC's thresholds or more is no scatter of right pairs: more than half are wrong.
+/// Largest radius of the inliers, in RANSAC thresholds: it is larger only if more than half of the pairs are wrong.
 const MOST_THRESHOLDS: f64 = 2.0;
-/// Refits at the most; mostly two are enough.
+/// Largest number of refits; usually two are enough.
 const MOST_REFITS: usize = 10;
 
-/// The homography with the least median of squared distances, refitted to its inliers; none where more than
-/// half of the pairs are wrong. Of `options` the threshold only says when that is so; it bounds no pair by itself.
+/// The homography with the least median of squared distances, refitted to its inliers; none if more than half of the
+/// pairs are wrong.
+///
+/// The threshold of `options` is only used to detect that; it does not limit the distance of single pairs.
 pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 5 {
         return None;
     }
-    // The least majority: with fewer right pairs the median fails.
+    // The median needs a majority of correct pairs.
     let trials = trials_for(pairs.len() / 2 + 1, pairs.len(), options);
     let (median, mut h) = (0..trials)
         .filter_map(|trial| {
             let h = guess(pairs, options.seed, trial)?;
             Some((median_of_squares(pairs, &h), h))
         })
-        // Of equals the first.
+        // The first of equal medians.
         .reduce(|best, other| if other.0 < best.0 { other } else { best })?;
     let radius = WITHIN * scale(median, pairs.len()).max(LEAST_SIGMA);
     if radius >= MOST_THRESHOLDS * options.threshold {
@@ -50,7 +52,7 @@ pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus>
             break;
         };
         let still = inliers(pairs, &refitted, limit);
-        // A fit that loses what it was fitted to has run away.
+        // Fewer inliers than before: the fit diverges.
         if still.len() < right.len() {
             break;
         }
@@ -63,8 +65,9 @@ pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus>
     Consensus::new(pairs, h, limit)
 }
 
-/// The standard deviation of right pairs of which half lie within the square root of `median` (1987, chapter 5, eq. 1.3): exact for
-/// normal residuals along one axis, and with a factor for few pairs.
+/// Standard deviation of the correct pairs, from the median of squared distances (1987, chapter 5, eq. 1.3).
+///
+/// It is exact for normal residuals along one axis, and corrected for small numbers of pairs.
 fn scale(median: f64, pairs: usize) -> f64 {
     1.4826 * (1.0 + 5.0 / (pairs as f64 - 4.0)) * median.sqrt()
 }
@@ -85,7 +88,7 @@ mod tests {
             let found = search(&pairs(n, wrong, 0.5), &RansacOptions::default()).unwrap();
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2, "{right} of {n} - {wrong}");
-            // As for RANSAC: 0.26 px at the corners for 60 right pairs, 0.34 px for 36; three times that at the most.
+            // As for RANSAC: 0.26 px at the corners for 60 correct pairs, 0.34 px for 36; the limit is three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 1.0, "{n} {wrong}");
@@ -95,12 +98,12 @@ mod tests {
 
     #[test]
     fn its_radius_follows_the_scatter() {
-        // RANSAC's threshold is the same for both and would take in both; the median tells them apart.
+        // RANSAC's threshold is the same in both cases and would accept all of these; the median differs.
         let rms = |sigma| search(&pairs(200, 60, sigma), &RansacOptions::default()).unwrap().rms;
         let (fine, coarse) = (rms(0.1), rms(0.8));
         assert!((6.0..10.0).contains(&(coarse / fine)), "{fine} {coarse}");
         let mut off = pairs(200, 0, 0.1);
-        // 2 px off: right for RANSAC, wrong by twenty times the scatter.
+        // An error of 2 px: an inlier for RANSAC, but twenty times the scatter.
         off[7].1[0] += 2.0;
         assert!(!search(&off, &RansacOptions::default()).unwrap().inliers.contains(&7));
     }
@@ -125,7 +128,7 @@ mod tests {
         let list = pairs(120, 40, 0.5);
         let by = |seed| search(&list, &RansacOptions { seed, ..RansacOptions::default() }).unwrap();
         assert_eq!(by(3), by(3));
-        // Other draws end at the same pairs: the refit forgets where it came from.
+        // Other samples lead to nearly the same inliers, as the refit does not depend on its start.
         assert!(by(3).inliers.len().abs_diff(by(4).inliers.len()) <= 2);
     }
 

@@ -1,10 +1,10 @@
 //! Matching of descriptors.
 //!
-//! In: the [`Features`] of two pictures. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
-//! Cost: 128 multiply-adds for every pair of keypoints that may match: about one pair in ten, as a hand-held camera
-//! rotates and zooms little, and what is brighter than its surroundings is so at any exposure. Source: Lowe,
-//! "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (the ratio of the nearest
-//! to the second nearest).
+//! In: the [`Features`] of two images. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
+//! Cost: 128 multiply-adds for every pair of keypoints that may match. That is about one pair in ten: a hand-held camera
+//! hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive
+//! Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the nearest to the second
+//! nearest).
 
 use crate::align::features::{Descriptor, Features, Keypoint};
 use crate::align::transform::map;
@@ -12,7 +12,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// A pair of keypoints that look alike, by index.
+/// Indices of two keypoints with similar descriptors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Match {
     /// In the reference's features.
@@ -21,38 +21,46 @@ pub struct Match {
     pub frame: usize,
 }
 
-/// Where a match may lie: within `radius` pixels of the place that `motion` (reference -> frame) gives.
+/// Restricts matches to within `radius` pixels of the position predicted by `motion`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guide {
     /// Reference pixel -> frame pixel.
     pub motion: Matrix3<f64>,
-    /// In pixels.
+    /// Search radius, in pixels.
     pub radius: f64,
 }
 
-/// The pairs that are each other's nearest, nearer than `ratio` times the reference point's second nearest; with a
-/// `guide`, among those near its index. Only points that could be one are held against each other: both bright or both
-/// dark, turned by no more than 45 degrees (some up to half as much again), and at most twice as large.
+/// The mutual nearest neighbours that pass the ratio test.
+///
+/// The nearest neighbour must be nearer than `ratio` times the second nearest of the reference's keypoint. With a
+/// `guide` only neighbours near the predicted position are candidates. Candidates are both bright or both dark, differ
+/// in direction by at most 45 degrees (some by up to 67.5, due to binning), and in scale by at most a factor of two.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
     let table = Table::new(frame);
     let grid = guide.map(|g| (g, Grid::new(&table.points, g.radius)));
     let chunks: Vec<Chunk> = (0..reference.len().div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
-            let mut found = Chunk {
-                nearest: Vec::with_capacity(CHUNK),
-                nearest_references: vec![NearestReference::default(); frame.len()],
-            };
+            let mut found =
+                Chunk { nearest: Vec::with_capacity(CHUNK), nearest_references: vec![NO_REFERENCE; frame.len()] };
             for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len()) {
-                let descriptor = WideDescriptor::new(&reference.descriptors[i]);
-                let mut search = Nearest::new(i as u32, &descriptor, &table, &mut found.nearest_references);
+                let mut search = Nearest {
+                    point: i as u32,
+                    descriptor: &WideDescriptor::new(&reference.descriptors[i]),
+                    table: &table,
+                    nearest_references: &mut found.nearest_references,
+                    first: i32::MAX,
+                    second: i32::MAX,
+                    at: None,
+                };
                 let point = &reference.keypoints[i];
                 match &grid {
-                    None => table.like(point).into_iter().flatten().for_each(|j| search.consider(j)),
+                    None => table.candidates(point).into_iter().flatten().for_each(|j| search.consider(j)),
                     Some((guide, grid)) => {
                         let (x, y) = map(&guide.motion, point.x.into(), point.y.into());
-                        let near = grid.near(x, y).into_iter().flatten().map(|&j| j as usize);
-                        near.filter(|&j| may_match(point, &table.points[j])).for_each(|j| search.consider(j));
+                        grid.near(x, y)
+                            .filter(|&j| may_match(point, &table.points[j]))
+                            .for_each(|j| search.consider(j));
                     }
                 }
                 let best = search.if_unambiguous(ratio);
@@ -61,8 +69,8 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
             found
         })
         .collect();
-    // Of the frame's points, each one's nearest in the reference; of equals the first.
-    let mut nearest_references = vec![NearestReference::default(); frame.len()];
+    // The nearest reference keypoint of each of the frame's keypoints; the first of equals.
+    let mut nearest_references = vec![NO_REFERENCE; frame.len()];
     for chunk in &chunks {
         for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
             if nearest_reference.distance < best.distance {
@@ -78,43 +86,39 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
         .collect()
 }
 
-/// What one task finds.
+/// Result of one task.
 struct Chunk {
-    /// For each of its points of the reference, the place in the table of the frame's point that is if_unambiguous the
-    /// nearest.
+    /// For each of its reference keypoints, the index in the table of the nearest frame keypoint, if unambiguous.
     nearest: Vec<Option<usize>>,
-    /// For each point of the table, the nearest among its points of the reference.
+    /// For each keypoint of the table, the nearest of the task's reference keypoints.
     nearest_references: Vec<NearestReference>,
 }
 
-/// A point of the reference, and how far its descriptor is.
+/// A reference keypoint, and the squared distance of its descriptor.
 #[derive(Debug, Clone, Copy)]
 struct NearestReference {
     point: u32,
     distance: i32,
 }
 
-impl Default for NearestReference {
-    fn default() -> Self {
-        NearestReference { point: u32::MAX, distance: i32::MAX }
-    }
-}
+const NO_REFERENCE: NearestReference = NearestReference { point: u32::MAX, distance: i32::MAX };
 
-/// Keypoints of the reference that one task matches.
+/// Reference keypoints per task.
 const CHUNK: usize = 64;
 
-/// Parts of the circle by which the table is ordered: 22.5 degrees each.
+/// Bins of directions by which the table is ordered: 22.5 degrees each.
 const TURNS: usize = 16;
-/// Parts to either side in which a partner is sought.
+/// Largest difference in direction between matching keypoints, in bins.
 const MOST_TURNS: usize = 2;
-/// A partner is at most so many times as large or as small.
+/// Largest ratio of scales of matching keypoints.
 const MOST_ZOOM: f32 = 2.0;
 
+/// The bin of a direction.
 fn turn(angle: f32) -> usize {
     ((angle + PI) * (TURNS as f32 / (2.0 * PI))) as usize % TURNS
 }
 
-/// Whether two keypoints can be one point, seen by a camera that is held in hands.
+/// Whether two keypoints can be the same point, seen by a hand-held camera.
 fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
     let apart = (turn(a.angle) + TURNS - turn(b.angle)) % TURNS;
     a.bright == b.bright
@@ -123,13 +127,13 @@ fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
         && b.scale <= MOST_ZOOM * a.scale
 }
 
-/// The frame's features, so ordered that those which [`may_match`] with a point lie in a few runs.
+/// The frame's features, ordered so that the candidates for a keypoint (see [`may_match`]) are a few ranges.
 struct Table {
-    /// Index among the frame's features.
+    /// Index in the frame's features.
     order: Vec<usize>,
     points: Vec<Keypoint>,
     descriptors: Vec<WideDescriptor>,
-    /// Where each kind (dark or bright) and turn begins, and the end.
+    /// Start of each bin (dark or bright, and direction), and the end.
     starts: [usize; 2 * TURNS + 1],
 }
 
@@ -148,8 +152,8 @@ impl Table {
         Table { order, points, descriptors, starts }
     }
 
-    /// The index of the points that may be `point`.
-    fn like(&self, point: &Keypoint) -> [std::ops::Range<usize>; 2 * MOST_TURNS + 1] {
+    /// Ranges of the table with the candidates for `point`.
+    fn candidates(&self, point: &Keypoint) -> [std::ops::Range<usize>; 2 * MOST_TURNS + 1] {
         let kind = usize::from(point.bright) * TURNS;
         std::array::from_fn(|k| {
             let part = kind + (turn(point.angle) + TURNS + k - MOST_TURNS) % TURNS;
@@ -162,7 +166,7 @@ impl Table {
     }
 }
 
-/// A descriptor in the width in which it is multiplied, and its square.
+/// A descriptor as 16-bit integers, for multiplication, and its squared length.
 struct WideDescriptor {
     values: [i16; 128],
     square: i32,
@@ -180,7 +184,7 @@ impl WideDescriptor {
     }
 }
 
-/// The product of two descriptors. In eight sums side by side it becomes multiply-adds of eight at a time.
+/// Scalar product of two descriptors. Eight partial sums let the compiler use vectors of eight.
 #[inline]
 fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
     let mut sums = [0i32; 8];
@@ -192,8 +196,9 @@ fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
     sums.iter().sum()
 }
 
-/// The search for the nearest of the frame's points to one of the reference's; updates the nearest reference point of
-/// each as well.
+/// Search for the frame keypoint nearest to a reference keypoint.
+///
+/// It also updates the nearest reference keypoint of every frame keypoint that is compared.
 struct Nearest<'a> {
     point: u32,
     descriptor: &'a WideDescriptor,
@@ -204,16 +209,8 @@ struct Nearest<'a> {
     at: Option<usize>,
 }
 
-impl<'a> Nearest<'a> {
-    fn new(
-        point: u32,
-        descriptor: &'a WideDescriptor,
-        table: &'a Table,
-        nearest_references: &'a mut [NearestReference],
-    ) -> Self {
-        Nearest { point, descriptor, table, nearest_references, first: i32::MAX, second: i32::MAX, at: None }
-    }
-
+impl Nearest<'_> {
+    /// Compares the descriptor with that of the table's keypoint `j`.
     #[inline]
     fn consider(&mut self, j: usize) {
         let distance = self.descriptor.distance_squared(&self.table.descriptors[j]);
@@ -228,18 +225,19 @@ impl<'a> Nearest<'a> {
         }
     }
 
-    /// The nearest, if it is if_unambiguous the nearest: of equals none is.
+    /// The nearest keypoint, if it passes the ratio test; equal distances do not.
     fn if_unambiguous(&self, ratio: f64) -> Option<usize> {
         let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
         self.at.filter(|_| clear && self.first <= FARTHEST)
     }
 }
 
-/// Squared distance of two descriptors beyond which they are not of one place even where nothing else competes:
-/// descriptors are 512 long, so this is 2/3 of the distance of two that have nothing in common.
+/// Largest squared distance of matching descriptors, even without a competitor.
+///
+/// It is 2/3 of the distance of descriptors without common entries, whose length is 512 each.
 const FARTHEST: i32 = 2 * 512 * 512 * 4 / 9;
 
-/// The frame's keypoints in square cells as wide as the guide's radius.
+/// Indices of the frame's keypoints, by square cells as wide as the guide's radius.
 struct Grid {
     cell: f64,
     columns: i64,
@@ -261,16 +259,15 @@ impl Grid {
         Grid { cell, columns, rows, cells }
     }
 
-    /// The points of the cells about (x, y): all those within the radius, and some more.
-    fn near(&self, x: f64, y: f64) -> Vec<&[u32]> {
-        let (column, row) = ((x / self.cell).floor() as i64, (y / self.cell).floor() as i64);
-        let mut near = Vec::with_capacity(9);
-        for r in (row - 1).max(0)..=(row + 1).min(self.rows - 1) {
-            for c in (column - 1).max(0)..=(column + 1).min(self.columns - 1) {
-                near.push(&self.cells[(r * self.columns + c) as usize][..]);
-            }
-        }
-        near
+    /// The keypoints in the cells around (x, y): includes all within the radius.
+    fn near(&self, x: f64, y: f64) -> impl Iterator<Item = usize> {
+        let around = |v: f64, count: i64| {
+            let cell = (v / self.cell).floor() as i64;
+            cell.saturating_sub(1).max(0)..=cell.saturating_add(1).min(count - 1)
+        };
+        let (rows, columns) = (around(y, self.rows), around(x, self.columns));
+        let cells = rows.flat_map(move |r| columns.clone().map(move |c| &self.cells[(r * self.columns + c) as usize]));
+        cells.flatten().map(|&j| j as usize)
     }
 }
 
@@ -278,7 +275,7 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// Descriptors that have nothing to do with each other, one for each seed.
+    /// A pseudorandom descriptor for each seed.
     fn descriptor(seed: u32) -> Descriptor {
         let mut state = seed.wrapping_mul(0x9E37_79B9) | 1;
         std::array::from_fn(|_| {
@@ -331,14 +328,14 @@ mod tests {
 
     #[test]
     fn agrees_with_the_whole_table_of_distances() {
-        // Descriptors of few values, so that many are alike and nearest ones are often not mutual.
+        // Descriptors with few non-zero values, so that many are similar and nearest neighbours are often not mutual.
         let coarse = |seeds: std::ops::Range<u32>| {
             let mut f = features(&seeds.collect::<Vec<_>>(), 0.0);
             f.descriptors.iter_mut().for_each(|d| d[6..].fill(0));
             f
         };
         let (a, b) = (coarse(0..150), coarse(100..260));
-        // The pairs that may match, all of them; a few directions and sizes in each, on both sides of the limits.
+        // A few directions, scales and kinds, on both sides of the limits of `may_match`.
         let turned = |mut f: Features, by: usize| {
             for (i, k) in f.keypoints.iter_mut().enumerate() {
                 k.angle = ((i * by % 40) as f32 / 20.0 - 1.0) * PI;
@@ -348,7 +345,7 @@ mod tests {
             f
         };
         for (a, b, least) in [(a.clone(), b.clone(), 20), (turned(a, 3), turned(b, 11), 20)] {
-            // As the definition has it, and in the width of the descriptors.
+            // By the definition, in exact integers.
             let d = |i: usize, j: usize| -> i32 {
                 if !may_match(&a.keypoints[i], &b.keypoints[j]) {
                     return i32::MAX;

@@ -1,14 +1,13 @@
-//! Features: keypoints of the grey picture and of its threshold bitmaps, and the homography on which their matches
-//! agree.
+//! Features: keypoints of the grey image and of its threshold bitmaps, and the homography of their matches.
 //!
-//! In: grey pyramids. Out: `FeatureSets`, and for two of them a [`Consensus`]. Cost: a run of [`sift`] over the level
-//! on which features are detected, one over a quarter of its samples for each bitmap; for a pair of frames three tables
-//! of matches, two of them guided, and [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold
-//! bitmap has many keypoints where the grey picture is dark or bright and has few; both together are always enough).
+//! In: grey pyramids. Out: `FeatureSets`, and for two of them a [`Consensus`]. Cost: [`sift`] on one pyramid level, and
+//! on a quarter as many samples for each bitmap; for a pair of frames three rounds of matching, two of them guided, and
+//! [`ransac`] or [`lmeds`]. Source: the thesis, section 4.3 (the median threshold bitmap has many keypoints where the
+//! grey image is dark or bright and has few; both together are always enough).
 //!
-//! One bitmap has edges at one grey value, and in a dark frame that may lie within the noise. There are seven bitmaps,
-//! at fixed percentiles, Ward's three among them: whatever the exposures, some of them have structure in both frames.
-//! Each is matched only with its counterpart.
+//! A bitmap has edges at one grey value only, which in a dark frame may be within the noise. Therefore seven bitmaps
+//! are used, at fixed percentiles that include Ward's three: at any exposures some of them have structure in both
+//! frames. Each bitmap is matched only with the bitmap of the same percentile.
 
 mod consensus;
 mod duplicates;
@@ -35,10 +34,10 @@ pub use sift::SiftOptions;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum RobustMethod {
-    /// The transform with the most inliers; up to four fifths of the matches may be wrong.
+    /// The transform with the most inliers; works with up to four fifths wrong matches.
     #[default]
     Ransac,
-    /// The transform with the least median of squares, without a threshold; fewer than half of the matches may be wrong.
+    /// The transform with the least median of squares, without a threshold; needs more than half correct matches.
     Lmeds,
 }
 

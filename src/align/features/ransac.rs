@@ -1,8 +1,8 @@
-//! RANSAC: the homography on which most matches agree.
+//! RANSAC: the homography that most matches support.
 //!
-//! In: pairs of points, many of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs a
-//! trial; the number of trials follows the best share of inliers so far. Source: Fischler & Bolles, CACM 24(6), 1981;
-//! scored by the truncated sum of Torr & Zisserman (MSAC, CVIU 78, 2000), refitted on the inliers after every
+//! In: pairs of points, many of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over the pairs per
+//! trial; the number of trials depends on the largest share of inliers so far. Source: Fischler & Bolles, CACM 24(6),
+//! 1981; scored by the truncated sum of Torr & Zisserman (MSAC, CVIU 78, 2000), refitted to the inliers after every
 //! improvement (Chum, Matas & Kittler, DAGM 2003).
 
 use crate::align::features::consensus::{distance_squared, guess, inliers, trials_for};
@@ -10,7 +10,7 @@ use crate::align::features::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions};
 use nalgebra::Matrix3;
 
-/// The homography with the best score; none where no four pairs give one that others agree with.
+/// The homography with the best score; none if no homography has more than four inliers.
 pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 4 {
         return None;
@@ -34,11 +34,12 @@ pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus>
     Consensus::new(pairs, homography, limit)
 }
 
+/// Sum of the squared distances, each at most `limit`.
 fn score(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> f64 {
     pairs.iter().map(|p| distance_squared(h, p).min(limit)).sum()
 }
 
-/// Refits on the inliers, those near the threshold counting less, as long as the score falls.
+/// Refits the homography to the inliers, with lower weights near the threshold, while the score decreases.
 fn polish(pairs: &[PointPair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -> (f64, Matrix3<f64>) {
     for _ in 0..10 {
         let weights: Vec<f64> = pairs
@@ -72,9 +73,9 @@ mod tests {
             let found = search(&pairs(n, wrong, 0.5), &RansacOptions::default()).unwrap();
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2);
-            // Uniform noise of +-0.5 px has a standard deviation of 0.29 on each axis. Eight numbers fitted to 2 n
-            // equations have a mean leverage of 4 / n, at the corners about six times that: with n >= 60, 0.29 sqrt(2)
-            // sqrt(24 / 60) = 0.26 px; three times that.
+            // Uniform noise of +-0.5 px has a standard deviation of 0.29 px along each axis. Eight parameters fitted to
+            // 2 n equations have a mean leverage of 4 / n, and about six times that at the corners: for n >= 60, 0.29
+            // sqrt(2) sqrt(24 / 60) = 0.26 px. The limit is three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 0.8);
@@ -84,8 +85,8 @@ mod tests {
 
     #[test]
     fn nonsense_has_no_consensus_worth_the_name() {
-        // 2.5 px about the right place are 6.5e-6 of the picture, and one draw of 13 is same-handed: with 96 others, 3000 trials meet a fifth
-        // inlier by chance in 13 % of the searches, and a sixth in none.
+        // A circle of 2.5 px is 6.5e-6 of the image area, and one draw in 13 keeps the orientation: with 96 other pairs,
+        // 3000 trials find a fifth inlier by chance in 13 % of the searches, and a sixth in none.
         let search_with = |seed| search(&pairs(100, 100, 0.0), &RansacOptions { seed, ..RansacOptions::default() });
         let found: Vec<Consensus> = (0..20).filter_map(search_with).collect();
         assert!(found.len() <= 8 && found.iter().all(|f| f.inliers.len() == 5), "{found:?}");

@@ -1,4 +1,4 @@
-//! What the bitmaps add: points in dark frames, the same ones in both, and each counted once.
+//! Tests of the features of bitmaps: keypoints in dark frames, matches, and counts without duplicates.
 
 use super::*;
 use crate::align::AlignOptions;
@@ -57,13 +57,13 @@ fn either_robust_method_finds_the_motion() {
         let off = Transform::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
         assert!(off < 0.5 && found.inliers.len() > 100, "{off} px, {}", found.inliers.len());
     }
-    // The median's radius is not the threshold.
+    // The radius of LMedS differs from the threshold of RANSAC.
     assert_ne!(ransac.inliers, lmeds.inliers);
 }
 
 #[test]
 fn noise_about_a_threshold_makes_few_points() {
-    // A plain surface of noise, half above its median and half below.
+    // A uniform surface with noise, half above its median and half below.
     let flat = |_: f64, _: f64| 1.0;
     let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
     let noise = crate::align::scene::photograph(SIZE, &Transform::Identity, shot, flat);
@@ -71,7 +71,7 @@ fn noise_about_a_threshold_makes_few_points() {
     let median = thresholds(&smooth)[3];
     let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };
     let points = |exclusion| sift::detect(&bitmap(&smooth, median, exclusion), &options).len();
-    // The bitmap with hard edges is all speckles; one that goes over in proportion has less contrast than a speckle.
+    // A bitmap with hard edges is full of speckles; a ramp at the threshold reduces their contrast.
     assert!(points(1) > 200 && points(4) * 10 < points(1), "{} {}", points(1), points(4));
 }
 
@@ -81,7 +81,7 @@ fn thresholds_part_the_pixels_as_they_say() {
     let total = smooth.as_slice().len() as f64;
     for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
         let below = smooth.as_slice().iter().filter(|v| **v <= t).count() as f64 / total;
-        // A sixteenth of a level holds at most a few percent of the pixels of a dark frame.
+        // A sixteenth of a grey value contains at most a few percent of the pixels of a dark frame.
         assert!((below - *percent as f64 / 100.0).abs() < 0.03, "{percent}: {below}");
     }
 }
@@ -102,7 +102,7 @@ fn points_found_twice_are_counted_once() {
         (-0.1, 0.0, 2.0),  // across the border between squares: the same
         (90.0, 90.0, 2.0),
     ]);
-    // Of the second bitmap one is new to the first, and none of the first's is new to the plain picture.
+    // One keypoint of the second bitmap is in neither the first nor the grey image.
     let second = keypoints(&[(90.3, 90.0, 2.0), (10.1, 10.0, 2.0), (70.0, 10.0, 2.0)]);
     let of = |mtb: &[Features]| {
         let c = count(&plain, mtb);
@@ -115,7 +115,7 @@ fn points_found_twice_are_counted_once() {
 
 #[test]
 fn pair_found_twice_is_one_match_wherever_it_lies() {
-    // A bitmap finds what the plain picture found, some tenths of a pixel beside it, in both frames.
+    // A bitmap has the same keypoint as the grey image, some tenths of a pixel away, in both frames.
     let sets = |x: f32, y: f32, mtb: (f32, f32)| FeatureSets {
         plain: keypoints(&[(x, y, 2.0)]),
         mtb: vec![keypoints(&[(x + mtb.0, y + mtb.1, 2.0)])],
@@ -127,7 +127,7 @@ fn pair_found_twice_is_one_match_wherever_it_lies() {
     for tenth in 0..40 {
         let at = 100.0 + 0.1 * tenth as f32;
         assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
-        // Of other index in the reference, or in the frame.
+        // Another position in the reference, or in the frame.
         assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
         assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
     }
@@ -135,7 +135,7 @@ fn pair_found_twice_is_one_match_wherever_it_lies() {
 
 #[test]
 fn large_keypoints_count_less_in_the_last_fit() {
-    // Twelve small ones that are right, and four large ones that all drag to the same side.
+    // Twelve correct small keypoints, and four large ones with an error in the same direction.
     let place = |i: usize| [(i * 37 % 100) as f64 * 4.0, (i * 61 % 100) as f64 * 3.0];
     let drag = |i: usize| if i < 12 { 0.0 } else { 2.0 };
     let pairs: Vec<PointPair> = (0..16).map(|i| (place(i), [place(i)[0] + drag(i), place(i)[1]])).collect();

@@ -1,4 +1,4 @@
-//! How bright a frame is, and how much of it shows more than black or white.
+//! Brightness of a frame, and the share of its pixels that are neither black nor white.
 //!
 //! In: a frame. Out: its [`Content`] and its grey pyramid. Cost: that of the pyramid.
 
@@ -6,15 +6,14 @@ use crate::align::grey::{GreyPyramid, Histogram, Percentile};
 use crate::bracket::{Frame, Window};
 use crate::error::Result;
 
-/// How a frame is looked at.
+/// The brightness of a frame and the detail in it.
 #[derive(Debug)]
 pub(crate) struct Content {
-    /// The brightening_stops by which its grey picture is brightened, so that neither rounding nor halving takes away
-    /// what little a dark frame shows.
+    /// Stops by which its grey values are brightened, so that rounding and halving keep the detail of a dark frame.
     pub(crate) brightening_stops: Option<u32>,
-    /// Whether it is of one tone.
+    /// Whether nearly all pixels have the same tone.
     pub(crate) is_uniform: bool,
-    /// The tones beyond which it shows something, and the share of its pixels that do.
+    /// The pixels that are neither black nor white.
     pub(crate) detail: Detail,
 }
 
@@ -23,7 +22,7 @@ impl Content {
         let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
         let (nearly_least, nearly_most) =
             (histogram.value_at(Percentile::new(1)), histogram.value_at(Percentile::new(99)));
-        // What is brighter than nearly all may burn out: a lamp still has its edge.
+        // The brightest percent may clip: edges of lamps remain.
         let brightening_stops = Some(nearly_most.leading_zeros().min(MOST_BRIGHTENING))
             .filter(|&brightening_stops| brightening_stops >= LEAST_BRIGHTENING);
         Content {
@@ -34,24 +33,23 @@ impl Content {
     }
 }
 
-/// What a frame shows beside the one tone that most of it may have: black or white.
+/// The pixels of a frame that differ from black, or from white in a mostly white frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Detail {
-    /// Whether the tone is white: the rest is what is darker.
+    /// Whether the frame is mostly white: its detail is darker than white.
     pub(crate) is_white: bool,
-    /// The value of the picture as it is [looked at](Content::brightening_stops) from which up, or where it is white
-    /// down, a pixel shows something.
+    /// The least grey value with detail, or the largest in a white frame, after
+    /// [brightening](Content::brightening_stops).
     pub(crate) value: u8,
-    /// The share of the pixels that do, 0..=1.
+    /// The share of the pixels with detail, 0..=1.
     pub(crate) share: f64,
 }
 
 impl Detail {
-    /// What a picture shows of which nearly all values are from `least` to `most`, and which is brightened by
-    /// `brightening_stops`.
+    /// The detail of a frame whose 1st and 99th percentiles are `least` and `most`, brightened by `brightening_stops`.
     fn of(histogram: &Histogram, (least, most): (u8, u8), brightening_stops: Option<u32>) -> Self {
         let brightened = |value: u8| (u32::from(value) << brightening_stops.unwrap_or(0)).min(u8::MAX.into()) as u8;
-        // Film and sensors have blacks of their own, above 0.
+        // The black of film and sensors may be above 0, so it is taken from the frame.
         if histogram.value_at(Percentile::new(50)) > u8::MAX / 2 {
             let value = most.saturating_sub(NEARLY_UNIFORM + 1);
             Detail { is_white: true, value: brightened(value), share: histogram.share(0..=value) }
@@ -62,18 +60,18 @@ impl Detail {
     }
 }
 
-/// How `frame` is looked at, and its grey pyramid but for the full size.
+/// The content of `frame` and its grey pyramid, without the full size of a large frame.
 pub(crate) fn content_and_pyramid(frame: &Frame) -> Result<(Content, GreyPyramid)> {
     let whole = frame.whole()?;
-    let seen = Content::of(&whole);
+    let content = Content::of(&whole);
     let size = (frame.width(), frame.height());
-    let pyramid = GreyPyramid::of_rows(size, |y, row| whole.grey_row(y, seen.brightening_stops, row));
-    Ok((seen, pyramid))
+    let pyramid = GreyPyramid::of_rows(size, |y, row| whole.grey_row(y, content.brightening_stops, row));
+    Ok((content, pyramid))
 }
 
-/// A frame within so many codes of black, or of white, may hold nothing but noise.
+/// Largest range of grey values that may be noise alone.
 const NEARLY_UNIFORM: u8 = 7;
-/// Brightening that is worth the pass over the frame.
+/// Least brightening, in stops: less is not worth the time.
 const LEAST_BRIGHTENING: u32 = 2;
-/// ... and beyond which there is only noise.
+/// Largest brightening, in stops: more would only amplify noise.
 const MOST_BRIGHTENING: u32 = 6;

@@ -1,12 +1,12 @@
 //! Histograms of grey values, and their percentiles.
 //!
-//! In: grey planes or rows. Out: [`Histogram`], [`Percentile`]. Cost: a count of at most about a million pixels.
+//! In: grey planes or rows. Out: [`Histogram`], [`Percentile`]. Cost: counting at most about a million pixels.
 
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey values that is the threshold: the median, or where that is too extreme another (Ward: the
-/// 17th or 83rd).
+/// The percentile of the grey values used as threshold: the median, or another where the median is too extreme (Ward:
+/// the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 
@@ -14,7 +14,7 @@ impl Percentile {
     /// The median.
     pub const MEDIAN: Percentile = Percentile(50);
 
-    /// The one that `percent` of the pixels do not exceed, 1..=99.
+    /// The percentile `percent`, clamped to 1..=99.
     pub const fn new(percent: u8) -> Self {
         Percentile(match percent {
             0 => 1,
@@ -28,25 +28,25 @@ impl Percentile {
         self.0
     }
 
-    /// Those that may part two frames in one of which the median is black or clipped.
+    /// The percentiles tried where the median is black or clipped: every multiple of five.
     pub(crate) fn others() -> impl Iterator<Item = Percentile> {
         (1..=19).map(|i| Percentile(5 * i))
     }
 }
 
-/// How many pixels have each grey value.
+/// The number of pixels of each grey value.
 #[derive(Debug, Clone)]
 pub struct Histogram(pub(crate) [u64; 256]);
 
 impl Histogram {
-    /// The histogram of `plane`; of a large one that of every so many rows, about `COUNTED` pixels.
+    /// The histogram of `plane`. Of a large plane, evenly spaced rows with about `COUNTED` pixels are counted.
     pub fn of(plane: &Plane<u8>) -> Self {
         let mut counts = Counts::default();
         counted_rows((plane.width(), plane.height())).for_each(|y| counts.add(plane.row(y)));
         counts.sum()
     }
 
-    /// The same of a picture of `size` that is not there: `fill` computes a row.
+    /// The histogram of a picture of this size whose rows are computed by `fill`, counted as by [`of`](Self::of).
     pub fn of_rows((width, height): (usize, usize), fill: impl Fn(usize, &mut [u8])) -> Self {
         let (mut counts, mut row) = (Counts::default(), vec![0; width]);
         for y in counted_rows((width, height)) {
@@ -60,7 +60,7 @@ impl Histogram {
         self.0.iter().sum()
     }
 
-    /// The least value that at least `percentile` of the pixels do not exceed.
+    /// The least grey value that at least `percentile` of the pixels do not exceed.
     pub fn value_at(&self, percentile: Percentile) -> u8 {
         let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
         let mut below = 0;
@@ -104,7 +104,7 @@ fn counted_rows((width, height): (usize, usize)) -> impl Iterator<Item = usize> 
     (0..height).step_by((width * height / COUNTED).max(1))
 }
 
-/// Four tables, so that equal neighbours do not wait for each other.
+/// Four tables of counts, so that equal neighbouring pixels do not depend on each other's increment.
 struct Counts([[u32; 256]; 4]);
 
 impl Default for Counts {
@@ -131,7 +131,7 @@ impl Counts {
     }
 }
 
-/// Pixels that are counted for a histogram: a percentile of so many is off by less than a tenth of a percent.
+/// Approximate number of pixels counted for a histogram: percentiles are off by less than a tenth of a percent.
 const COUNTED: usize = 1 << 20;
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The grey pyramid of a frame.
 //!
-//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with the histogram of each.
-//! Cost: one mean of four pixels for each pixel of the smaller levels.
+//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with their histograms. Cost:
+//! one mean of four pixels for each pixel of the smaller levels.
 
 use crate::align::grey::histogram::Histogram;
 use crate::budget::Demand;
@@ -9,15 +9,15 @@ use crate::plane::Plane;
 use crate::pyramid;
 use std::sync::OnceLock;
 
-/// Short side of the coarsest level, in pixels: large enough for a bitmap to have shape, small enough to search every
-/// shift.
+/// Least short side of the coarsest level, in pixels: large enough for structure in a bitmap, small enough to search
+/// every shift.
 pub(crate) const COARSEST: usize = 32;
 
-/// The grey pyramid of a frame, the largest level first, and the histogram of each level, counted on first use.
+/// The grey pyramid of a frame, the largest level first. The histogram of each level is computed on first use.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
     size: (usize, usize),
-    /// How many of the largest levels are not kept.
+    /// Number of the largest levels that are not kept.
     passed: usize,
     levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
 }
@@ -28,8 +28,10 @@ impl GreyPyramid {
         Self::kept((grey.width(), grey.height()), 0, grey)
     }
 
-    /// The pyramid of the picture of `size` of which `row` gives each row. Where it is larger than any level that is
-    /// searched, only two rows of it are ever there, and level 0 is not available.
+    /// The pyramid of a picture of `size` whose rows are computed by `row`.
+    ///
+    /// If the picture has more than [`ENOUGH_PIXELS`] pixels, level 0 is not kept; only two rows per thread are in
+    /// memory.
     pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
@@ -47,7 +49,7 @@ impl GreyPyramid {
         Self::kept(size, 1, half)
     }
 
-    /// The levels from that on which `first` is.
+    /// The pyramid without its `passed` largest levels; `first` is the largest that is kept.
     fn kept(size: (usize, usize), passed: usize, first: Plane<u8>) -> Self {
         let levels = pyramid::halves(first, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect();
         GreyPyramid { size, passed, levels }
@@ -56,7 +58,7 @@ impl GreyPyramid {
     /// Level `i`, 0 the largest.
     ///
     /// # Panics
-    /// When there is none, or it was not kept.
+    /// If there is no such level, or it was not kept.
     pub fn level(&self, i: usize) -> &Plane<u8> {
         &self.levels[i - self.passed].0
     }
@@ -71,14 +73,19 @@ impl GreyPyramid {
         (self.size.0 >> i, self.size.1 >> i)
     }
 
-    /// How many levels there are.
+    /// Number of levels, kept or not.
     pub fn len(&self) -> usize {
         self.passed + self.levels.len()
     }
 
-    /// Never: there is always the full size.
+    /// Always false: there is at least one level.
     pub fn is_empty(&self) -> bool {
         self.levels.is_empty()
+    }
+
+    /// The first level whose short side is less than `side` pixels; the coarsest if none is.
+    pub(crate) fn level_narrower_than(&self, side: usize) -> usize {
+        (0..self.len()).find(|&i| self.size(i).0.min(self.size(i).1) < side).unwrap_or(self.len() - 1)
     }
 
     /// The histogram of level `i`.
@@ -88,29 +95,29 @@ impl GreyPyramid {
     }
 }
 
-/// Pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px so, and 0.033 px on the
-/// full size, which takes four times as long.
+/// Most pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px with this limit,
+/// and
+/// 0.033 px on the full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
-/// About so many pixels has the largest level that is compared pixel by pixel: where agreement is measured and features
-/// are sought.
+/// Most pixels of the level on which agreement is measured and features are detected.
 const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 
-/// ... and the largest on which single points are compared: more add nothing but time.
+/// Most pixels of the finest level of the refinement: more take time without any gain.
 const REFINED_PIXELS: usize = 4_000_000;
 
-/// The first level of `pyramid` with at most `pixels` pixels.
-fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
+/// The first level of `pyramid` with at most `pixels` pixels; the coarsest if none has.
+pub(crate) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
     let area = |(width, height): (usize, usize)| width * height;
     (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)
 }
 
-/// The level on which agreement is measured, and features are sought.
+/// The level on which agreement is measured and features are detected.
 pub fn measured_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, MEASURED_PIXELS)
 }
 
-/// The largest level on which points are compared.
+/// The finest level of the refinement.
 pub fn finest_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, REFINED_PIXELS)
 }

@@ -1,28 +1,29 @@
-//! The camera's track over time: the transform at the time of a frame that shows too little to be aligned, with a bound
-//! of its error.
+//! The camera's track over time: the transform of a frame with too little detail, with a bound of its error.
 //!
-//! In: the transforms of the aligned frames, and when each frame was taken. Out: for another time the transform, and
-//! the error that 19 of 20 such transforms keep. Cost: negligible.
+//! In: the transforms of the aligned frames, and the capture times. Out: the transform at another time, and the error
+//! bound that holds for 19 of 20 such transforms. Cost: negligible.
 //!
-//! Between two photographs a hand-held camera drifts by a random walk in the picture's plane: the step from frame to
-//! frame is normal and isotropic, with an unknown variance that grows with the time between them. A frame between two
-//! others then lies most likely on the line between them, in proportion to the times; one before the first or after the
-//! last where that lies. With K steps observed, the square of the distance from there, over its expectation from the
-//! steps, has the F distribution of 2 and 2 K degrees of freedom (each step gives two components): Fisher 1925. Its
-//! quantiles have a closed form. A tripod's frames do not move, so that their steps are 0 but for the measurement
-//! error; steps of many pixels lead to an error that no merge can use.
+//! The model of a hand-held camera is a random walk in the picture plane. The step from frame to frame is normal and
+//! isotropic, with an unknown variance that is proportional to the time between them. The most likely transform between
+//! two frames is then interpolated linearly in time; before the first or after the last frame, it is that frame's. With
+//! K observed steps, the squared distance from there, divided by its expectation from the steps, has the F distribution
+//! with 2 and 2 K degrees of freedom (each step has two components): Fisher 1925. Its quantiles have a closed form.
+//! Frames on a tripod have steps of 0 apart from the measurement error. Steps of many pixels lead to a bound that is
+//! too large for merging.
 //!
-//! Frames of a camera that shakes about one place, or that were scanned, do not drift: each is scattered about the mean
-//! of all, independent of time. Where that makes the observed transforms more likely by a Bayes factor of at least 20
-//! (which Kass & Raftery 1995 call strong), the mean is taken, with the scatter about it.
+//! Frames of a camera that shakes around one position, or scans, do not drift: they scatter about their mean,
+//! independent of time. Where that model is more likely by a Bayes factor of at least 20 (strong evidence according to
+//! Kass & Raftery 1995), the mean is used, with the scatter about it.
 
 use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Transform, distance};
 use crate::bracket::Bracket;
 
-/// The capture time of each frame of `bracket`, in seconds by the camera's clock, where all frames have that to
-/// fractions of a second; where the clock is coarser, its position in the order in which they were taken, names
-/// deciding between equal times; without a clock, its position by rising exposure.
+/// The capture time of each frame of `bracket`.
+///
+/// In seconds by the camera's clock, if all frames have it to fractions of a second. If the clock is coarser, the
+/// position in the order of capture, with equal times in the order of names. Without a clock, the position by rising
+/// exposure.
 pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     let frames = bracket.frames();
     let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();
@@ -34,7 +35,7 @@ pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     let mut last = None;
     for (time, &i) in order.iter().enumerate() {
         let seconds = taken[i].since(&taken[order[0]]);
-        // No two were taken at once.
+        // Frames cannot have been taken at the same time.
         capture_times[i] =
             if tick < 1.0 { last.map_or(seconds, |last: f64| seconds.max(last + tick)) } else { time as f64 };
         last = Some(capture_times[i]);
@@ -42,52 +43,51 @@ pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     capture_times
 }
 
-/// The share of assumed places that are worse than their stated error, if steps are as they are taken to be.
+/// The share of inferred transforms that exceed their error bound, if the model holds.
 const WORSE: f64 = 0.05;
 
-/// A frame whose place is known.
+/// The transform of an aligned frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KnownTransform {
-    /// When it was taken: in seconds, or its position among all frames.
+    /// The capture time: in seconds, or the position among all frames.
     pub(crate) time: f64,
-    /// Its place.
+    /// Reference pixel -> frame pixel.
     pub(crate) transform: Transform,
-    /// The root mean square error of that over the picture, in pixels.
+    /// Its error estimate: root mean square over the picture, in pixels.
     pub(crate) error_px: f64,
 }
 
-/// The transform of a frame that shows too little.
+/// The inferred transform of a frame with too little detail.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct InferredTransform {
-    /// Its place.
+    /// Reference pixel -> frame pixel.
     pub(crate) transform: Transform,
-    /// The root mean square distance over the picture, in pixels, that 19 of 20 such places keep.
+    /// Error bound that holds for 19 of 20 such transforms: root mean square over the picture, in pixels.
     pub(crate) bound_px: f64,
 }
 
 impl InferredTransform {
-    /// The root mean square error that is expected: of a normal error in the plane a share of exp(-r^2) is farther off
-    /// than r of these.
+    /// The expected root mean square error: a normal error in the plane exceeds r times this with probability
+    /// exp(-r^2).
     pub(crate) fn expected_px(&self) -> f64 {
         self.bound_px / (-libm::log(WORSE)).sqrt()
     }
 }
 
-/// The camera's transform at each time at which it is known.
+/// The track of a camera through the transforms of the aligned frames.
 #[derive(Debug, Clone)]
 pub(crate) struct CameraTrack {
     size: (usize, usize),
-    /// By time.
+    /// In the order of time.
     known: Vec<KnownTransform>,
-    /// The variance of a step of one unit of time, both axes together, in pixels^2.
+    /// The variance of a step per unit of time, summed over both axes, in pixels^2.
     variance: f64,
-    /// The mean transform and the variance about it, for a camera that shakes about one place.
+    /// The mean transform and the variance about it, for a camera that shakes around one position.
     scatter_about: Option<(Transform, f64)>,
 }
 
 impl CameraTrack {
-    /// The track through `known`, the frames of which are of `size`; none through a single transform, which has no
-    /// step.
+    /// The track through `known`, for frames of `size`; none for fewer than two transforms.
     pub(crate) fn new(mut known: Vec<KnownTransform>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.time.total_cmp(&b.time));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
@@ -97,38 +97,39 @@ impl CameraTrack {
         Some(track)
     }
 
-    /// The square of each step in pixels^2, and the time that it took.
+    /// The square of each step in pixels^2, and its duration.
     fn steps(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let step =
             |pair: &[KnownTransform]| (self.far(&pair[0].transform, &pair[1].transform), pair[1].time - pair[0].time);
         self.known.windows(2).map(step)
     }
 
-    /// The mean square over the picture of how far two places are apart.
+    /// The mean square distance between two transforms over the picture, in pixels^2.
     fn far(&self, a: &Transform, b: &Transform) -> f64 {
         let far = distance(a, b, self.size.0, self.size.1);
         far * far
     }
 
-    /// The mean place and the variance about it, where these explain what is seen decidedly better than steps do.
+    /// The mean transform and the variance about it, if this model explains the transforms decisively better than
+    /// steps.
     fn about_one_place(&self) -> Option<(Transform, f64)> {
         let mut mean = self.known[0].transform;
         for (k, known) in self.known.iter().enumerate().skip(1) {
             mean = between(&mean, &known.transform, 1.0 / (k + 1) as f64, self.size);
         }
         let (all, count) = (self.known.len() as f64, self.known.len() as f64 - 1.0);
-        // What did not move may have moved by so much between two frames, of which each has half.
+        // A motion up to this between two unmoved frames is not detected; half of its variance belongs to each.
         let unseen = UNMOVED_PX * UNMOVED_PX;
         let scatter =
             self.known.iter().map(|known| self.far(&mean, &known.transform)).sum::<f64>() / count + 0.5 * unseen;
-        // The logarithm of the ratio of the likelihoods of the steps: these are independent in a walk, and have a
-        // covariance of determinant `all` each way if frames scatter.
+        // Logarithm of the likelihood ratio of the steps. They are independent in a random walk; if frames scatter,
+        // their covariance along each axis has the determinant `all`.
         let wander: f64 = self.steps().map(|(_, elapsed)| libm::log(self.variance * elapsed + unseen)).sum();
         let gain = wander - count * libm::log(scatter) - libm::log(all);
         (gain > -libm::log(WORSE)).then_some((mean, scatter))
     }
 
-    /// Whether the camera stood still: all places are the same.
+    /// Whether the camera stood still: all transforms are the same.
     pub(crate) fn is_still(&self) -> bool {
         self.known.iter().all(|k| k.transform == self.known[0].transform)
     }
@@ -155,19 +156,20 @@ impl CameraTrack {
             }
         };
         let wandered = self.variance * elapsed * quantile(steps);
-        // What did not move may have moved by so much.
+        // Includes a motion too small to be detected.
         let own = -libm::log(WORSE) * (error_px * error_px + UNMOVED_PX * UNMOVED_PX);
         InferredTransform { transform, bound_px: (wandered + own).sqrt() }
     }
 }
 
-/// What a variable with the F distribution of 2 and 2 `steps` degrees of freedom exceeds by chance of [`WORSE`].
+/// The value that a variable with the F distribution with 2 and 2 `steps` degrees of freedom exceeds with probability
+/// [`WORSE`].
 fn quantile(steps: usize) -> f64 {
     let k = steps as f64;
     k * (libm::pow(WORSE, -1.0 / k) - 1.0)
 }
 
-/// The transform a `part` of the way from `a` to `b`.
+/// Interpolates between `a` (`part` = 0) and `b` (`part` = 1).
 fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usize)) -> Transform {
     let numbers = |transform: &Transform| match *transform {
         Transform::Identity => Some([0.0; 3]),
@@ -180,8 +182,8 @@ fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usi
             let [dx, dy, angle] = std::array::from_fn(|i| a[i] + part * (b[i] - a[i]));
             Transform::Rigid { dx, dy, angle }
         }
-        // Both have 1 at the lower right; of motions as small as those that can be assumed, the mean of matrices is
-        // that of places.
+        // Both have 1 at the lower right. For the small motions that can be inferred, interpolating the matrices
+        // interpolates the positions.
         _ => {
             let (a, b) = (a.matrix(width, height), b.matrix(width, height));
             Transform::Homography(a + (b - a) * part)

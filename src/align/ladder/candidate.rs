@@ -18,9 +18,9 @@ use std::sync::Arc;
 pub(crate) struct Candidate {
     /// Reference pixel -> frame pixel.
     pub(crate) transform: Transform,
-    /// The check by tiles, together and for each tile.
+    /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// Error estimate: noise and tile displacements, in pixels of the full size.
+    /// Error estimate from noise and tile displacements, in pixels of the full size.
     pub(crate) error_px: f64,
     /// The part of it that the tiles measure.
     pub(crate) tile_error_px: f64,
@@ -28,8 +28,8 @@ pub(crate) struct Candidate {
     pub(crate) by_tiles: bool,
     /// Reliability of the target that it was found against, times the uniqueness of the candidate, 0..=1.
     pub(crate) reliability: f64,
-    /// An error at which the transform is half as good, in pixels: [`TOLERANCE_PX`] for a picture of up to 2000 pixels
-    /// across, more for a larger.
+    /// The error that halves the confidence, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
+    /// pixels, more for a larger one.
     pub(crate) tolerance_px: f64,
     /// Whether features independently gave the same transform.
     pub(crate) corroborated: bool,
@@ -41,7 +41,7 @@ impl Candidate {
         &self.tiles.agreement
     }
 
-    /// 0..=1: the agreement of the tiles, less where they measure a displacement of half a pixel or more.
+    /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.
     pub(crate) fn confidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().share() * self.agreement().coverage();
@@ -49,14 +49,15 @@ impl Candidate {
         self.reliability * support / (1.0 + off * off)
     }
 
-    /// Evidence for it in comparison with others: the agreeing tiles, less the disagreeing ones.
+    /// The evidence for it in comparison with other candidates: agreeing minus disagreeing tiles, reduced by the error
+    /// estimate.
     pub(crate) fn evidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;
         self.reliability * tiles / (1.0 + off * off)
     }
 
-    /// Whether no other method is needed: many tiles agree, nearly none disagree, and none is displaced.
+    /// Whether no other method is needed: many tiles agree, almost none disagrees, and the error is small.
     pub(crate) fn is_settled(&self) -> bool {
         let Agreement { agreeing, disagreeing, .. } = *self.agreement();
         agreeing >= SETTLED_AGREEING
@@ -70,7 +71,7 @@ pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) ->
     evaluate_with_fit(pair, transform, noise_px).0
 }
 
-/// The candidate `transform` checked by tiles, with the transform that their displacements fit.
+/// The candidate `transform`, checked by tiles, and the transform fitted to their displacements.
 pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px: f64) -> (Candidate, Option<TileFit>) {
     let level = measured_level(pair.reference());
     let (width, height) = pair.size();
@@ -79,7 +80,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let tiles = check_tiles(both, &h);
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
-    // A displacement beyond the tiles' own error is the transform's.
+    // The part of the displacement that exceeds the tiles' own error is an error of the transform.
     let tile_error = match &fit {
         Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
         None => (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),

@@ -1,8 +1,8 @@
-//! A frame that the bitmaps alone do not settle: compared with a neighbour in exposure too, by features, and from the
-//! bitmaps' other minima.
+//! Alignment of a frame that the bitmaps alone do not settle: also to a neighbour in exposure, by features, and from
+//! the other minima of the bitmap search.
 //!
-//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Placement`], and what
-//! features found. Cost: some times that of a frame that the bitmaps settle.
+//! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Placement`], and the numbers
+//! of keypoints and inliers. Cost: several times that of a frame that the bitmaps settle.
 
 use crate::align::grey::GreyPyramid;
 use crate::align::ladder::ReferenceFeatures;
@@ -17,22 +17,22 @@ use crate::align::result::{FeatureCounts, Found, Placement};
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
 
-/// What a frame is aligned to: the reference, or a neighbour warped to its grid.
+/// A picture that a frame is aligned to: the reference, or a neighbour warped to its grid.
 pub(crate) struct Target<'a> {
     pub(crate) pyramid: Cow<'a, GreyPyramid>,
-    /// How far the neighbour itself may be off, in pixels.
+    /// Error estimate of the neighbour's own transform, in pixels.
     pub(super) error_px: f64,
-    /// How sure the neighbour's own place is.
+    /// Confidence of the neighbour's own transform, 0..=1.
     pub(super) confidence: f64,
 }
 
 impl Target<'_> {
-    /// `frame` and this target, which `start` aligns approximately.
+    /// The pair of this target and `frame`, which `start` aligns approximately.
     fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Transform) -> FramePair<'b> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
-    /// A candidate that was found against this target, with the target's own error and reliability.
+    /// Includes the target's own error and confidence in a candidate found against it.
     fn discount(&self, candidate: Candidate) -> Candidate {
         let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
         Candidate { error_px, reliability: candidate.reliability * self.confidence, ..candidate }
@@ -53,8 +53,7 @@ impl Search<'_> {
         let near = CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt();
         let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
         let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
-        let mut targets = vec![reference];
-        targets.extend(neighbour);
+        let targets: Vec<Target> = [reference].into_iter().chain(neighbour).collect();
         let mut candidates = Candidates::default();
         candidates.add(0, first);
         for (b, target) in targets.iter().enumerate().skip(1) {
@@ -80,7 +79,7 @@ impl Search<'_> {
                 }
             }
         }
-        // Where a picture repeats itself, features are as easily deceived as bitmaps.
+        // In a picture that repeats itself, features fail as easily as bitmaps.
         if shared.repeats || !(is_settled(&candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
@@ -106,8 +105,7 @@ impl Search<'_> {
         (Placement::Placed(estimate(&reduced)), found)
     }
 
-    /// Frame `n`, if it was placed, on the reference's grid: what is measured against it is measured in the reference's
-    /// pixels.
+    /// Frame `n` on the reference's grid, if it was placed. Transforms to it are in the reference's pixels.
     pub(crate) fn neighbour_target(&self, n: usize, placement: &Placement) -> Option<Target<'_>> {
         let transform = placement.transform()?;
         let pyramid = match transform {

@@ -1,12 +1,12 @@
-//! Transforms inferred from the other frames of a bracket, for frames that show too little.
+//! Transforms inferred from the other frames of a bracket, for frames with too little detail.
 //!
-//! In: the placements of the frames by themselves. Out: those of frames with little detail, by what the camera did
-//! while the others were taken. Cost: that of comparing each such frame with the reference once more, and with its neighbour
+//! In: the placements of all frames. Out: the placements of frames with little detail, inferred from the motion of the
+//! camera in the others. Cost: that of comparing each such frame with the reference once more, and with its neighbour
 //! in exposure on a grid of some ten thousand samples.
 //!
-//! A frame that is nearly all black, or white, has little to be aligned by, and is often the one that matters: it holds
-//! the lamps. Where the camera stood still for the others, or moved little from one to the next, its transform follows
-//! from theirs ([`camera_track`](crate::align::ladder::camera_track)).
+//! A frame that is nearly all black or white has little detail for alignment, but is often important: it may be the
+//! only one with unclipped lamps. Where the camera stood still for the others, or moved little from one to the next,
+//! its transform follows from theirs ([`camera_track`](crate::align::ladder::camera_track)).
 
 use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
@@ -17,25 +17,27 @@ use crate::align::ladder::thresholds::{DECISIVE_NATS, INFERRED_CONFIDENCE, INFER
 use crate::align::result::{Estimate, Placement};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
-/// Frames that moved by no more than this are static, in pixels: scans and settling tripods move by as much.
+/// Displacement up to which frames are static, in pixels: scans and settling tripods move by as much.
 const STATIC_PX: f64 = 1.0;
-/// An assumed place is merged by where its expected error is no more than so many times that at which a place is half
-/// as good: in what it fills ([`Placement::Assumed`]) an error displaces, and cannot smear.
+/// Largest expected error of an assumed transform, as a multiple of the tolerance. Greater than 1, because such a frame
+/// is merged only where no other has detail ([`Placement::Assumed`]): an error displaces detail, but does not blur it.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
-/// A frame of which no more than this share shows something is nearly black or nearly white. Of lamps and windows of
-/// interiors it is up to a tenth, of photographs that were metered nearly all.
+/// Share of pixels with detail up to which a frame is nearly black or nearly white. Lamps and windows of interiors are
+/// up to a tenth of the pixels; in normally exposed photographs nearly all pixels have detail.
 const LITTLE_DETAIL: f64 = 0.25;
-/// What shows in it must be brighter in its neighbour too than what does not, or darker, in this share of all pairs of
-/// places: halfway between what chance gives and all.
+/// Least share of pairs of pixels that have the same order of brightness in the neighbour: halfway between chance and
+/// all.
 const IN_ORDER: f64 = 0.75;
-/// Places that are looked at along the longer side.
+/// Samples along the longer side.
 const GRID: usize = 256;
-/// Fewest samples on either side for a result.
+/// Fewest samples with detail, and without, for a result.
 const LEAST_SAMPLES: u64 = 16;
 
 impl Search<'_> {
-    /// Frames with little detail that were estimated to have moved, though most frames are exactly static, are set to
-    /// unmoved, unless their tiles are decidedly for the motion: little detail is easily misaligned by a pixel.
+    /// Sets moved frames with little detail to unmoved if most frames are exactly static.
+    ///
+    /// Frames with little detail are easily misaligned by a pixel. Those whose tiles give decisive evidence for the
+    /// motion keep it.
     pub(crate) fn keep_static_frames_static(&self, placements: &mut [Placement]) {
         let sure =
             || placements.iter().filter(|p| p.confidence() >= INFERRING_CONFIDENCE).filter_map(|p| p.transform());
@@ -55,8 +57,7 @@ impl Search<'_> {
         }
     }
 
-    /// A frame that could not be aligned is unmoved where all the others are, or as good as, and its own tiles are for
-    /// it rather than against it.
+    /// Sets a frame that could not be aligned to unmoved if all others are static and at least half of its tiles agree.
     pub(crate) fn accept_static(&self, placements: &mut [Placement]) {
         let (width, height) = self.size();
         let others = placements.iter().filter(|p| **p != Placement::Reference).filter_map(Placement::transform);
@@ -76,7 +77,7 @@ impl Search<'_> {
         }
     }
 
-    /// The transforms from which others are inferred.
+    /// The transforms that are certain enough to infer others from.
     pub(crate) fn known(&self, placements: &[Placement]) -> Vec<KnownTransform> {
         let known = |(i, placement): (usize, &Placement)| {
             let transform = placement.transform().filter(|_| placement.confidence() >= INFERRING_CONFIDENCE)?;
@@ -86,8 +87,7 @@ impl Search<'_> {
         placements.iter().enumerate().filter_map(known).collect()
     }
 
-    /// Frames that are nearly black or white get the transform that the `known` ones predict, where its error is small
-    /// enough to merge.
+    /// Gives nearly black or white frames the transform that the `known` ones predict, if its error is small enough.
     pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, placements: &mut [Placement]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };
@@ -100,24 +100,21 @@ impl Search<'_> {
             let place = track.at(self.capture_times[i]);
             let off = place.expected_px() / tolerance_px(size);
             if off <= MOST_EXPECTED_ERROR && self.has_same_brightness_order(i, &place, detail, &before) {
-                let stood = match track.is_still() {
-                    true => format!("the camera stood still in the other {count} frames"),
-                    false => format!("the camera moved little between the other {count} frames"),
-                };
+                let motion = if track.is_still() { "stood still in" } else { "moved little between" };
                 let tone = if detail.is_white { "white" } else { "black" };
                 *placement = Placement::Assumed(Estimate {
                     transform: place.transform,
                     model: Model::of(&place.transform),
                     error_px: Some(place.bound_px),
                     confidence: INFERRED_CONFIDENCE / (1.0 + off * off),
-                    reason: Some(format!("nearly all of it is {tone}; {stood}")),
+                    reason: Some(format!("nearly all pixels are {tone}; the camera {motion} the other {count} frames")),
                 });
             }
         }
     }
 
-    /// Whether what frame `i` shows at `place` is what its nearest neighbour in exposure has brightest, or darkest
-    /// where the frame is white. A frame of another scene is not.
+    /// Whether the detail of frame `i`, placed by `place`, is the brightest part of its nearest neighbour in exposure,
+    /// or the darkest part if the frame is white. That is not so for a frame of another scene.
     fn has_same_brightness_order(
         &self,
         i: usize,
@@ -132,9 +129,10 @@ impl Search<'_> {
     }
 }
 
-/// `frame`, which lies in `target` at `place`: of all pairs of a place where it shows something and one where it does
-/// not, the share that is in the same order in `target`, ties counting half; none where too little shows. (The
-/// statistic of Mann & Whitney 1947.)
+/// The share of all pairs of a pixel with detail and one without in `frame` whose order of brightness is the same in
+/// `target`, to which `place` aligns it.
+///
+/// Ties count half; none if there are too few samples. (The statistic of Mann & Whitney 1947.)
 fn brightness_order(
     target: &GreyPyramid,
     frame: &GreyPyramid,
@@ -146,7 +144,7 @@ fn brightness_order(
     let h = on_level(&place.transform.matrix(size.0, size.1), level);
     let (target, frame) = (target.level(level), frame.level(level));
     let step = width.max(height).div_ceil(GRID);
-    // By the target's grey value, where the frame shows nothing and where it shows something.
+    // By the target's grey value: samples of the frame without and with detail.
     let mut counts = [[0u64; 2]; 256];
     for y in (0..height).step_by(step) {
         for x in (0..width).step_by(step) {
@@ -173,7 +171,7 @@ fn brightness_order(
     Some(if detail.is_white { 1.0 - share } else { share })
 }
 
-/// The placement of a frame that is taken to be unmoved, by its tiles `here`.
+/// The placement of a frame that is assumed to be unmoved; `here` is the candidate without motion.
 fn unmoved(here: &Candidate, error_px: f64) -> Placement {
     let estimate = estimate(here);
     let confidence = estimate.confidence.max(INFERRED_CONFIDENCE);

@@ -1,12 +1,13 @@
 //! The ladder: the order of the methods, from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: for a frame that the bitmaps settle
-//! that of [`by_bitmaps`]; for a difficult one some times as much.
+//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: that of [`by_bitmaps`] for a frame
+//! that the bitmaps settle; several times as much for a difficult one.
 //!
-//! A frame is compared with the reference by bitmaps (`starts`), refined and checked (`candidate`). If its tiles do not
-//! settle it, it is also compared with its nearest aligned neighbour in exposure, by features, and from the other
-//! minima of the bitmaps (`doubtful`); `selection` chooses among the candidates and `reduction` the smallest sufficient
-//! model. Frames with too little detail get the transform that the other frames suggest (`inferred`, `camera_track`).
+//! A frame is aligned to the reference by bitmaps (`starts`), refined and checked (`candidate`). If that does not
+//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, and from the other minima
+//! of the bitmap search (`doubtful`). `selection` chooses among the candidates, and `reduction` the smallest sufficient
+//! model. The transform of a frame with too little detail is inferred from the other frames (`inferred`,
+//! `camera_track`).
 
 mod camera_track;
 mod candidate;
@@ -35,31 +36,29 @@ use crate::align::transform::{Model, Transform, level_to_full};
 use crate::bracket::Bracket;
 use crate::error::Result;
 use crate::plane::{Plane, map_at_once};
-use std::sync::{Mutex, PoisonError};
+use std::sync::OnceLock;
 
-/// One run over a bracket.
+/// The inputs of the alignment of a bracket.
 pub(crate) struct Search<'a> {
-    /// The frames' grey pyramids.
+    /// The grey pyramid of each frame.
     pub(crate) pyramids: &'a [GreyPyramid],
-    /// ... and the whole pictures, computed on demand.
+    /// Computes the full-size grey picture of a frame.
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// The content of each frame.
     pub(crate) contents: &'a [Content],
-    /// When each was taken: seconds, or its position in the order of all.
+    /// The capture time of each frame: in seconds, or its position in the order of capture.
     pub(crate) capture_times: &'a [f64],
-    /// Whether all frames are of one tone each.
-    pub(crate) is_uniform: bool,
-    /// How many frames may be compared at a time.
+    /// Most frames that are compared at a time.
     pub(crate) compared_at_once: usize,
-    /// How many frames may have their features sought at a time.
+    /// Most frames whose features are detected at a time.
     pub(crate) detected_at_once: usize,
     pub(crate) reference: usize,
-    /// The frames whose place is given.
+    /// The placement of each frame for which one is preset.
     pub(crate) given: &'a [Option<Found>],
     pub(crate) options: &'a AlignOptions,
 }
 
-/// The placements of all frames, and what features found for each.
+/// The placements of all frames, and their numbers of keypoints and inliers.
 type AllFound = (Vec<Placement>, Vec<FeatureCounts>);
 
 /// The result of comparing a frame with the reference by bitmaps alone.
@@ -70,27 +69,27 @@ enum FirstResult {
     Doubtful(Option<Candidate>),
 }
 
-/// What unsettled frames need of the reference.
+/// Properties of the reference that unsettled frames need.
 struct ReferenceFeatures {
     /// Its features; none if every frame is settled.
     features: Option<FeatureSets>,
-    /// Whether it repeats itself.
+    /// Whether the reference matches itself under a shift.
     repeats: bool,
 }
 
 impl Search<'_> {
-    /// From the bitmaps alone: a shift and a rotation.
+    /// Aligns by bitmaps alone: a shift and a rotation.
     pub(crate) fn by_bitmaps_alone(&self) -> AllFound {
         self.each(|i| {
             let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
             let checked = self.evaluate(i, found.transform());
-            // Each measures errors that the other does not.
+            // The two estimates cover different errors.
             let checked = Candidate { error_px: checked.error_px.max(found.error_px), ..checked };
             (Placement::Placed(estimate(&checked)), FeatureCounts::default())
         })
     }
 
-    /// From features alone: a homography.
+    /// Aligns by features alone: a homography.
     pub(crate) fn by_features_alone(&self) -> AllFound {
         let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
         let (placements, mut counts) = self.each(|i| {
@@ -103,7 +102,7 @@ impl Search<'_> {
                 other => {
                     let inliers = other.map_or(0, |c| c.1);
                     let reason =
-                        format!("only {inliers} matching keypoints agree on a motion, {LEAST_INLIERS} are needed");
+                        format!("only {inliers} matching keypoints agree on a transform; {LEAST_INLIERS} are needed");
                     (rejected(reason, 0.0), FeatureCounts { inliers: Some(inliers), keypoints })
                 }
             }
@@ -112,7 +111,7 @@ impl Search<'_> {
         (placements, counts)
     }
 
-    /// By all means, as far as needed.
+    /// Aligns by all methods, as far as needed.
     pub(crate) fn auto(&self) -> AllFound {
         let (width, height) = self.size();
         if width.min(height) < LEAST_SIDE {
@@ -126,8 +125,8 @@ impl Search<'_> {
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         let shared = ReferenceFeatures { features, repeats };
-        // From the reference outwards, to the darker and to the brighter side, so that a frame in doubt finds its
-        // neighbour placed.
+        // From the reference to the darker and to the brighter frames, so that the neighbour of an unsettled frame is
+        // already placed.
         let orders: [Vec<usize>; 2] =
             [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
         let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
@@ -143,12 +142,12 @@ impl Search<'_> {
         (placements, counts)
     }
 
-    /// Whether frame `i` was to be aligned, and could not be.
+    /// Whether frame `i` should have been aligned, but was rejected.
     fn could_not_align(&self, i: usize, placement: &Placement) -> bool {
         self.given[i].is_none() && matches!(placement, Placement::Rejected { .. })
     }
 
-    /// What bitmaps and pixels, held against the reference alone, make of frame `i`.
+    /// Aligns frame `i` to the reference by bitmaps and refinement.
     fn first(&self, i: usize, repeats: bool) -> FirstResult {
         if i == self.reference {
             return FirstResult::Doubtful(None);
@@ -174,7 +173,7 @@ impl Search<'_> {
         self.reference_pyramid().size(0)
     }
 
-    /// `find` of every frame that is neither the reference nor given, in parallel.
+    /// Applies `find` to every frame that is neither the reference nor preset, in parallel.
     fn each(&self, find: impl Fn(usize) -> Found + Sync) -> AllFound {
         let place = |i: usize| match &self.given[i] {
             Some(given) => given.clone(),
@@ -189,20 +188,20 @@ impl Search<'_> {
         features::features(&self.pyramids[i], level, &self.options.sift, self.options.mtb.exclusion)
     }
 
-    /// The homography that the matches agree on, and how many do.
+    /// The homography of the consensus of the matches, and the number of inliers.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
         let to_full = level_to_full(measured_level(self.reference_pyramid()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// Frame `i` placed by `transform`, as the tiles see it.
+    /// The candidate `transform` of frame `i`, checked by tiles.
     pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
         evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
-    /// The placements of the frames of `order`, from the reference outwards: a frame in doubt is also compared with the
-    /// nearest before it that was placed.
+    /// Places the frames of `order`, which starts next to the reference. An unsettled frame is also compared with the
+    /// nearest frame before it that was placed.
     fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Found> {
         let mut all: Vec<Found> = Vec::with_capacity(order.len());
         for &i in order {
@@ -218,21 +217,22 @@ impl Search<'_> {
         }
         all
     }
-}
 
-impl Search<'_> {
-    /// Where all frames are uniform, none can be aligned, nor need it be: a black picture is right anywhere. Nor can
-    /// frames that are smaller than any level that is searched. Nothing excludes another transform, so the confidence
-    /// is 0.
+    /// Leaves all frames unmoved if they are uniform or smaller than any level that is searched.
+    ///
+    /// Such frames cannot be aligned, and a uniform picture need not be. Nothing excludes another transform, so the
+    /// confidence is 0.
     fn leave_uniform_frames_unmoved(&self, placements: &mut [Placement]) {
         if placements.iter().any(|p| *p != Placement::Reference && p.transform().is_some()) {
             return;
         }
         let (width, height) = self.size();
-        let reason = match (self.is_uniform, width.min(height) < COARSEST) {
-            (true, _) => "each of them is of one tone all over".to_owned(),
-            (_, true) => format!("{width}x{height} pixels are too few"),
-            _ => return,
+        let reason = if self.contents.iter().all(|content| content.is_uniform) {
+            "every frame is uniform".to_owned()
+        } else if width.min(height) < COARSEST {
+            format!("{width}x{height} pixels are too few")
+        } else {
+            return;
         };
         for (i, placement) in placements.iter_mut().enumerate() {
             if self.could_not_align(i, placement) {
@@ -248,22 +248,22 @@ impl Search<'_> {
     }
 }
 
-/// What `find` makes of the bracket, where nothing is `given`.
+/// Places the frames of `bracket` by `find`, except those whose placement is `given`.
 pub(crate) fn search(
     bracket: &Bracket,
     options: &AlignOptions,
     given: &[Option<Found>],
     find: fn(&Search) -> AllFound,
 ) -> Result<AllFound> {
-    let looked = bracket.map_whole(content_and_pyramid);
-    let (contents, pyramids): (Vec<_>, Vec<_>) = looked.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let prepared = bracket.map_whole(content_and_pyramid);
+    let (contents, pyramids): (Vec<_>, Vec<_>) = prepared.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let capture_times = capture_times(bracket);
-    let is_uniform = contents.iter().all(|s| s.is_uniform);
-    // The search reads a whole picture now and then, deep inside; if one cannot be read, the result is discarded.
-    let failed = Mutex::new(None);
+    // If the search cannot read a full-size picture, its result is discarded.
+    let failed = OnceLock::new();
     let grey = |i: usize| {
         bracket.frames()[i].greys(contents[i].brightening_stops).unwrap_or_else(|error| {
-            failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            // Only the first error is kept.
+            let _ = failed.set(error);
             Plane::filled(bracket.width(), bracket.height(), 0)
         })
     };
@@ -272,17 +272,13 @@ pub(crate) fn search(
         grey: &grey,
         contents: &contents,
         capture_times: &capture_times,
-        is_uniform,
         compared_at_once: bracket.at_once(),
         detected_at_once: bracket.detected_at_once(),
         reference: bracket.reference_index(),
         given,
         options,
     });
-    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        None => Ok(found),
-        Some(error) => Err(error),
-    }
+    failed.into_inner().map_or(Ok(found), Err)
 }
 
 #[cfg(test)]

@@ -9,16 +9,16 @@ use crate::align::ladder::candidate::evaluate;
 use crate::align::refinement::{FramePair, refine};
 use crate::align::transform::{Model, Transform, distance, level_to_full, restrict};
 
-/// Warps that do the same to the picture within this are the same, in pixels (root mean square over the picture).
+/// Distance up to which two transforms are treated as the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 
-/// A smaller model that is so many times farther off, before it is fitted, will not do.
+/// Largest distance of a smaller model before it is fitted, as a multiple of the error.
 const MOST_EXCESS: f64 = 5.0;
 
-/// A frame whose transform is no more than this is unmoved: resampling would cost more than it mends, in pixels.
+/// Displacement up to which a frame is unmoved, in pixels: resampling would do more harm than good.
 pub(crate) const UNMOVED_PX: f64 = 0.2;
 
-/// The smallest model that explains the motion as well as `whole` does, within the error of the pixels.
+/// Reduces `whole` to the smallest model that explains the motion equally well within the error.
 pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     let (width, height) = pair.size();
     let level = measured_level(pair.reference());
@@ -40,12 +40,12 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         }
     }
     if whole.by_tiles {
-        // The pixels would take it back to where the tiles do not want it.
+        // Refinement on the pixels would undo the fit to the tiles.
         return whole;
     }
     let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {
-        // A model that is hopelessly far is cheap to exclude; the fitted one decides.
+        // Excludes models that are far off before the expensive fit.
         let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
         if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(whole.error_px) {
             continue;
@@ -68,5 +68,5 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     whole
 }
 
-/// The least distance that tiles distinguish, in pixels of the level on which they are measured.
+/// Least distance between transforms that tiles distinguish, in pixels of the level on which they are measured.
 const ALIKE: f64 = 0.1;

@@ -1,7 +1,7 @@
 //! Selection among the candidates of a frame, and the placement that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure function
-//! of the candidates.
+//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure
+//! function of the candidates.
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::thresholds::{
@@ -11,7 +11,7 @@ use crate::align::ladder::thresholds::{
 use crate::align::result::{Estimate, Placement, RejectedBy};
 use crate::align::transform::Model;
 
-/// Whether a candidate is good enough to merge by.
+/// Whether a candidate is good enough to merge the frame.
 pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let agreement = candidate.agreement();
     let unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
@@ -29,7 +29,7 @@ impl Candidates {
         self.0.extend(candidate.map(|c| (target, c)));
     }
 
-    /// The one with the most evidence; of nearly equals the first, which was found more directly.
+    /// The candidate with the most evidence; of nearly equal ones the first, which was found more directly.
     pub(super) fn best(&self) -> Option<(usize, &Candidate)> {
         self.0.iter().map(|(b, c)| (*b, c)).reduce(|best, other| {
             if other.1.evidence() > best.1.evidence() * LATER_EVIDENCE_FACTOR + LATER_EVIDENCE_TILES {
@@ -40,7 +40,7 @@ impl Candidates {
         })
     }
 
-    /// Marks the best as corroborated by features, if `found` holds for it.
+    /// Marks the best candidate as corroborated by features if `found` is true for it; returns whether it is.
     pub(super) fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
         let best = self.best().map(|(_, c)| c.transform);
         let mut any = false;
@@ -51,9 +51,11 @@ impl Candidates {
         any
     }
 
-    /// The best; or, if another one against the same target with comparable evidence is decidedly better on the tiles
-    /// that are decided under both, the one whose worst comparison with all others is best. (Under a shift by a
-    /// facade's period other tiles are outside the frame, and undecided.)
+    /// The selected candidate and its target.
+    ///
+    /// This is the best, unless another one against the same target with comparable evidence is decisively better on
+    /// the tiles that are decided under both. Then it is the one whose worst comparison with all others is best. (Under
+    /// a shift by a facade's period, other tiles are outside the frame and undecided.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (target, best) = self.best()?;
         let contenders = self.alternatives(target, best, |_| true);
@@ -69,15 +71,18 @@ impl Candidates {
         Some((target, winner.1))
     }
 
-    /// Those against the same target with comparable evidence for which `is_other` holds; `best` itself may be one.
+    /// The candidates against the same target with comparable evidence for which `is_other` is true, possibly `best`
+    /// too.
     fn alternatives(&self, target: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = COMPARABLE_EVIDENCE * best.evidence();
         let same_target = self.0.iter().filter(|(b, _)| *b == target).map(|(_, c)| c);
         same_target.filter(|c| c.evidence() >= least && is_other(c)).collect()
     }
 
-    /// 1 if no other candidate is comparable with `best`; one half if the tiles that are decided under both prefer
-    /// `best` to one of the `others` by no more than [`DECISIVE_NATS`].
+    /// The uniqueness of `best`, 0..=1.
+    ///
+    /// 1 if no other candidate is comparable with it; one half if the tiles that are decided under both prefer it to
+    /// the closest of the `others` by [`DECISIVE_NATS`].
     pub(super) fn uniqueness(&self, (target, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
         let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
@@ -85,21 +90,22 @@ impl Candidates {
     }
 }
 
+/// Why a frame with this best candidate, or none, is rejected.
 pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
-        None => "it has too little in common with the reference to tell how it moved".into(),
+        None => "it has too little in common with the reference to estimate its motion".into(),
         Some(c) if c.agreement().agreeing + c.agreement().disagreeing < EXPLAINING_TILES => {
-            "too few parts of it are neither black, burnt out nor plain to tell how it moved".into()
+            "too few tiles have enough contrast to estimate its motion: the others are black, clipped or uniform".into()
         }
         Some(c) => format!(
-            "no motion makes it agree with the reference: {} of {} parts contradict the best one",
+            "it could not be aligned: {} of {} tiles disagree with the best estimate",
             c.agreement().disagreeing,
             c.agreement().agreeing + c.agreement().disagreeing
         ),
     }
 }
 
-/// The transform of `candidate`, as it was measured.
+/// The estimate that `candidate` gives.
 pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     Estimate {
         transform: candidate.transform,
@@ -110,7 +116,8 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     }
 }
 
-/// Not aligned, for this `reason`; `confidence` is that of the best transform found.
+/// The placement of a frame that could not be aligned for this `reason`; `confidence` is that of the best transform
+/// found.
 pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
     let confidence = confidence.min(ACCEPTED_CONFIDENCE);
     Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }
@@ -213,7 +220,8 @@ mod tests {
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
 
-    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each matches worse.
+    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each
+    /// matches worse.
     #[test]
     fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
         let weak = |x, tiles: usize, correlation| {
@@ -242,7 +250,7 @@ mod tests {
         let placement = rejected(rejection_reason(None), 0.0);
         assert_eq!((placement.status(), placement.transform(), placement.confidence()), (Status::Rejected, None, 0.0));
         assert!(placement.reason().unwrap().contains("too little in common"));
-        assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few parts"));
-        assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 parts"));
+        assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few tiles"));
+        assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 tiles"));
     }
 }

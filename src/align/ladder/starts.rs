@@ -1,5 +1,5 @@
-//! Candidates from the start of each method: the bitmaps, their other minima, or any given transform; each refined,
-//! then checked.
+//! Candidates from the starting transform of each method: the bitmaps, their other minima, or any given transform. Each
+//! is refined, then checked.
 //!
 //! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of
 //! [`refine`] and of the check for each start.
@@ -14,11 +14,10 @@ use crate::align::resampling::bilinear::BilinearRows;
 use crate::align::transform::{Model, Transform, corners, level_to_full, map, off_level};
 use crate::plane::Plane;
 
-/// Levels above that of agreement from which refinement starts: a transform that is off by 4 px is off by one there.
+/// Levels above that of agreement at which refinement starts: an error of 4 px is one pixel there.
 const CAPTURE_LEVELS: usize = 2;
 
-/// The pyramid of `grey`, warped to the reference's grid by `transform`; the border pixel is repeated beyond the
-/// border.
+/// The pyramid of `grey` warped to the reference's grid by `transform`. Pixels outside repeat the border.
 pub(crate) fn warped_to_reference(grey: &Plane<u8>, transform: &Transform) -> GreyPyramid {
     let rows = BilinearRows::new(grey, transform);
     GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| rows.row(y, row))
@@ -36,8 +35,7 @@ pub(crate) fn by_bitmaps<'a>(
     (pair, candidate)
 }
 
-/// Candidates of the bitmaps' other minima: the best few refined to the end, then the others as far as they were
-/// followed.
+/// Candidates from the other minima of the bitmap search: first the best few, fully refined, then all, partly refined.
 pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> =
@@ -57,15 +55,14 @@ pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions
 
 /// Most alternatives that are evaluated.
 const MOST_ALTERNATIVES: usize = 8;
-/// ... and of these refined to the end.
+/// Most of them that are fully refined.
 const REFINED_ALTERNATIVES: usize = 2;
 
-/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; follows the
-/// tiles where they measure a displacement.
+/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; corrects it
+/// where the tiles measure a displacement.
 pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
-    // What is little determined at first may be well determined after the first step; a smaller model holds where a
-    // larger runs away.
+    // A smaller model is used where the refinement of a larger one fails or diverges.
     let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
         let found = refine(pair, start, model, levels)?;
         is_sane(&found.transform, pair.size()).then_some(found)
@@ -88,7 +85,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
         }
         let (next, next_fit) = evaluate_with_fit(pair, transform, level_to_full(level)[(0, 0)] * tiles.error);
         let before = best.as_ref().unwrap_or(from);
-        // Further on than before, by the tiles' own account and by that of their correlations.
+        // Each step must reduce the displacement of the tiles without reducing their correlation.
         let nearer = next_fit.as_ref().is_some_and(|next| next.moved < tiles.moved);
         if !nearer || next.tiles.evidence_over(&before.tiles) < 0.0 {
             break;
@@ -99,15 +96,15 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
     best
 }
 
-/// Steps that the tiles may take.
+/// Most corrections by tiles.
 const TILE_STEPS: usize = 5;
-/// The tiles are followed where they measure a displacement of so many times their error ([`TileFit::significance`]),
+/// Least displacement of the tiles for a correction, as a multiple of its error ([`TileFit::significance`]).
 const LEAST_SIGNIFICANCE: f64 = 2.0;
-/// ... and by more than this, in pixels of their level.
+/// Least displacement of the tiles for a correction, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;
 
-/// Whether a camera held in hands could have done this: no corner farther than a third of the diagonal, no side half or
-/// twice as long.
+/// Whether a hand-held camera can cause this transform: no corner moves by a third of the diagonal, and no side becomes
+/// half or twice as long.
 pub(super) fn is_sane(transform: &Transform, (width, height): (usize, usize)) -> bool {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     let h = transform.matrix(width, height);

@@ -1,23 +1,23 @@
-//! The intensity mapping function: which grey value of the frame goes with which of the reference.
+//! The intensity mapping function: the grey value of one frame that corresponds to each grey value of the other.
 //!
-//! In: pairs of grey values at some places of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one
-//! pass over them. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI
-//! 25(11), 2003, section 5: two exposures of one scene have the same ranks, so the map follows from the two histograms,
-//! and small misalignments do not matter.
+//! In: pairs of grey values of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one pass over the
+//! pairs. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI 25(11),
+//! 2003, section 5: two exposures of one scene have the same ranks, so the map follows from the two histograms, and
+//! small misalignments do not matter.
 
-/// Grey values of the reference at which the map is kept.
+/// Number of stored grey values of the reference.
 const KNOTS: usize = 256;
-/// Half the width over which its slope is taken, in grey values.
+/// Half of the interval for slopes, in grey values.
 const SLOPE_REACH: f32 = 4.0;
 
-/// A monotone map of grey values 0..=255, reference -> frame.
+/// A monotone map of grey values 0..=255 from the first frame of the samples to the second.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IntensityMap {
     values: Vec<f32>,
 }
 
 impl IntensityMap {
-    /// The map that takes the distribution of the first of each pair to that of the second; the identity without
+    /// The map from the distribution of the first values to that of the second values; the identity if there are no
     /// samples.
     pub fn from_samples(samples: &[(u8, u8)]) -> Self {
         if samples.is_empty() {
@@ -28,7 +28,7 @@ impl IntensityMap {
             reference[usize::from(r)] += 1;
             frame[usize::from(f)] += 1;
         }
-        // For each value that occurs, the value of the frame at its middle rank.
+        // For each value that occurs, the second frame's value at its middle rank.
         let mut values = vec![f32::NAN; KNOTS];
         let (mut rank, mut below, mut at) = (0.0f64, 0.0f64, 0);
         for (v, value) in values.iter_mut().enumerate() {
@@ -49,7 +49,7 @@ impl IntensityMap {
         IntensityMap { values }
     }
 
-    /// The frame's value for value `v` of the reference.
+    /// The second frame's value for value `v` of the first.
     #[inline]
     pub fn at(&self, v: f32) -> f32 {
         let v = v.clamp(0.0, (KNOTS - 1) as f32);
@@ -58,7 +58,7 @@ impl IntensityMap {
         self.values[i] + t * (self.values[i + 1] - self.values[i])
     }
 
-    /// How fast the frame's value rises with the reference's at value `v`: 0 where either is clipped.
+    /// Slope of the map at value `v`; 0 where the second frame is clipped.
     #[inline]
     pub fn slope(&self, v: f32) -> f32 {
         let (low, high) = ((v - SLOPE_REACH).max(0.0), (v + SLOPE_REACH).min((KNOTS - 1) as f32));
@@ -66,8 +66,7 @@ impl IntensityMap {
     }
 }
 
-/// Grey values that do not occur are interpolated between those that do; before the first and after the last they are
-/// constant.
+/// Interpolates missing values (NaN); before the first and after the last known value they are constant.
 fn fill_gaps(values: &mut [f32]) {
     let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
     let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
@@ -93,12 +92,12 @@ mod tests {
         let f = |v: f32| 255.0 * (v / 255.0).powf(0.6);
         let n = 20_000;
         let reference: Vec<f32> = (0..n).map(|i| 20.0 + 200.0 * i as f32 / n as f32).collect();
-        // The frame's samples are those of other places of the same scene: a permutation.
+        // The frame's samples are from other positions of the same scene: a permutation.
         let samples: Vec<(u8, u8)> =
             (0..n).map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8)).collect();
         let map = IntensityMap::from_samples(&samples);
         for v in [30.0f32, 77.3, 140.0, 210.0] {
-            // Levels are rounded in both: half a value on either side.
+            // The grey values of both frames are rounded: half a value each.
             assert!((map.at(v) - f(v)).abs() < 1.0, "{v}: {} {}", map.at(v), f(v));
             let slope = (f(v + 4.0) - f(v - 4.0)) / 8.0;
             assert!((map.slope(v) - slope).abs() < 0.15 * slope);

@@ -1,12 +1,12 @@
-//! Two frames at a common exposure, so that their pixels can be compared.
+//! Conversion of two frames to a common exposure, so that their pixels can be compared.
 //!
-//! In: two frames, roughly aligned. Out: [`ToneTables`]: a table of grey values for each of them and the weight of each
-//! grey value; with them the two planes ([`CommonExposure`]), smoothed. Cost: one pass over some samples; a table
-//! look-up and six multiply-adds a pixel. Source: Grossberg & Nayar 2003 (`intensity_map`); Burt & Adelson, "The
+//! In: two frames, roughly aligned. Out: [`ToneTables`] (a table of grey values for each frame, and the weight of each
+//! grey value), and with them the two smoothed planes ([`CommonExposure`]). Cost: one pass over some samples; a table
+//! look-up and six multiply-adds per pixel. Source: Grossberg & Nayar 2003 (`intensity_map`); Burt & Adelson, "The
 //! Laplacian Pyramid as a Compact Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
 //!
-//! The darker frame is mapped to the brighter one because clipping is then the same in both. It is mapped before it is
-//! smoothed, because otherwise the edges of clipped areas would move.
+//! The darker frame is mapped to the brighter one, so that both are clipped alike. It is mapped before it is smoothed;
+//! otherwise the edges of clipped areas would move.
 
 mod intensity_map;
 mod tones;
@@ -16,19 +16,19 @@ pub use tones::ToneTables;
 use crate::plane::Plane;
 use crate::pyramid::binomial;
 
-/// Two frames at a common exposure, smoothed by one pixel.
+/// Two frames at a common exposure, smoothed with a standard deviation of one pixel.
 #[derive(Debug, Clone)]
 pub struct CommonExposure {
     /// The reference.
     pub reference: Plane<f32>,
     /// The frame, on its own grid.
     pub frame: Plane<f32>,
-    /// What brought them here.
+    /// The tables used.
     pub tones: ToneTables,
 }
 
 impl CommonExposure {
-    /// `reference` and `frame` by `tones`.
+    /// Converts `reference` and `frame` with `tones`.
     pub fn new(reference: &Plane<u8>, frame: &Plane<u8>, tones: &ToneTables) -> Self {
         CommonExposure {
             reference: binomial(reference, &tones.reference),

@@ -1,4 +1,4 @@
-//! Tables that bring two frames to a common exposure, with the weight of each grey value.
+//! Tables that convert two frames to a common exposure, and the weight of each grey value.
 //!
 //! In: two frames, roughly aligned. Out: [`ToneTables`]. Cost: one pass over some samples.
 
@@ -7,55 +7,51 @@ use crate::align::transform::map;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 
-/// About so many places at which the two frames' values are taken.
+/// Approximate number of sampled positions.
 const SAMPLES: f64 = 40_000.0;
 
-/// Grey values nearer than this to either end of the brighter frame's range may be clipped.
+/// Grey values of the brighter frame closer than this to 0 or 255 may be clipped.
 const CLIP_MARGIN: f32 = 5.0;
 
-/// Levels of the darker frame below this are as much noise as light.
+/// Least grey value of the darker frame that is used: lower values are mostly noise.
 const DARKEST: f32 = 2.0;
 
-/// What brings two frames to a common exposure: the value that goes with each code.
+/// Grey values at a common exposure for each grey value of two frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToneTables {
-    /// For the reference.
+    /// The table of the reference.
     pub reference: [f32; 256],
-    /// For the frame.
+    /// The table of the frame.
     pub frame: [f32; 256],
     /// The weight of each grey value of the brighter frame, 0..=1.
     weights: [f32; 256],
 }
 
 impl ToneTables {
-    /// The tones of `reference` and `frame`, with `h` (reference -> frame) about right: the two histograms decide, not
-    /// the places.
+    /// The tables of `reference` and `frame`. `h` (reference -> frame) need only be approximate, because the tables
+    /// depend on histograms.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
-        let samples = sample(reference, frame, h);
-        let identity = std::array::from_fn(|v| v as f32);
-        if is_brighter(&samples) {
-            let to_frame = IntensityMap::from_samples(&samples);
-            let reference = std::array::from_fn(|v| to_frame.at(v as f32));
-            return ToneTables { reference, frame: identity, weights: weights(&to_frame) };
+        let mut samples = sample(reference, frame, h);
+        // Which frame is brighter on average: every sample counts once, so absent grey values have no influence.
+        let is_frame_brighter = samples.iter().map(|&(r, f)| i64::from(f) - i64::from(r)).sum::<i64>() >= 0;
+        if !is_frame_brighter {
+            samples.iter_mut().for_each(|(r, f)| std::mem::swap(r, f));
         }
-        let swapped: Vec<(u8, u8)> = samples.iter().map(|&(r, f)| (f, r)).collect();
-        let to_reference = IntensityMap::from_samples(&swapped);
-        ToneTables {
-            reference: identity,
-            frame: std::array::from_fn(|v| to_reference.at(v as f32)),
-            weights: weights(&to_reference),
-        }
+        let to_brighter = IntensityMap::from_samples(&samples);
+        let (darker, brighter) = (std::array::from_fn(|v| to_brighter.at(v as f32)), std::array::from_fn(|v| v as f32));
+        let (reference, frame) = if is_frame_brighter { (darker, brighter) } else { (brighter, darker) };
+        ToneTables { reference, frame, weights: weights(&to_brighter) }
     }
 
-    /// The weight of grey value `v`, 0..=1: 1 / (1 + m'^2), as both frames have noise and the darker's is mapped with
-    /// it; 0 near the ends of either frame's range.
+    /// The weight of grey value `v` of the brighter frame, 0..=1: 1 / (1 + m'^2), where m is the map from the darker
+    /// frame, which also scales its noise; 0 near the ends of either frame's range.
     #[inline]
     pub fn weight(&self, v: f32) -> f32 {
         self.weights[usize::from(v as u8)]
     }
 }
 
-/// Levels of both at a coarse grid of places that both see.
+/// Grey values (reference, frame) on a coarse grid, where both frames have pixels.
 fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8, u8)> {
     let step = ((reference.width() * reference.height()) as f64 / SAMPLES).sqrt().max(1.0) as usize;
     let mut samples = Vec::new();
@@ -71,13 +67,7 @@ fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8
     samples
 }
 
-/// Whether the second of each pair, the frame's grey value, is the brighter on average. Every sample counts once: grey
-/// values that do not occur have no part in it.
-fn is_brighter(samples: &[(u8, u8)]) -> bool {
-    samples.iter().map(|&(reference, frame)| i64::from(frame) - i64::from(reference)).sum::<i64>() >= 0
-}
-
-/// The weight of each grey value of the brighter frame, 0..=1.
+/// The weight of each grey value of the brighter frame, 0..=1; `map` is from the darker to the brighter frame.
 fn weights(map: &IntensityMap) -> [f32; 256] {
     let mut weights = [0.0; 256];
     let mut darker = 0.0f32;
@@ -117,11 +107,11 @@ mod tests {
                 }
             }
             assert!(3 * trusted > size.0 * size.1, "{trusted}");
-            // Rounding to codes leaves 0.25 in each on average, some times that where the darker is brightened;
-            // smoothing takes most off.
+            // Rounding causes a mean error of 0.25 in each frame, more where the darker one is brightened; smoothing
+            // removes most of it.
             assert!(apart / (trusted as f32) < 0.5, "{a} {b}: {}", apart / trusted as f32);
         }
-        // What is clipped in the brighter, or black in the darker, is worth nothing.
+        // Grey values clipped in the brighter frame or black in the darker one have weight 0.
         let tones = ToneTables::between(&take(0.0), &take(3.0), &Matrix3::identity());
         assert_eq!((tones.weight(254.0), tones.weight(1.0)), (0.0, 0.0));
     }

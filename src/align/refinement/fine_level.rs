@@ -1,27 +1,24 @@
-//! The finest level of a large picture, read only at the points that are compared.
+//! The finest level of a large image, read only near the points that are compared.
 //!
 //! In: a [`FramePair`] with its points on the level on which agreement is measured. Out: points of the finest level,
-//! one near each of them, and the residuals at them under a transform. Cost: some 150 pixels a point, whatever the size
-//! of the picture; read again only when a point leaves its patch.
+//! one near each of them, and their residuals under a transform. Cost: about 150 pixels per point for any size of the
+//! image; a patch is read again only when its point leaves it.
 
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::refinement::FramePair;
 use crate::align::refinement::frame_pair::Point;
 use crate::align::refinement::patch::{FRAME_PATCH, Origin, Patch, Patches};
+use crate::align::refinement::{FramePair, PIECE};
 use crate::align::transform::{level_to_full, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Side of the smoothed patch of the reference: 4 x 4 pixels among which the point is chosen, and those around them for
-/// gradients.
+/// Side of the smoothed patches of the reference: 4 x 4 pixels to choose a point from, and a border for the gradients.
 const CHOICE: usize = 6;
-/// Points that are looked at together, by one thread.
-const PIECE: usize = 1024;
 
-/// Near each point of the level on which agreement is measured, the point of the finest level with the largest weighted
-/// gradient.
+/// For each point of the level on which agreement is measured, the nearby point of the finest level with the largest
+/// weighted gradient.
 pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
@@ -29,7 +26,7 @@ pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
         let finer = level_to_full(from - to);
         let chosen = pair.level(from).points.par_iter().filter_map(|p| {
             let (x, y) = map(&finer, p.x, p.y);
-            // The four pixels in the middle of the patch are those about (x, y).
+            // The four pixels in the middle of the patch are around (x, y).
             let first = |v: f64| (v - 0.5 * (CHOICE as f64 - 1.0) + 0.5) as i32;
             let origin = [first(x), first(y)];
             let patch = vectorised(Around { plane, table: &tones.reference, origin })?;
@@ -43,7 +40,7 @@ pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     })
 }
 
-/// The patch of the reference about a point, if there is one.
+/// Reads the patch of the reference around a point, unless it reaches beyond the border.
 struct Around<'a> {
     plane: &'a Plane<u8>,
     table: &'a [f32; 256],
@@ -59,20 +56,21 @@ impl Loops for Around<'_> {
     }
 }
 
-/// The frame's level less the reference's at every point under `h`, on the finest level; not a number where the frame
-/// does not reach. What the frame shows there is read into `seen` where it is not there yet.
-pub(crate) fn residuals(pair: &FramePair, seen: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
+/// Computes frame minus reference at every point under `h`, on the finest level; NaN outside the frame.
+///
+/// Patches of the frame that `patches` does not have yet are added to it.
+pub(crate) fn residuals(pair: &FramePair, patches: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
-    let patches = seen.origins.par_chunks_mut(PIECE).zip(seen.values.par_chunks_mut(PIECE));
-    let patches = patches.zip(seen.is_placed.par_chunks_mut(PIECE));
+    let Patches { origins, values, is_placed } = patches;
+    let patches = origins.par_chunks_mut(PIECE).zip(values.par_chunks_mut(PIECE)).zip(is_placed.par_chunks_mut(PIECE));
     let pieces = points(pair).par_chunks(PIECE).zip(patches).zip(out.par_chunks_mut(PIECE));
     pieces.for_each(|((points, ((origins, values), is_placed)), out)| {
         vectorised(Piece { points, h, plane, table, origins, values, is_placed, out });
     });
 }
 
-/// Some of the points, what is read of them, and where their residuals go.
+/// Computes the residuals of some of the points; the patches have one element for each point.
 struct Piece<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -94,26 +92,27 @@ impl Loops for Piece<'_> {
         let (is_placed, out) = (&mut self.is_placed[..n], &mut self.out[..n]);
         for (k, p) in self.points.iter().enumerate() {
             let (u, v) = map(self.h, p.x, p.y);
-            let there = if is_placed[k] { values[k].cubic(origins[k], u, v) } else { None };
-            let level = match there {
+            let known = if is_placed[k] { values[k].cubic(origins[k], u, v) } else { None };
+            let level = match known {
                 Some(level) => Some(level),
-                None => read_anew(self.plane, self.table, (u, v), (&mut origins[k], &mut values[k], &mut is_placed[k])),
+                None => {
+                    read_again(self.plane, self.table, (u, v), (&mut origins[k], &mut values[k], &mut is_placed[k]))
+                }
             };
             out[k] = level.map_or(f32::NAN, |level| level - p.value);
         }
     }
 }
 
-/// The grey value at (u, v) of a patch that is placed so that (u, v) lies in its middle; none where the frame does not
-/// reach.
+/// Moves the patch so that (u, v) is in its middle and returns the grey value there; none outside the frame.
 #[inline(always)]
-fn read_anew(
+fn read_again(
     plane: &Plane<u8>,
     table: &[f32; 256],
     (u, v): (f64, f64),
     (origin, patch, is_placed): (&mut Origin, &mut Patch<FRAME_PATCH>, &mut bool),
 ) -> Option<f32> {
-    // The comparison also refuses what is not a number.
+    // False for NaN.
     let within = |t: f64, n: usize| t >= 0.0 && t < n as f64;
     if !within(u, plane.width()) || !within(v, plane.height()) {
         return None;
@@ -130,7 +129,7 @@ fn read_anew(
     patch.cubic(at, u, v)
 }
 
-/// Among the inner pixels of `patch`, that with the largest weighted gradient.
+/// The inner pixel of `patch` with the largest weighted gradient.
 fn best_of(patch: &Patch<CHOICE>, weight: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
     let v = &patch.0;
     let (mut best, mut at) = (0.0, None);
@@ -157,7 +156,7 @@ mod tests {
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::align::transform::Transform;
 
-    /// Large enough for the finest level to be below that of agreement.
+    /// Large enough for the finest level to be below the one on which agreement is measured.
     const SIZE: (usize, usize) = (1000, 700);
 
     fn pair() -> (GreyPyramid, GreyPyramid, Transform) {
@@ -177,12 +176,12 @@ mod tests {
         let mut out = vec![0.0; points.len()];
         assert!(points.len() > 3000, "{}", points.len());
         for p in points {
-            // The same sums, along before down, of values below 256.
+            // The same sums in another order, of values below 256.
             assert!((p.value - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
-        // Twice: from new patches, and from those that are there; then from such as must be read again; and by another
-        // refinement, to which what is there is as good as new.
+        // With new patches, with existing ones, with patches that must be read again, and in another refinement, which
+        // must not depend on the existing patches.
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for (h, is_another) in [(h, false), (h, false), (away, false), (h, true)] {
             if is_another {
@@ -198,7 +197,7 @@ mod tests {
             for (p, r) in points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (false, Some(f)) = (r.is_nan(), cubic::cubic(&whole.frame, u, v)) {
-                    // As above.
+                    // The same sums in another order.
                     assert!((f - p.value - r).abs() < 1e-3);
                     compared += 1;
                 }

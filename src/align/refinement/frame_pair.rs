@@ -1,44 +1,40 @@
-//! A pair of frames for refinement: both at a common exposure on every level, and the points at which they are
-//! compared.
+//! A pair of frames for refinement: both at a common exposure on every level, and the points to compare.
 //!
-//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames on each level that
-//! is asked for, and its points; each computed once. Cost: that of [`CommonExposure`], and one pass over the reference
-//! for the points.
+//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames and the points on
+//! each requested level, computed once. Cost: that of [`CommonExposure`], and one pass over the reference for the
+//! points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::BORDER;
 use crate::align::transform::{Transform, on_level};
-use crate::plane::Plane;
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// About so many cells, of which each gives a point: on the level of [`measured_level`], and on those above, which
-/// only lead to it.
+/// Approximate number of cells, each with one point: on levels up to [`measured_level`], and on coarser levels.
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
-/// Residuals at an edge are as if it were displaced by this, in pixels: interpolation, aliasing, a little blur in one
-/// of the frames.
+/// Standard deviation of edge positions, in pixels, due to interpolation, aliasing and blur of one of the frames.
 const JITTER: f32 = 0.15;
 
-/// A pixel of the reference that is compared.
+/// A pixel of the reference that is compared with the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// Column and row, in pixels of the level.
+    /// Column, in pixels of the level.
     pub x: f64,
-    /// See `x`.
+    /// Row, in pixels of the level.
     pub y: f64,
-    /// The reference's level there, at the exposure of the brighter.
+    /// Grey value of the reference, at the exposure of the brighter frame.
     pub value: f32,
-    /// Its gradient, in levels a pixel.
+    /// Gradient, in grey values per pixel.
     pub gradient: [f32; 2],
-    /// 1 / standard deviation of what noise alone would leave here, in units of the darker frame's noise or so: the
-    /// noise of both, and what aliasing and blur make of a strong gradient.
+    /// 1 / standard deviation of the residual, relative to the frames' noise: due to the noise of both frames, and to
+    /// aliasing and blur at strong gradients.
     pub precision: f32,
 }
 
 impl Point {
-    /// The point at (x, y) whose surroundings in a smoothed plane are `level`, `left`, `right`, `up` and `down`.
+    /// The point at (x, y) with grey value `value`, whose neighbours are `left`, `right`, `up` and `down`.
     pub(crate) fn new(
         (x, y): (usize, usize),
         value: f32,
@@ -52,21 +48,21 @@ impl Point {
     }
 }
 
-/// One level of both, and where they are compared.
+/// One level of both frames, and the points to compare.
 #[derive(Debug)]
 pub struct Level {
-    /// Both at a common exposure.
+    /// Both frames at a common exposure.
     pub both: CommonExposure,
-    /// Of every cell of the reference the pixel with the largest weighted gradient.
+    /// The pixel with the largest weighted gradient of every cell of the reference.
     pub points: Vec<Point>,
 }
 
-/// A reference and a frame that is placed by it.
+/// A reference and a frame to align to it.
 #[derive(Debug)]
 pub struct FramePair<'a> {
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
-    /// The transform under which levels are taken.
+    /// The approximate transform.
     start: Matrix3<f64>,
     tones: Vec<OnceLock<ToneTables>>,
     levels: Vec<OnceLock<Level>>,
@@ -96,25 +92,28 @@ impl<'a> FramePair<'a> {
         self.frame
     }
 
-    /// What brings both to a common exposure on level `i`. Halving averages noise, and black is not black where there
-    /// is noise: each level has its own.
+    /// The tables that bring both frames to a common exposure on level `i`.
+    ///
+    /// Each level has its own, because halving reduces the noise, which raises the mean of black pixels.
     pub fn tones(&self, i: usize) -> &ToneTables {
-        let h = || on_level(&self.start, i);
-        self.tones[i].get_or_init(|| ToneTables::between(self.reference.level(i), self.frame.level(i), &h()))
+        self.tones[i].get_or_init(|| {
+            ToneTables::between(self.reference.level(i), self.frame.level(i), &on_level(&self.start, i))
+        })
     }
 
-    /// The points of [`finest_level`](crate::align::grey::finest_level): what `choose` returns, called once.
+    /// The points of [`finest_level`](crate::align::grey::finest_level), from `choose`, which is called once.
     pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }
 
-    /// What was read of the frame about its places of the [`fine_points`](Self::fine_points) when they were last
-    /// refined; what `unread` gives, the first time. The places are much the same each time, and what is read there is.
+    /// The patches of the frame from the previous refinement, or the result of `unread` for the first one.
+    ///
+    /// The positions of the [`fine_points`](Self::fine_points) change little, so most patches can be reused.
     pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
         self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::anew)
     }
 
-    /// Keeps what was read for the next time.
+    /// Keeps `patches` for the next refinement.
     pub(crate) fn keep_patches(&self, patches: Patches) {
         *self.patches.lock().unwrap_or_else(PoisonError::into_inner) = Some(patches);
     }
@@ -136,7 +135,7 @@ impl<'a> FramePair<'a> {
     }
 }
 
-/// Of every cell, the pixel with the largest weighted gradient.
+/// The pixel with the largest weighted gradient of every cell of `cell` x `cell` pixels.
 fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
     let (reference, tones) = (&both.reference, &both.tones);
     let (width, height) = (reference.width(), reference.height());
@@ -158,7 +157,7 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
             }
             for (slot, (i, cell_squares)) in best.iter_mut().zip(squares.chunks(cell).enumerate()) {
                 for (k, &square) in cell_squares.iter().enumerate() {
-                    // The weight is at most 1: most pixels need no table look-up.
+                    // The weight is at most 1, so most pixels need no table look-up.
                     if square > slot.0 {
                         let x = BORDER + i * cell + k;
                         let strength = square * tones.weight(row[x]);
@@ -169,12 +168,10 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
                 }
             }
         }
-        points.extend(best.into_iter().filter(|b| b.0 > 0.0).map(|(_, x, y)| point_of(reference, x, y, tones)));
+        points.extend(best.into_iter().filter(|b| b.0 > 0.0).map(|(_, x, y)| {
+            let around = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| reference.at(x, y));
+            Point::new((x, y), reference.at(x, y), around, tones)
+        }));
     }
     points
-}
-
-fn point_of(plane: &Plane<f32>, x: usize, y: usize, tones: &ToneTables) -> Point {
-    let around = [plane.at(x - 1, y), plane.at(x + 1, y), plane.at(x, y - 1), plane.at(x, y + 1)];
-    Point::new((x, y), plane.at(x, y), around, tones)
 }

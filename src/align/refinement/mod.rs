@@ -1,9 +1,9 @@
-//! Refinement: iterative photometric alignment, from about a pixel to the noise limit.
+//! Refinement: iterative photometric alignment, from an error of about a pixel down to the noise limit.
 //!
-//! In: a [`FramePair`] and an approximate transform. Out: the transform of a chosen model under which the pixels of
-//! both agree best, and how well the pixels determine it. Cost: two planes at a common exposure for each level up to
-//! [`measured_level`], then some 16,000 patches of the finest level; 0.1 us a point and step. Source: Baker & Matthews,
-//! "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
+//! In: a [`FramePair`] and an approximate transform. Out: the transform of a given model with the least photometric
+//! error, and an error estimate. Cost: two planes at a common exposure for each level down to [`measured_level`], then
+//! about 16,000 patches of the finest level; 0.1 us per point and step. Source: Baker & Matthews, "Lucas-Kanade 20 Years
+//! On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
 
 mod fine_level;
 mod frame_pair;
@@ -19,32 +19,36 @@ use crate::align::resampling::cubic::cubic;
 use crate::align::transform::{Increment, Model, Transform, map, off_level, on_level, restrict, to_transform};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
+use crate::statistics::median;
 use nalgebra::{DMatrix, Matrix3};
 use rayon::prelude::*;
 
-/// Steps at each level, at the most.
+/// Largest number of steps on each level.
 const MOST_STEPS: usize = 12;
-/// A step that moves no corner by more than this ends the level, in pixels of the level: the finest, and those that
-/// only lead to it.
+/// Steps that move all corners by less than this end a level, in pixels of the level: the last level, and the others.
 const STILL: (f64, f64) = (0.005, 0.05);
-/// Fewest points for a solution.
+/// Least number of points for a solution.
 const LEAST_POINTS: usize = 50;
-/// The noise of neighbouring pixels is not independent (smoothing, JPEG, aliasing): what is left is so many times what
-/// it would leave if it were. Measured on rendered brackets.
+/// Ratio of the error to that of independent noise: the noise of neighbouring pixels is correlated (smoothing, JPEG,
+/// aliasing). Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
-/// A refined transform and how well the pixels determine it. All lengths are in pixels of level 0.
+/// Points processed together by one thread.
+const PIECE: usize = 1024;
+
+/// A refined transform and its error estimate. All lengths are in pixels of level 0.
 #[derive(Debug, Clone)]
 pub struct Refined {
-    /// Reference pixel -> frame pixel, of the requested model.
+    /// The transform (reference pixel -> frame pixel), of the requested model.
     pub transform: Transform,
-    /// Root mean square error over the picture that noise leaves, in pixels.
+    /// Estimated error due to noise, root mean square over the image, in pixels.
     pub error_px: f64,
 }
 
-/// Refines `start` level by level from `coarsest` to `finest` (0 the largest), as a transform of `model`. Of the levels
-/// larger than [`measured_level`] only [`finest_level`] is used, in patches, if `finest` is below it.
+/// Refines `start` as a transform of `model`, level by level from `levels.0` (coarsest) to `levels.1` (0 is the largest
+/// level).
 ///
-/// None where the overlap holds too little to go by, or the steps run away.
+/// Of the levels larger than [`measured_level`] only [`finest_level`] is used, by patches, if `levels.1` is below
+/// [`measured_level`]. None if the overlap has too little structure, or if the steps diverge.
 pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
     let (coarsest, finest) = levels;
     let (width, height) = pair.size();
@@ -74,10 +78,7 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
     Some(Refined { transform: to_transform(&state, model, width, height), error_px: last? })
 }
 
-/// Points that are looked at together, by one thread.
-const PIECE: usize = 1024;
-
-/// On a level that is there as a whole: the frame's level less the reference's at some of the points.
+/// Computes the residuals (frame minus reference) of some of the points of a level that is computed as a whole.
 struct Residuals<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -97,7 +98,7 @@ impl Loops for Residuals<'_> {
     }
 }
 
-/// One level: the points, and what is small there.
+/// A level: its points, its size, and the largest step that ends it.
 struct Stage<'a> {
     points: &'a [Point],
     level: usize,
@@ -112,9 +113,10 @@ impl<'a> Stage<'a> {
         (points.len() >= LEAST_POINTS).then_some(Stage { points, level, size: (plane.width(), plane.height()), still })
     }
 
-    /// Steps of Gauss and Newton with Tukey's weights until no corner moves. `residuals` gives the frame's level less
-    /// the reference's at every point under a transform; not a number where the frame does not reach. Gives the
-    /// transform, and [`Refined::error_px`].
+    /// Iterates Gauss-Newton steps with Tukey's weights until no corner moves; returns the transform and
+    /// [`Refined::error_px`].
+    ///
+    /// `residuals` computes frame minus reference at every point under a transform, NaN outside the frame.
     fn solve(
         &self,
         h_full: Matrix3<f64>,
@@ -149,18 +151,14 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// The robust standard deviation of the weighted residuals: 1.4826 times the median of their absolutes, at least half a
-/// grey value.
+/// Robust standard deviation of the weighted residuals: 1.4826 times the median absolute value, at least 0.5.
 fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
-    // The bits of parameters that are not negative are ordered as they are.
-    let seen = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
-    let mut absolutes: Vec<u32> = seen.map(|(p, r)| (r * p.precision).abs().to_bits()).collect();
+    let inside = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
+    let absolutes: Vec<f32> = inside.map(|(p, r)| (r * p.precision).abs()).collect();
     if absolutes.len() < LEAST_POINTS {
         return None;
     }
-    let middle = absolutes.len() / 2;
-    let (_, median, _) = absolutes.select_nth_unstable(middle);
-    Some((1.4826 * f32::from_bits(*median)).max(0.5))
+    median(absolutes).map(|median| (1.4826 * median).max(0.5))
 }
 
 #[cfg(test)]

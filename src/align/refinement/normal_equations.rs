@@ -1,18 +1,20 @@
-//! The normal equations of a step of refinement.
+//! The normal equations of a refinement step.
 //!
-//! In: for each point the derivatives of its grey value by the parameters, its residual and its precision. Out: A = sum
-//! w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds a point for eight parameters. Source: Baker & Matthews,
-//! "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); Tukey's biweight.
+//! In: for each point the derivatives of its grey value with respect to the parameters, its residual and its precision.
+//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds per point for eight parameters. Source:
+//! Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares);
+//! Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
 use nalgebra::{DMatrix, DVector};
 
-/// Tukey's constant: 95 % efficient on normal noise.
+/// Tukey's constant: 95 % efficiency for normal noise.
 const TUKEY: f32 = 4.685;
 
-/// A and b of the first `n` parameters, with residuals in units of `noise`. `rows` has J^T g of each point, zero beyond
-/// `n`; `residuals` the frame's level less the reference's, or not a number where the frame does not reach.
+/// A and b for the first `n` parameters, with residuals in units of `noise`.
+///
+/// `rows` has J^T g of each point, zero beyond `n`. `residuals` has frame minus reference, NaN outside the frame.
 pub(crate) fn equations(
     n: usize,
     points: &[Point],
@@ -30,7 +32,7 @@ pub(crate) fn equations(
     (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
 }
 
-/// The weight of every point, 0 where there is no residual.
+/// Computes the weight of every point, 0 for residuals that are NaN.
 struct Weights<'a> {
     points: &'a [Point],
     residuals: &'a [f32],
@@ -50,7 +52,7 @@ impl Loops for Weights<'_> {
     }
 }
 
-/// Tukey's biweight of a residual in units of its standard deviation; 0 of what is not a number.
+/// Tukey's biweight of a residual in units of its standard deviation; 0 for NaN.
 #[inline(always)]
 fn tukey_weight(r: f32) -> f32 {
     let t = r / TUKEY;
@@ -59,7 +61,7 @@ fn tukey_weight(r: f32) -> f32 {
     inside * inside
 }
 
-/// The sums over the points, in their order: of the first `N` parameters, of A what is on its diagonal and right of it.
+/// Sums over the points, in order, for the first `N` parameters; of A the diagonal and the elements right of it.
 struct Sums<'a, const N: usize> {
     weights: &'a [f32],
     rows: &'a [[f64; 8]],
@@ -82,7 +84,7 @@ impl<const N: usize> Loops for Sums<'_, N> {
             }
             for i in 0..N {
                 let weighed = w * row[i];
-                // Four at a time, from that on in which the diagonal is.
+                // In groups of four, from the one that contains the diagonal.
                 for k in i / 4 * 4..N {
                     a[i][k] += weighed * row[k];
                 }
@@ -103,7 +105,7 @@ mod tests {
         let points: Vec<Point> = (0..count)
             .map(|i| Point { x: 0.0, y: 0.0, value: 0.0, gradient: [0.0; 2], precision: 0.1 + (i % 7) as f32 / 8.0 })
             .collect();
-        // Every eleventh point is not seen; of the others some are beyond Tukey's reach.
+        // Every eleventh point is outside the frame; some others have a weight of 0.
         let residuals: Vec<f32> = (0..count).map(|i| if i % 11 == 3 { f32::NAN } else { value(i) as f32 }).collect();
         let noise = 0.8f32;
         for n in [2, 3, 8] {

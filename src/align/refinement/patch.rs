@@ -1,28 +1,28 @@
-//! A patch: a few smoothed pixels of a level, computed without the rest of it.
+//! Patches: small smoothed parts of a level, computed without the rest of it.
 //!
-//! In: a grey plane, a table of grey values and a place. Out: the smoothed values about it, and interpolation between
-//! them. Cost: 12 x 12 look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds for a place in
-//! it. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
+//! In: a grey plane, a table of grey values and a position. Out: the smoothed values around it, and interpolation
+//! between them. Cost: 12 x 12 look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds to
+//! interpolate. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
 //! [`cubic`](crate::align::resampling::cubic)).
 
-use crate::align::resampling::cubic::keys;
+use crate::align::resampling::cubic::interpolate;
 use crate::plane::Plane;
 
 /// Reach of the smoothing, in pixels.
 const REACH: usize = 2;
-/// Side of a patch of the frame: 4 x 4 pixels for the interpolation, and two on each side for the steps.
+/// Side of the frame's patches: 4 x 4 pixels for the interpolation, and two on each side for the motion of the point.
 pub(crate) const FRAME_PATCH: usize = 8;
 
-/// Column and row of a patch's first pixel, in pixels of the level.
+/// Column and row of the first pixel of a patch, in pixels of the level.
 pub(crate) type Origin = [i32; 2];
 
-/// Smoothed grey values, by rows. Aligned so that two rows of eight lie in one line of the cache.
+/// Smoothed grey values, by rows. Aligned so that two rows of eight share a cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(crate) struct Patch<const N: usize>(pub(crate) [[f32; N]; N]);
 
 impl<const N: usize> Patch<N> {
-    /// Whether the smoothing of a patch of `plane` at `origin` stays within the border.
+    /// Whether a patch of `plane` at the origin, with the reach of its smoothing, is inside `plane`.
     #[inline(always)]
     pub(crate) fn fits(plane: &Plane<u8>, [left, top]: Origin) -> bool {
         let (reach, far) = (REACH as i64, (N + REACH) as i64);
@@ -30,8 +30,8 @@ impl<const N: usize> Patch<N> {
         left >= reach && top >= reach && left + far <= plane.width() as i64 && top + far <= plane.height() as i64
     }
 
-    /// The patch of `plane` by `table` at `origin`, where it [`fits`](Self::fits), smoothed as the whole level would
-    /// be.
+    /// The patch of `plane` at the origin, which must [fit](Self::fits): values of `table`, smoothed as the whole level
+    /// would be.
     #[inline(always)]
     pub(crate) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
         let (left, top) = (left as usize, top as usize);
@@ -59,8 +59,8 @@ impl<const N: usize> Patch<N> {
 }
 
 impl Patch<FRAME_PATCH> {
-    /// Keys' cubic convolution at (u, v), in pixels of the level, the patch being at `origin`; none where it does not
-    /// hold all sixteen samples.
+    /// The value at (u, v), in pixels of the level, by cubic convolution; none if the patch does not have all sixteen
+    /// samples.
     #[inline(always)]
     pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
@@ -69,31 +69,27 @@ impl Patch<FRAME_PATCH> {
             return None;
         }
         let (x, y) = (u as i32, v as i32);
-        let (wx, wy) = (keys((u - f64::from(x)) as f32), keys((v - f64::from(y)) as f32));
+        let fraction = [(u - f64::from(x)) as f32, (v - f64::from(y)) as f32];
         let (x, y) = (x as usize, y as usize);
-        let mut sum = 0.0;
-        for (j, w) in wy.iter().enumerate() {
-            let row = &self.0[y + j - 1][x - 1..x + 3];
-            sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
-        }
-        Some(sum)
+        Some(interpolate(fraction, |j| &self.0[y + j - 1][x - 1..x + 3]))
     }
 }
 
-/// Patches of the frame, one for each of some points: where each was read last, what it holds, and whether the
-/// refinement that runs put it there. What an earlier one read is not read again at the same place, but no more is made
-/// of it.
+/// Patches of the frame, one for each point.
+///
+/// Patches of an earlier refinement only save reading the same patch again; they do not influence the result.
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,
     pub(crate) values: Vec<Patch<FRAME_PATCH>>,
+    /// Whether the current refinement chose the patch's position.
     pub(crate) is_placed: Vec<bool>,
 }
 
 impl Patches {
-    /// None read yet, for so many points.
+    /// Empty patches for a number of points.
     pub(crate) fn unread(points: usize) -> Self {
-        // No patch fits there.
+        // No patch can be at this position.
         let nowhere = [-1, -1];
         Patches {
             origins: vec![nowhere; points],
@@ -102,7 +98,7 @@ impl Patches {
         }
     }
 
-    /// The same for a refinement that begins.
+    /// These patches at the start of a new refinement.
     pub(crate) fn anew(mut self) -> Self {
         self.is_placed.fill(false);
         self

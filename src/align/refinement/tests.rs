@@ -1,4 +1,4 @@
-//! Refinement against motions that are known: between exposures, with noise, clipping and things that move.
+//! Tests of refinement with known transforms, different exposures, noise, clipping and moving objects.
 
 use super::*;
 use crate::align::grey::GreyPyramid;
@@ -7,12 +7,12 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (400, 300);
 
-/// A photograph of the same scene, as a pyramid.
+/// The pyramid of a photograph of the test scene.
 fn taken(transform: &Transform, shot: Shot) -> GreyPyramid {
     GreyPyramid::new(Scene::new(11).photograph(SIZE, transform, shot))
 }
 
-/// Refined from level `coarsest` down to the full size.
+/// The refinement from level `coarsest` down to the full size.
 fn found(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -23,16 +23,16 @@ fn found(
     refine(&FramePair::new(reference, frame, start), start, model, (coarsest, 0))
 }
 
-/// The farthest that two transforms put a corner apart, in pixels.
+/// Largest distance of the corners under two transforms, in pixels.
 fn apart(a: &Transform, b: &Transform) -> f64 {
     a.corner_distance(b, SIZE.0, SIZE.1)
 }
 
 #[test]
 fn finds_each_model_from_pixels_away() {
-    // Some 25,000 points with a noise of 1.5 codes, two times that where the darker frame is brightened, on gradients
-    // of some 10 codes/px: a shift is good to 3 / 10 / sqrt(25,000 / 13) = 0.007 px (the smoothing joins 13 pixels); a
-    // homography's corners to five times that.
+    // About 25,000 points with noise of 1.5 grey values, twice that where the darker frame is brightened, and gradients
+    // of about 10 per pixel: the error of a shift is 3 / 10 / sqrt(25,000 / 13) = 0.007 px (the smoothing correlates 13
+    // pixels), that of a homography at the corners five times as large.
     for (truth, start, model, tolerance) in [
         (shift(5.3, -2.6), shift(2.9, -0.1), Model::Shift, 0.02),
         (rigid(-3.4, 6.2, 0.8), rigid(-1.0, 4.0, 0.5), Model::Rigid, 0.03),
@@ -58,9 +58,8 @@ fn a_result_has_the_form_of_its_model() {
 
 #[test]
 fn edges_of_clipped_areas_do_not_lead_astray() {
-    // Teeth that rise within 6 px and fall over 40, all the same way: clipped three stops up, the bright part of every
-    // tooth has grown to the left alone by some pixels. If the brighter were compared without heed to that, all edges
-    // would be off to the same side.
+    // A sawtooth that rises within 6 px and falls over 40 px. With clipping three stops up, the bright part of every
+    // tooth extends to the left by some pixels. If that were ignored, all edges would be shifted in the same direction.
     let teeth = |x: f64, y: f64| {
         let t = (x + 6.0 * (y / 17.0).sin()).rem_euclid(46.0);
         let rise = if t < 6.0 { 0.5 - 0.5 * (t / 6.0 * std::f64::consts::PI).cos() } else { (46.0 - t) / 40.0 };
@@ -73,7 +72,7 @@ fn edges_of_clipped_areas_do_not_lead_astray() {
         let clipped = [&reference, &frame].map(|p| p.level(0).as_slice().iter().filter(|&&v| v == 255).count());
         assert!(clipped.iter().max().unwrap() * 10 > SIZE.0 * SIZE.1, "{clipped:?}");
         let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
-        // As for the models above; the bias this is about would be tenths of a pixel.
+        // As for the models above; the bias by clipping would be tenths of a pixel.
         assert!(apart(&found.transform, &truth) < 0.04, "{a} {b}: {found:?}");
     }
 }
@@ -81,7 +80,7 @@ fn edges_of_clipped_areas_do_not_lead_astray() {
 #[test]
 fn what_moves_by_itself_does_not_pull() {
     let scene = Scene::new(11);
-    // 0.45 x 0.45 of the picture shows what lies 9 px farther to the left.
+    // 0.45 x 0.45 of the image is displaced by 9 px.
     let with_mover = |x: f64, y: f64| {
         let inside = (100.0..280.0).contains(&x) && (90.0..225.0).contains(&y);
         scene.radiance(if inside { x - 9.0 } else { x }, y)
@@ -90,8 +89,8 @@ fn what_moves_by_itself_does_not_pull() {
     let reference = taken(&Transform::Identity, Shot::at(-1.0));
     let frame = GreyPyramid::new(photograph(SIZE, &truth, Shot::at(1.0), with_mover));
     let found = found(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, 2).unwrap();
-    // Least squares would go about a fifth of the 9 px; Tukey's weights leave what chance likeness in the moved part
-    // does.
+    // Least squares would have an error of about a fifth of the 9 px; with Tukey's weights only chance similarities in
+    // the moved part remain.
     assert!(apart(&found.transform, &truth) < 0.05, "{found:?}");
 }
 
@@ -119,9 +118,9 @@ fn the_error_it_states_is_of_the_right_order() {
         actual += (dx - 0.7).powi(2) + (dy - 0.4).powi(2);
         stated += found.error_px * found.error_px;
     }
-    // Smoothed by 1 px, 4 pi = 12.6 neighbouring points share their noise: the error is up to sqrt(12.6) = 3.5 times
-    // what independent noise would leave, of which NOISE_FACTOR times is stated: a ratio of up to 0.89, less by the
-    // noise that smoothing removes being counted at all. Of 20 shots the ratio is known to 11 %.
+    // With smoothing by 1 px, 4 pi = 12.6 neighbouring points share their noise, so the error is up to sqrt(12.6) = 3.5
+    // times that of independent noise. The estimate is NOISE_FACTOR times that of independent noise, so the ratio is at
+    // most 0.89, and lower because noise that smoothing removes is included. For 20 shots its error is 11 %.
     let ratio = f64::sqrt(actual / stated);
     assert!((0.5..1.0).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
 }

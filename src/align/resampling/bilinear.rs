@@ -1,36 +1,35 @@
-//! A grey picture on another's grid, by bilinear interpolation: a neighbour in exposure in place of the reference.
+//! Bilinear resampling of a grey image to the grid of another.
 //!
-//! In: a grey plane and a [`Transform`] into it. Out: the rows of the grid, one at a time, so that they need not all be
-//! kept. Cost: two divisions and four pixels read for each. Source: textbook bilinear interpolation; the border pixel
-//! is repeated beyond the border.
+//! In: a grey plane and a [`Transform`] into it. Out: rows of the grid, one at a time, so that they need not all be in
+//! memory. Cost: two divisions and four reads per pixel. Beyond the border the border pixel is repeated.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
 use crate::simd::{Loops, floor64, integer64, vectorised};
 use nalgebra::Matrix3;
 
-/// A grey picture, and where the grid lies in it.
+/// A grey image, and the transform of the grid into it.
 pub(crate) struct BilinearRows<'a> {
     grey: &'a Plane<u8>,
     h: Matrix3<f64>,
 }
 
 impl<'a> BilinearRows<'a> {
-    /// `grey` on a grid of the same size whose pixels `transform` takes into it.
+    /// `grey` on a grid of the same size, whose pixels `transform` maps to pixels of `grey`.
     pub(crate) fn new(grey: &'a Plane<u8>, transform: &Transform) -> Self {
         BilinearRows { grey, h: transform.matrix(grey.width(), grey.height()) }
     }
 
-    /// Row `y` of the grid.
+    /// Computes row `y` of the grid.
     pub(crate) fn row(&self, y: usize, out: &mut [u8]) {
         if self.grey.width() < 2 || self.grey.height() < 2 {
             out.iter_mut().enumerate().for_each(|(x, v)| *v = self.pixel(x, y));
         } else {
-            vectorised(Row { rows_of: self, y, out });
+            vectorised(Row { source: self, y, out });
         }
     }
 
-    /// Pixel (`x`, `y`) of the grid, by the textbook.
+    /// Pixel (`x`, `y`) of the grid by the textbook formula, for narrow images and tests.
     fn pixel(&self, x: usize, y: usize) -> u8 {
         let (width, height) = (self.grey.width(), self.grey.height());
         let (u, v) = map(&self.h, x as f64, y as f64);
@@ -44,12 +43,12 @@ impl<'a> BilinearRows<'a> {
     }
 }
 
-/// Pixels that go through each of the three steps together: where they lie, what is there, and the mean of that.
-const TOGETHER: usize = 64;
+/// Pixels processed together in each of the three steps: positions, reads, interpolation.
+const BLOCK: usize = 64;
 
-/// A row of the grid, at least two by two pixels large.
+/// A row of a grid of at least 2 x 2 pixels.
 struct Row<'a, 'b> {
-    rows_of: &'a BilinearRows<'b>,
+    source: &'a BilinearRows<'b>,
     y: usize,
     out: &'a mut [u8],
 }
@@ -59,25 +58,25 @@ impl Loops for Row<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        let (grey, h, y) = (self.rows_of.grey, &self.rows_of.h, self.y as f64);
+        let (grey, h, y) = (self.source.grey, &self.source.h, self.y as f64);
         let width = grey.width() as f64;
         let last = (width - 1.0, grey.height() as f64 - 1.0);
         let (upper_codes, lower_codes) = (grey.as_slice(), &grey.as_slice()[grey.width()..]);
-        let mut places = [0u64; TOGETHER];
-        let (mut fx, mut fy) = ([0.0f32; TOGETHER], [0.0f32; TOGETHER]);
-        let (mut upper, mut lower) = ([[0u8; 2]; TOGETHER], [[0u8; 2]; TOGETHER]);
-        for (piece, out) in self.out.chunks_mut(TOGETHER).enumerate() {
-            let first = (piece * TOGETHER) as i32;
-            for i in 0..TOGETHER {
+        let mut positions = [0u64; BLOCK];
+        let (mut fx, mut fy) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+        let (mut upper, mut lower) = ([[0u8; 2]; BLOCK], [[0u8; 2]; BLOCK]);
+        for (block, out) in self.out.chunks_mut(BLOCK).enumerate() {
+            let first = (block * BLOCK) as i32;
+            for i in 0..BLOCK {
                 let (u, v) = map(h, f64::from(first + i as i32), y);
                 let (u, v) = (within(u, last.0), within(v, last.1));
                 let (left, top) = (least(floor64(u), last.0 - 1.0), least(floor64(v), last.1 - 1.0));
                 fx[i] = (u - left) as f32;
                 fy[i] = (v - top) as f32;
-                places[i] = integer64(top * width + left);
+                positions[i] = integer64(top * width + left);
             }
             for i in 0..out.len() {
-                let at = places[i] as usize;
+                let at = positions[i] as usize;
                 if let (Some(&[a, b]), Some(&[c, d])) = (upper_codes.get(at..at + 2), lower_codes.get(at..at + 2)) {
                     (upper[i], lower[i]) = ([a, b], [c, d]);
                 }
@@ -91,7 +90,7 @@ impl Loops for Row<'_, '_> {
     }
 }
 
-/// As `clamp` from 0 to `most`, without the test of its bounds.
+/// `v` clamped to 0..=`most`, without `clamp`'s check of its bounds.
 #[inline(always)]
 fn within(v: f64, most: f64) -> f64 {
     let v = if v < 0.0 { 0.0 } else { v };
@@ -112,7 +111,7 @@ mod tests {
     fn rows_side_by_side_are_the_textbooks_pixels() {
         for size in [(203, 90), (64, 3), (2, 2), (1, 40), (40, 1), (1, 1)] {
             let grey = Scene::new(2).photograph(size, &Transform::Identity, Shot::at(0.0));
-            // Off every side, onto the border, and nowhere at all.
+            // Beyond every side, on the border, and NaN.
             let nowhere = Transform::Homography(Matrix3::from_element(f64::NAN));
             for transform in [
                 Transform::Identity,

@@ -1,13 +1,14 @@
 //! Cubic interpolation between the pixels of a smoothed plane.
 //!
-//! In: a plane and a place. Out: the value there; none too near the border. Cost: sixteen multiply-adds.
+//! In: a plane and a position. Out: the value there; none near the border. Cost: sixteen multiply-adds.
 //! Source: Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29(6), 1981.
 
 use crate::plane::Plane;
 
-/// Pixels nearest the border that are not used: the reach of the derivative and of the interpolation.
+/// Width of the border without samples, in pixels: the reach of the derivative and of the interpolation.
 pub(crate) const BORDER: usize = 3;
-/// Keys' cubic convolution at (u, v); none within [`BORDER`] - 1 pixels of the border.
+
+/// The value of `plane` at (u, v) by cubic convolution; none within [`BORDER`] - 1 pixels of the border.
 #[inline(always)]
 pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     let margin = (BORDER - 1) as f64;
@@ -19,18 +20,25 @@ pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
         return None;
     }
     let (x, y) = (u as usize, v as usize);
-    let (wx, wy) = (keys((u - x as f64) as f32), keys((v - y as f64) as f32));
-    let mut sum = 0.0;
-    for (j, w) in wy.iter().enumerate() {
-        let row = &plane.row(y + j - 1)[x - 1..x + 3];
-        sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
-    }
-    Some(sum)
+    let fraction = [(u - x as f64) as f32, (v - y as f64) as f32];
+    Some(interpolate(fraction, |j| &plane.row(y + j - 1)[x - 1..x + 3]))
 }
 
-/// Weights of the four samples about a place `t` of the way from the second to the third (Keys 1981, a = -1/2).
+/// The value between 4 x 4 samples, whose rows are `row(0)` to `row(3)`, at `fraction` from the second in each direction.
 #[inline(always)]
-pub(crate) fn keys(t: f32) -> [f32; 4] {
+pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f32]) -> f32 {
+    let [wx, wy] = fraction.map(keys);
+    let mut sum = 0.0;
+    for (j, w) in wy.iter().enumerate() {
+        let row = row(j);
+        sum += w * (wx[0] * row[0] + wx[1] * row[1] + wx[2] * row[2] + wx[3] * row[3]);
+    }
+    sum
+}
+
+/// Weights of four samples for a position between the second and the third, `t` from the second (Keys 1981, a = -1/2).
+#[inline(always)]
+fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
 }

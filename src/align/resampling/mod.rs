@@ -1,9 +1,9 @@
-//! Resampling: a frame's code values on the reference's grid, in a single step.
+//! Resampling: the pixel values of a frame on the reference's grid, in one step.
 //!
-//! In: a [`Window`] of a frame and a [`Transform`]. Out: code values as floats, by rows, with a mark where the frame
-//! has no pixel. Cost: at most 36 multiply-adds a value; fewer where the transform is near a shift; a copy for the
-//! identity. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends Lanczos'
-//! kernel (`lanczos`) for photographs.
+//! In: a [`Window`] of a frame and a [`Transform`]. Out: rows of pixel values as floats, [`OUTSIDE`] where the frame has
+//! no pixel. Cost: at most 36 multiply-adds per value, fewer if the transform is nearly a shift; a copy for the
+//! identity. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends the
+//! Lanczos kernel (`lanczos`) for photographs.
 
 pub(crate) mod bilinear;
 pub(crate) mod cubic;
@@ -17,10 +17,10 @@ use crate::align::transform::{Transform, map};
 use crate::bracket::{Codes, Window};
 use std::ops::Range;
 
-/// What [`resample_rows`] puts into all three channels where the frame has no pixel.
+/// Value of all three channels where the frame has no pixel.
 pub const OUTSIDE: f32 = -1.0;
 
-/// The rows of a frame of `size` pixels that are read for the reference's pixels `columns` x `rows`.
+/// The rows of a frame of `size` pixels needed to resample the reference's pixels `columns` x `rows`.
 pub fn rows_under(
     transform: &Transform,
     size: (usize, usize),
@@ -37,25 +37,25 @@ pub fn rows_under(
     let corners = [columns.start, columns.end - 1].map(|x| [rows.start, rows.end - 1].map(|y| (x as f64, y as f64)));
     let corners = corners.as_flattened();
     let w = |&(x, y): &(f64, f64)| h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
-    // A homography takes a convex figure to a convex one, unless it takes a line across it to infinity.
+    // A homography maps convex shapes to convex shapes unless its horizon crosses them.
     if !(corners.iter().all(|c| w(c) > 0.0) || corners.iter().all(|c| w(c) < 0.0)) {
         return 0..size.1;
     }
-    let places = corners.iter().map(|&(x, y)| map(&h, x, y).1);
-    let (top, bottom) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // Of places outside the nearest inside is looked at; the taps, and a row for rounding.
+    let ends = corners.iter().map(|&(x, y)| map(&h, x, y).1);
+    let (top, bottom) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    // Positions outside are clamped. Added are the taps of the kernel, and a row for rounding.
     let last = (size.1 - 1) as f64;
     let (first, end) = (top.clamp(0.0, last) as usize, bottom.clamp(0.0, last) as usize + 1);
     first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)
 }
 
-/// The frame's code values, on the scale 0..=255 whatever its depth, at the reference's pixels `columns` x `rows`, by
-/// rows into `out`.
+/// Resamples a frame at the reference's pixels `columns` x `rows`, by rows into `out`.
 ///
-/// A pixel whose place lies outside the rectangle of the frame's pixel centres is [`OUTSIDE`] in all channels.
+/// Values are 0..=255 for any bit depth. A pixel outside the rectangle of the frame's pixel centres is [`OUTSIDE`] in
+/// all channels.
 ///
 /// # Panics
-/// When `out` does not hold `columns.len() * rows.len()` pixels, or `window` not the [`rows_under`] them.
+/// If `out` does not have `columns.len() * rows.len()` pixels, or `window` lacks some of the [`rows_under`] them.
 pub fn resample_rows(
     window: &Window,
     transform: &Transform,

@@ -1,8 +1,9 @@
 //! Nearest-neighbour access to the aligned frames.
 //!
-//! In: a bracket and its alignment. Out: of each aligned frame the codes of some rows, and the index of the reference's
-//! pixels in them. Cost: a matrix product for each pixel asked for. For uses that tolerate half a pixel: flat places,
-//! and counts over many pixels; for others see [`resampling`](crate::align::resampling).
+//! In: a bracket and its alignment. Out: the pixel values of some rows of each aligned frame, and the index of the
+//! reference's pixels in them. Cost: a matrix product for each requested pixel. For uses that tolerate an error of half
+//! a pixel, such as uniform areas or statistics of many pixels; otherwise see
+//! [`resampling`](crate::align::resampling).
 
 use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;
@@ -12,34 +13,32 @@ use crate::error::Result;
 use nalgebra::Matrix3;
 use std::ops::Range;
 
-/// A frame that was placed.
+/// An aligned frame.
 pub struct Placed<'a> {
     /// The frame.
     pub frame: &'a Frame,
-    /// Its index among the bracket's.
+    /// Its index in the bracket.
     pub index: usize,
     transform: Transform,
-    /// Reference pixel -> frame pixel; none where it is the same.
+    /// Reference pixel -> frame pixel; none for the identity.
     matrix: Option<Matrix3<f64>>,
 }
 
-/// The frames of `bracket` that take part.
+/// The aligned frames of `bracket`.
 pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
     let matrix = |frame: &Frame, transform: Transform| match transform {
         Transform::Identity => None,
         transform => Some(transform.matrix(frame.width(), frame.height())),
     };
-    let placed = alignment.placed(bracket);
-    placed
-        .map(|(index, frame, transform)| Placed { frame, index, transform, matrix: matrix(frame, transform) })
-        .collect()
+    let with_matrix = |(index, frame, transform)| Placed { frame, index, transform, matrix: matrix(frame, transform) };
+    alignment.placed(bracket).map(with_matrix).collect()
 }
 
 impl Placed<'_> {
-    /// What is needed of it for the reference's `columns` and `rows`.
+    /// The rows of the frame under the reference's `columns` and `rows`.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if a frame on disk cannot be read.
     pub fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
         let size = (self.frame.width(), self.frame.height());
         let window = self.frame.window(rows_under(&self.transform, size, columns, rows))?;
@@ -49,14 +48,16 @@ impl Placed<'_> {
 
 /// Some rows of a frame.
 pub struct Strip<'a> {
-    /// Their codes.
+    /// Their pixel values.
     pub window: Window<'a>,
     matrix: Option<Matrix3<f64>>,
 }
 
 impl Strip<'_> {
-    /// Where in the window's codes the square of `side` pixels begins that lies on that whose top-left pixel is (x, y)
-    /// of the reference; none where the frame does not have all of it.
+    /// Index of the first of the window's values in the square that corresponds to a square of the reference.
+    ///
+    /// The reference's square has `side` x `side` pixels, the top-left one at (x, y). None if the frame does not contain
+    /// all of it.
     pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
         let (width, height) = (self.window.width(), self.window.height());
         let (x, y) = match &self.matrix {

@@ -1,3 +1,5 @@
+//! Tests of the Lanczos resampling against its definition.
+
 use super::*;
 use crate::align::resampling::lanczos::lanczos3;
 use crate::align::resampling::tile::Source;
@@ -21,7 +23,7 @@ fn whole(frame: &Frame, transform: &Transform) -> Vec<[f32; 3]> {
     out
 }
 
-/// The paper's double sum, pixel by pixel, without tables.
+/// The double sum of the definition, without tables.
 fn textbook(frame: &Frame, u: f64, v: f64, channel: usize) -> f64 {
     let all = frame.whole().unwrap();
     let Codes::Sixteen(codes) = all.codes() else { unreachable!() };
@@ -50,15 +52,13 @@ fn agrees_with_the_textbook_sum() {
             continue;
         }
         for c in 0..3 {
-            // The phase is rounded by at most 1/2048 px on each axis; the kernel's slope times the picture's is under
-            // 150 codes/px.
+            // The phase is rounded by at most 1/2048 px along each axis; the slope of the image is below 150 values/px.
             assert!((f64::from(pixel[c]) - textbook(&f, u, v, c)).abs() < 2.0 * 150.0 / 2048.0);
         }
     }
 }
 
-/// The sum of one pixel by itself takes the same steps in the same order: what tiles, windows and shared sums do must
-/// not show.
+/// Tiles, windows and shared sums must not change the result: a single pixel is summed in the same order.
 #[test]
 fn tiles_give_the_same_bits_as_pixels_by_themselves() {
     let f = frame(300, 90, |x, y| 128.0 + 127.0 * (1.3 * x).sin() * (0.9 * y + 0.1 * x).cos());
@@ -115,8 +115,7 @@ fn eight_and_sixteen_bit_frames_agree() {
     }
 }
 
-/// A window of no more than the rows said to be read gives what the whole frame does: else the slices would be out of
-/// bounds.
+/// A window of the rows under a strip gives the same result as the whole frame, without access out of bounds.
 #[test]
 fn the_rows_under_a_strip_are_enough() {
     let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());

@@ -1,47 +1,49 @@
 //! Lanczos resampling of rows, tile by tile.
 //!
-//! In: the code values of some rows of a frame, and the matrix of a transform. Out: code values as floats on the
-//! reference's grid. Cost: see [`resampling`](crate::align::resampling).
+//! In: the pixel values of some rows of a frame, and a transform. Out: pixel values as floats on the reference's grid.
+//! Cost: see [`resampling`](crate::align::resampling).
 //!
-//! Columns are summed first, then rows. The part of the frame under a tile is converted to floats once, the border
-//! repeated beyond it; neighbouring pixels that lie between the same rows at the same phase share the sums of their
+//! The kernel is applied to columns first, then to rows. The part of the frame under a tile is converted to floats once,
+//! with the border repeated. Neighbouring pixels between the same rows at the same phase share the sums of their
 //! columns.
 
 use crate::align::resampling::OUTSIDE;
-use crate::align::resampling::lanczos::{BEFORE, LANCZOS3, TAPS, place};
+use crate::align::resampling::lanczos::{BEFORE, TAPS, WEIGHTS, taps_at};
 use crate::align::transform::{Transform, map};
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use std::cell::RefCell;
 use std::ops::Range;
 
-/// Columns and rows of a tile, at most: what it needs stays in the nearer caches.
+/// Largest number of columns and rows of a tile: its data fits into the inner caches.
 const TILE: (usize, usize) = (136, 36);
 
-/// Columns and rows that a tile may see of the frame. Warps that make it smaller by more than a fourth, or turn it by
-/// more than some 20 degrees, go pixel by pixel.
+/// Largest number of columns and rows of the frame under a tile. Transforms that scale by more than about 4/3 or rotate
+/// by more than about 20 degrees are computed pixel by pixel.
 const WINDOW: (usize, usize) = (192, 96);
 
-/// Values that are summed at once.
+/// Values that are summed together.
 const LANES: usize = 8;
 
-/// Values from one row of the window to the next: whole vectors can be read from any of its pixels on.
+/// Distance of the window's rows, in values: whole vectors can be read at every pixel.
 const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
 
-/// Sums down the columns that one pixel needs, in whole vectors.
+/// Column sums needed by one pixel, rounded up to whole vectors.
 const SUMS: usize = (3 * TAPS).next_multiple_of(LANES);
 
-/// The code values of a frame, and what takes them to 0..=255.
+/// The pixel values of a frame, and their scale.
 pub(super) struct Source<'a, T> {
     pub(super) codes: &'a [T],
-    /// The row that the codes begin with.
+    /// The first row of `codes`.
     pub(super) first: usize,
-    /// Of the whole frame.
+    /// Size of the whole frame.
     pub(super) size: (usize, usize),
+    /// Factor from pixel values to 0..=255.
     pub(super) scale: f32,
 }
 
 impl<T: Copy + Into<f32>> Source<'_, T> {
+    /// See [`resample_rows`](crate::align::resampling::resample_rows).
     pub(super) fn resample(
         &self,
         transform: &Transform,
@@ -83,18 +85,18 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         &self.codes[from..from + 3 * self.size.0]
     }
 
-    /// The value at (u, v), which lies within the rectangle of pixel centres. The outermost pixel stands for those
-    /// beyond it.
+    /// The value at (u, v), which must be within the rectangle of pixel centres; the border is repeated.
     #[inline(always)]
     pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
-        let ((column, wx), (row, wy)) = (LANCZOS3.place(u), LANCZOS3.place(v));
-        let clamp = |i: usize, size: usize| i.saturating_sub(BEFORE).min(size - 1);
+        let most = f64::from(i32::MAX);
+        let ((left, across), (top, down)) = (taps_at(u, most), taps_at(v, most));
+        let clamp = |i: i32, tap: usize, size: usize| (i + tap as i32).clamp(0, size as i32 - 1) as usize;
         let mut value = [0.0f32; 3];
-        for (i, wx) in wx.iter().enumerate() {
-            let x = clamp(column + i, self.size.0);
+        for (i, wx) in WEIGHTS[across as usize].iter().enumerate() {
+            let x = clamp(left, i, self.size.0);
             let mut sum = [0.0f32; 3];
-            for (j, wy) in wy.iter().enumerate() {
-                let row = self.row(clamp(row + j, self.size.1));
+            for (j, wy) in WEIGHTS[down as usize].iter().enumerate() {
+                let row = self.row(clamp(top, j, self.size.1));
                 for c in 0..3 {
                     sum[c] += wy * row[3 * x + c].into();
                 }
@@ -107,14 +109,14 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
     }
 }
 
-/// `range` in as few parts of at most `most` as there can be, nearly equal.
+/// Splits `range` into the least number of nearly equal parts of at most `most`.
 fn parts(range: Range<usize>, most: usize) -> impl Iterator<Item = Range<usize>> {
     let (start, length) = (range.start, range.len());
     let count = length.div_ceil(most);
     (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
 }
 
-/// A row of a frame that did not move.
+/// A row of a frame that needs no resampling.
 struct Copied<'a, T> {
     codes: &'a [T],
     scale: f32,
@@ -136,25 +138,27 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::default());
 }
 
-/// What a tile is worked out in.
+/// Buffers for the computation of a tile.
 struct Scratch {
-    /// The frame's values under the tile, as floats.
+    /// The values of the frame under the tile.
     window: Vec<f32>,
-    /// The sums down the columns of a row of the tile.
+    /// The column sums of a row of the tile.
     sums: Vec<f32>,
     values: Box<[[f32; 4]; TILE.0]>,
     positions: Box<SamplePositions>,
 }
 
-/// Where the pixels of a row of the tile lie.
+/// Positions of a row of the tile in the window.
 struct SamplePositions {
-    /// The first of the window's columns under the kernel, and the phase.
+    /// The first of the window's columns under the kernel.
     left: [u32; TILE.0],
+    /// The phase between columns.
     across: [u32; TILE.0],
-    /// The first of the window's rows, times 2^16, and the phase.
+    /// The first of the window's rows under the kernel, times 2^16, plus the phase between rows.
     down: [u32; TILE.0],
+    /// 1 if the position is inside the frame, otherwise 0.
     is_inside: [u32; TILE.0],
-    /// Where the sums of a pixel's columns begin.
+    /// Index of a pixel's first column sum.
     sums: [u32; TILE.0],
 }
 
@@ -170,14 +174,15 @@ impl Default for Scratch {
     }
 }
 
-/// A tile of the reference, whose pixels `h` takes into the frame.
+/// A tile of the reference; `h` maps its pixels into the frame.
 struct Tile<'a, 'b, T> {
     source: &'a Source<'b, T>,
     h: &'a Matrix3<f64>,
     columns: Range<usize>,
     rows: Range<usize>,
-    /// From the tile's first pixel on, and how many pixels there are from one row to the next.
+    /// The output, beginning at the tile's first pixel.
     out: &'a mut [[f32; 3]],
+    /// Distance of the output's rows, in pixels.
     stride: usize,
     scratch: &'a mut Scratch,
 }
@@ -187,51 +192,48 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Scratch { window, sums, values, positions } = self.scratch;
         let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
-        let footprint = match footprint(self.h, &self.columns, &self.rows, last) {
-            Footprint::Outside => {
-                let lines = self.out.chunks_mut(self.stride).take(self.rows.len());
-                lines.for_each(|line| line[..self.columns.len()].fill([OUTSIDE; 3]));
-                return;
-            }
-            Footprint::Window(across, down) => Some((across, down)),
-            Footprint::TooLarge => None,
-        };
-        if let Some((across, down)) = &footprint {
-            fill(self.source, across, down, window);
-        }
-        let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
-        for (y, line) in self.rows.zip(self.out.chunks_mut(self.stride)) {
-            let line = &mut line[..self.columns.len()];
-            let Some((across, down)) = &footprint else {
-                for (x, pixel) in self.columns.clone().zip(line) {
-                    let (u, v) = map(self.h, x as f64, y as f64);
-                    // Written so that a place that is no number is outside too.
-                    let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
-                    *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+        let footprint = footprint(self.h, &self.columns, &self.rows, last);
+        let width = self.columns.len();
+        let lines = self.rows.zip(self.out.chunks_mut(self.stride).map(|line| &mut line[..width]));
+        match footprint {
+            Footprint::Outside => lines.for_each(|(_, line)| line.fill([OUTSIDE; 3])),
+            Footprint::Window(across, down) => {
+                let Scratch { window, sums, values, positions } = self.scratch;
+                fill(self.source, &across, &down, window);
+                let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
+                for (y, line) in lines {
+                    let (first, origin) = ((self.columns.start, y), (across.start, down.start));
+                    if is_affine {
+                        positions.find::<true>(self.h, first, origin, last);
+                    } else {
+                        positions.find::<false>(self.h, first, origin, last);
+                    }
+                    positions.sum(window, sums, width);
+                    positions.across(sums, self.source.scale, values, line);
                 }
-                continue;
-            };
-            let (first, origin) = ((self.columns.start, y), (across.start, down.start));
-            if is_affine {
-                positions.find::<true>(self.h, first, origin, last);
-            } else {
-                positions.find::<false>(self.h, first, origin, last);
             }
-            positions.sum(window, sums, line.len());
-            positions.across(sums, self.source.scale, values, line);
+            Footprint::TooLarge => {
+                for (y, line) in lines {
+                    for (x, pixel) in self.columns.clone().zip(line) {
+                        let (u, v) = map(self.h, x as f64, y as f64);
+                        // False for NaN.
+                        let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
+                        *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+                    }
+                }
+            }
         }
     }
 }
 
-/// The part of the frame that is under a tile.
+/// The part of the frame under a tile.
 enum Footprint {
-    /// None of its pixels lies within.
+    /// The tile is outside the frame.
     Outside,
-    /// At most these columns and rows, some of them beyond the border.
+    /// These columns and rows, some of which may be beyond the border.
     Window(Range<i32>, Range<i32>),
-    /// More than a window, or unknown.
+    /// Larger than a window, or unknown.
     TooLarge,
 }
 
@@ -240,7 +242,7 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
     let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
     for x in [columns.start as f64, (columns.end - 1) as f64] {
         for y in [rows.start as f64, (rows.end - 1) as f64] {
-            // Where all corners lie before the horizon, all that is between them lies between their places.
+            // If all corners are on the same side of the horizon, the tile is within their bounding box.
             let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
             let (u, v) = map(h, x, y);
             if !(is_before && u.is_finite() && v.is_finite()) {
@@ -250,12 +252,12 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
             vs = (vs.0.min(v), vs.1.max(v));
         }
     }
-    // A pixel more than there should be, as places are rounded.
+    // One pixel more, for rounding.
     if us.1 < -1.0 || vs.1 < -1.0 || us.0 > last.0 + 1.0 || vs.0 > last.1 + 1.0 {
         return Footprint::Outside;
     }
     let range = |(least, most): (f64, f64), last: f64| {
-        // Of places outside the nearest inside is looked at, to be left out later.
+        // Positions outside are clamped here and marked later.
         let (first, end) = (least.clamp(0.0, last) as i32 - 1, most.clamp(0.0, last) as i32 + 2);
         first - BEFORE as i32..end + (TAPS - BEFORE - 1) as i32
     };
@@ -267,8 +269,7 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
     }
 }
 
-/// The frame's codes at columns `across` and rows `down`, as floats, into `window`; the outermost pixel stands for
-/// those beyond it.
+/// Copies the frame's values at columns `across` and rows `down` to `window`; the border is repeated.
 #[inline(always)]
 fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Range<i32>, window: &mut [f32]) {
     let (width, height) = (source.size.0 as i32, source.size.1 as i32);
@@ -288,7 +289,9 @@ fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Ran
 }
 
 impl SamplePositions {
-    /// Of the pixels from `first` on to the right; `origin` is the window's first pixel, `last` the frame's last.
+    /// Computes the positions of a row of pixels that begins at `first`.
+    ///
+    /// `origin` is the first pixel of the window, `last` the last pixel of the frame.
     #[inline(always)]
     fn find<const AFFINE: bool>(
         &mut self,
@@ -304,27 +307,27 @@ impl SamplePositions {
         for i in 0..TILE.0 {
             let x = f64::from(start + i as i32);
             let (mut u, mut v) = (a * x + b + c, d * x + e + f);
-            // Dividing by 1 changes nothing, and takes as long as all the rest.
+            // The divisor is 1 for affine transforms; the division would take as long as all the rest.
             if !AFFINE {
                 let w = p * x + q + r;
                 (u, v) = (u / w, v / w);
             }
             self.is_inside[i] =
                 u32::from(u >= 0.0) & u32::from(v >= 0.0) & u32::from(u <= last.0) & u32::from(v <= last.1);
-            let ((left, across), (top, down)) = (place(u, last.0), place(v, last.1));
+            let ((left, across), (top, down)) = (taps_at(u, last.0), taps_at(v, last.1));
             self.left[i] = (left - origin.0) as u32;
             self.across[i] = across as u32;
             self.down[i] = ((top - origin.1) << 16 | down) as u32;
         }
     }
 
-    /// The sums down the columns for each of the first `count` pixels, from its left column on.
+    /// Computes the column sums of the first `count` pixels.
     #[inline(always)]
     fn sum(&mut self, window: &[f32], sums: &mut [f32], count: usize) {
         let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
         let (mut next, mut free) = (0, 0);
         while next < count {
-            // Of neighbours between the same rows at the same phase, and not far apart, the columns are summed once.
+            // Nearby neighbours between the same rows at the same phase share column sums.
             let (row, first) = (down[next], left[next]);
             let mut at = first;
             while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {
@@ -333,7 +336,7 @@ impl SamplePositions {
                 next += 1;
             }
             let end = free + (3 * (at - first) as usize + SUMS).next_multiple_of(LANES);
-            let weights = &LANCZOS3.weights[(row & 0xFFFF) as usize];
+            let weights = &WEIGHTS[(row & 0xFFFF) as usize];
             let mut from = (row >> 16) as usize * STRIDE + 3 * first as usize;
             for sums in sums[free..end].as_chunks_mut::<LANES>().0 {
                 let codes = &window[from..from + (TAPS - 1) * STRIDE + LANES];
@@ -350,16 +353,16 @@ impl SamplePositions {
         }
     }
 
-    /// The sums across the columns of each pixel of `line`, times `scale`.
+    /// Sums the columns of each pixel of `line`, multiplied by `scale`.
     #[inline(always)]
     fn across(&self, sums: &[f32], scale: f32, values: &mut [[f32; 4]; TILE.0], line: &mut [[f32; 3]]) {
         let count = line.len();
         let (begins, across) = (&self.sums[..count], &self.across[..count]);
         for (i, value) in values[..count].iter_mut().enumerate() {
-            // Four at a time, as vectors are; the fourth is of the next column, and left out below.
+            // Four values fill a vector; the fourth belongs to the next column and is ignored.
             let sums = &sums[begins[i] as usize..begins[i] as usize + 3 * TAPS + 1];
             let mut sum = [0.0f32; 4];
-            for (j, w) in LANCZOS3.weights[across[i] as usize].iter().enumerate() {
+            for (j, w) in WEIGHTS[across[i] as usize].iter().enumerate() {
                 for c in 0..4 {
                     sum[c] += w * sums[3 * j + c];
                 }

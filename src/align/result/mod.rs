@@ -1,7 +1,7 @@
 //! The result of the alignment: the placement of each frame, the features found for it, and the area that all frames
 //! cover.
 //!
-//! In: transforms. Out: [`Placement`] and [`Alignment`]; the common [`Rect`] and the warnings that follow from them.
+//! In: transforms. Out: [`Placement`] and [`Alignment`], the common [`Rect`], and warnings.
 //! Cost: negligible.
 
 mod overlap;
@@ -14,21 +14,21 @@ pub use placement::{Estimate, Placement, RejectedBy, Status};
 use crate::align::transform::Transform;
 use crate::bracket::{Bracket, Frame};
 
-/// Keypoints found in a frame.
+/// Numbers of keypoints found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct KeypointCounts {
-    /// In the plain picture.
+    /// In the grey picture.
     pub plain: usize,
     /// In its median threshold bitmap.
     pub mtb: usize,
-    /// In both together, points found twice counted once.
+    /// In both; points found in both are counted once.
     pub merged: usize,
 }
 
-/// What features found for a frame.
+/// Numbers of keypoints and inliers of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FeatureCounts {
-    /// Matches that the robust estimator agreed on; none where features were not needed.
+    /// Inliers of the robust estimator; none where features were not needed.
     pub inliers: Option<usize>,
     /// Keypoints in this frame; none where features were not needed.
     pub keypoints: Option<KeypointCounts>,
@@ -39,14 +39,14 @@ pub struct FeatureCounts {
 pub struct Alignment {
     /// One placement per frame, in the order of [`Bracket::frames`].
     pub placements: Vec<Placement>,
-    /// What features found for each frame, in the same order: evidence alone.
+    /// Keypoints and inliers of each frame, in the same order; for information only.
     pub features: Vec<FeatureCounts>,
     /// The largest rectangle of the reference that all placed frames cover.
     pub overlap: Rect,
 }
 
 impl Alignment {
-    /// Every frame of `bracket` unmoved, without looking at it: for a rigid tripod.
+    /// An alignment with every frame of `bracket` unmoved, for a rigid tripod. The pixels are not examined.
     pub fn unmoved(bracket: &Bracket) -> Self {
         let (placements, features) = unmoved_but(bracket, &vec![None; bracket.frames().len()]);
         Alignment { placements, features, overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() } }
@@ -59,14 +59,13 @@ impl Alignment {
     }
 }
 
-/// A frame's placement, and what features found for it.
+/// A frame's placement, and its numbers of keypoints and inliers.
 pub(crate) type Found = (Placement, FeatureCounts);
 
 /// Every frame of `bracket` unmoved, except those whose placement is `given`.
 pub(crate) fn unmoved_but(bracket: &Bracket, given: &[Option<Found>]) -> (Vec<Placement>, Vec<FeatureCounts>) {
-    let unmoved = |i| match i == bracket.reference_index() {
-        true => Placement::Reference,
-        false => Placement::by_user(Transform::Identity),
+    let unmoved = |i| {
+        if i == bracket.reference_index() { Placement::Reference } else { Placement::by_user(Transform::Identity) }
     };
     let all = given.iter().enumerate();
     all.map(|(i, given)| given.clone().unwrap_or_else(|| (unmoved(i), FeatureCounts::default()))).unzip()

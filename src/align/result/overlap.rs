@@ -2,10 +2,11 @@
 //!
 //! In: transforms. Out: a [`Rect`], or none. Cost: some thousand evaluations of the frames' edges.
 //!
-//! A frame covers the half-planes on the inner side of its four edges, which a homography keeps straight. For given
-//! left and right edges the best upper and lower edges follow directly; the logarithm of the area is concave in the
-//! other two, so that ternary search finds its only maximum. Where the height is negative it is itself concave, which
-//! leads the search back; vertical edges bound the search.
+//! A frame covers the intersection of the half-planes inside its four edges, which a homography keeps straight. For
+//! given left and right sides of the rectangle, the best upper and lower sides follow directly. The logarithm of the
+//! area is concave in the left and right sides, so that ternary search finds its only maximum. Where the height is
+//! negative, the height itself is used, which is concave too and leads the search back. Vertical edges bound the
+//! search.
 
 use crate::align::transform::Transform;
 use nalgebra::Vector3;
@@ -35,8 +36,8 @@ impl Rect {
     }
 }
 
-/// The largest rectangle of a `width` x `height` reference whose pixels all lie, by their centres, within all frames;
-/// none where the frames have no pixel in common.
+/// The largest rectangle of a `width` x `height` reference whose pixel centres are inside all frames; none where the
+/// frames have no pixel in common.
 pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is
@@ -65,7 +66,7 @@ pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> 
     (x0 <= x1 && y0 <= y1).then(|| Rect { x0: x0 as usize, y0: y0 as usize, x1: x1 as usize + 1, y1: y1 as usize + 1 })
 }
 
-/// A place that is whole but for rounding is whole.
+/// Tolerance for rounding errors of integer positions, in pixels.
 const WHOLE: f64 = 1e-6;
 
 fn inwards_up(v: f64) -> f64 {
@@ -107,7 +108,7 @@ fn vertical_span(sloping: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f6
     (y0, y1)
 }
 
-/// Where on `low..=high` a function with one top has it.
+/// The position of the maximum of a unimodal function on `low..=high`.
 fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     for _ in 0..60 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);

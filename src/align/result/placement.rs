@@ -1,19 +1,19 @@
-//! The placement of one frame: where it lies over the reference, or why it is not merged.
+//! The placement of one frame: its transform, or why it is not merged.
 //!
-//! In: what a method found, the user set, or a file of transforms holds. Out: [`Placement`]; its [`Status`] as reports
-//! and files name it. Cost: none.
+//! In: the transform of a method, of the user, or of a file of transforms. Out: [`Placement`], and its [`Status`] in
+//! reports and files. Cost: none.
 
 use crate::align::transform::{Model, Transform};
 
-/// Where a frame lies over the reference, or why it is not merged.
+/// The transform of a frame to the reference, or why it is not merged.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Placement {
     /// The frame that the others are aligned to.
     Reference,
-    /// Aligned by a transform; the identity where the frame was found not to have moved.
+    /// Aligned by a transform; the identity if the frame did not move.
     Placed(Estimate),
-    /// Too dark or too bright to be aligned: its transform is inferred from the other frames. It is merged only where
-    /// all of them clip, or are black. [`Estimate::error_px`] is a bound that 19 of 20 such transforms keep.
+    /// Too dark or too bright to be aligned: its transform is inferred from the other frames. The frame is merged only
+    /// where all others clip, or are black. [`Estimate::error_px`] is a bound that holds for 19 of 20 such transforms.
     Assumed(Estimate),
     /// Not merged.
     Rejected {
@@ -26,19 +26,19 @@ pub enum Placement {
     },
 }
 
-/// A transform, and how well it is known.
+/// A transform, with its error estimate and confidence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// Reference pixel -> frame pixel.
     pub transform: Transform,
-    /// The smallest model that explains the motion. A transform that was read from a file is a homography whatever its
+    /// The smallest model that explains the motion. A transform read from a file is stored as a homography whatever its
     /// model.
     pub model: Model,
     /// Estimate of the root mean square error of the transform over the picture, in pixels; none where it is unknown.
     pub error_px: Option<f64>,
-    /// Confidence, 0..1: under 0.5 is uncertain; 1 where the user has set the transform.
+    /// Confidence, 0..1: below 0.5 is uncertain; 1 if the user set the transform.
     pub confidence: f64,
-    /// Why the frame is taken to be unmoved without evidence, or what its transform is inferred from.
+    /// Why the frame is assumed to be unmoved, or what its transform is inferred from.
     pub reason: Option<String>,
 }
 
@@ -54,7 +54,7 @@ pub enum RejectedBy {
     Flash,
 }
 
-/// A [`Placement`] as reports and files name it.
+/// The kind of a [`Placement`] in reports and files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
@@ -68,11 +68,11 @@ pub enum Status {
     Assumed,
     /// Rejected by the alignment.
     Rejected,
-    /// Excluded by the user. Files of the versions 1 have all rejected frames by one name, and who did it by another
-    /// key ([`RejectedBy`]).
+    /// Excluded by the user. Files of version 1 use one name for all rejected frames, and another key for who rejected
+    /// them ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
     Excluded,
-    /// Excluded because the flash fired in it, unlike in the others; by the same name in files.
+    /// Excluded because the flash fired in this frame alone; the same name in files.
     #[serde(rename = "rejected", skip_deserializing)]
     Flash,
 }
@@ -90,13 +90,13 @@ impl Status {
 }
 
 impl Placement {
-    /// Placed by `transform`, as a user sets it: with confidence 1 and an unknown error.
+    /// A placement by a `transform` that the user set: with confidence 1 and an unknown error.
     pub fn by_user(transform: Transform) -> Self {
         let model = Model::of(&transform);
         Placement::Placed(Estimate { transform, model, error_px: None, confidence: 1.0, reason: None })
     }
 
-    /// Excluded by the user, or because of the flash.
+    /// A placement of a frame excluded by the user, or because of the flash.
     pub(crate) fn excluded(by: RejectedBy, reason: String) -> Self {
         Placement::Rejected { by, confidence: 1.0, reason: Some(reason) }
     }
@@ -128,7 +128,7 @@ impl Placement {
         }
     }
 
-    /// Confidence, 0..1: under 0.5 is uncertain; 1 for the reference.
+    /// Confidence, 0..1: below 0.5 is uncertain; 1 for the reference.
     pub fn confidence(&self) -> f64 {
         match self {
             Placement::Reference => 1.0,
@@ -138,7 +138,7 @@ impl Placement {
         }
     }
 
-    /// Why the frame is rejected, taken to be unmoved, or where its transform is from.
+    /// Why the frame is rejected or assumed to be unmoved, or what its transform is inferred from.
     pub fn reason(&self) -> Option<&str> {
         match self {
             Placement::Reference => None,
@@ -148,7 +148,7 @@ impl Placement {
         }
     }
 
-    /// As reports and files name it.
+    /// The kind of the placement in reports and files.
     pub fn status(&self) -> Status {
         match self {
             Placement::Reference => Status::Reference,

@@ -1,33 +1,32 @@
 //! Warnings about an alignment: rejected and uncertain frames, and a small overlap.
 //!
-//! In: a bracket and the placement of each frame. Out: [`Warning`]s; the largest rectangle that all aligned frames cover.
-//! Cost: that of the [overlap](overlap::largest).
+//! In: a bracket and the placement of each frame. Out: [`Warning`]s, and the largest rectangle that all aligned frames
+//! cover. Cost: that of the [overlap](overlap::largest).
 
 use crate::align::result::{Estimate, Placement, Rect, RejectedBy, overlap};
 use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 
-/// Confidence below which a frame has a warning.
-const DOUBT: f64 = 0.5;
-/// Share of the reference below which the overlap has a warning: most of the reference is lost. Two frames that lie as
-/// far apart as the bitmaps seek ([`MtbOptions::max_shift`](crate::align::bitmaps::MtbOptions::max_shift) each
-/// way along the long side) leave 0.7.
+/// Confidence below which a frame gets a warning.
+const LOW_CONFIDENCE: f64 = 0.5;
+/// Overlap, as a share of the reference, below which there is a warning. Two frames at the largest shifts searched
+/// ([`MtbOptions::max_shift`](crate::align::bitmaps::MtbOptions::max_shift) in opposite directions along the long
+/// side) leave 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// The warnings of single frames.
 pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warning> {
-    let mut warnings = Vec::new();
-    let unseen = placements.iter().find_map(|placement| match placement {
+    let unaligned = placements.iter().find_map(|placement| match placement {
         Placement::Placed(Estimate { transform: Transform::Identity, reason, .. }) => reason.clone(),
         _ => None,
     });
-    warnings
-        .extend(unseen.map(|reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason }));
+    let nothing = |reason| Warning::NothingToAlign { reference: bracket.reference().path().into(), reason };
+    let mut warnings: Vec<Warning> = unaligned.map(nothing).into_iter().collect();
     let is_still = placements.iter().filter_map(Placement::transform).all(|transform| transform == Transform::Identity);
     for (i, (frame, placement)) in bracket.frames().iter().zip(placements).enumerate() {
         let path = frame.path().to_path_buf();
-        // The user has set its transform.
+        // Merged in spite of the flash, because the user set its transform.
         if frame.excluded.is_some() && placement.transform().is_some() {
             warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
         }
@@ -45,7 +44,7 @@ pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warn
                 is_dark: i < bracket.reference_index(),
                 is_still,
             }),
-            Placement::Placed(Estimate { confidence, reason: None, .. }) if *confidence < DOUBT => {
+            Placement::Placed(Estimate { confidence, reason: None, .. }) if *confidence < LOW_CONFIDENCE => {
                 warnings.push(Warning::LowConfidence { path, confidence: *confidence });
             }
             Placement::Rejected { by: RejectedBy::User, .. } | Placement::Placed(_) | Placement::Reference => {}
@@ -62,7 +61,7 @@ pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Res
     let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
     let common = overlap::largest(&transforms, width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
-    // The frame that overlaps least by itself, and by how much; of equals the first.
+    // The frame with the smallest overlap with the reference, and that overlap; the first of several.
     let least = || {
         let shares =
             placed.iter().map(|&(i, transform)| (i, overlap::largest(&[transform], width, height).map_or(0.0, share)));

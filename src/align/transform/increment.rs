@@ -1,25 +1,27 @@
-//! Small changes of a transform as parameters: what refinement solves for.
+//! Parameters of small changes of a transform, for which the refinement solves.
 //!
 //! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given
-//! parameters, the prior of a hand-held camera, and what a covariance of the parameters means in pixels. Cost:
+//! parameters, the prior of a hand-held camera, and the error in pixels of a covariance of the parameters. Cost:
 //! negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of
 //! warps.
 
-use crate::align::transform::{Model, Transform, centre};
+use crate::align::transform::{GRID, Model, Transform, centre, grid};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
-/// Prior of a hand-held camera beside its rotation about the optical axis, as standard deviations: change of scale by
-/// some thousandths; almost no stretch or shear; rotation aside by some tenths of a degree, which is perspective. A
-/// frame with detail everywhere determines these a hundred times as precisely; with detail in a strip only, the prior
-/// keeps the rest near.
+/// Prior standard deviation of the change of scale.
+///
+/// The prior describes a hand-held camera: scale changes by some thousandths, there is almost no stretch or shear, and
+/// rotations out of the picture plane of some tenths of a degree cause perspective. A frame with detail everywhere
+/// determines these a hundred times as precisely. With detail in a strip only, the prior limits the other parameters.
 const SCALE: f64 = 0.0025;
-/// See [`SCALE`].
+/// Prior standard deviation of stretch and shear; see [`SCALE`].
 const STRETCH: f64 = 0.001;
-/// See [`SCALE`].
+/// Prior standard deviation of the perspective; see [`SCALE`].
 const PERSPECTIVE: f64 = 0.005;
 
-/// The small motions of a model, in coordinates about the centre in units of half the diagonal, so that all parameters
-/// are alike in size.
+/// The small motions of a model.
+///
+/// Coordinates are relative to the centre, in units of half the diagonal, so that all parameters are of similar size.
 pub(crate) struct Increment {
     model: Model,
     centre: (f64, f64),
@@ -27,7 +29,7 @@ pub(crate) struct Increment {
     size: (usize, usize),
 }
 
-/// A number of a motion, its prior standard deviation, and how it changes with the parameters of a step.
+/// A property of a transform with a prior: its value, prior standard deviation, and derivatives by the parameters.
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Increment {
@@ -37,7 +39,7 @@ impl Increment {
         Increment { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
-    /// How many parameters the model has.
+    /// Number of parameters of the model.
     pub(crate) fn parameters(&self) -> usize {
         match self.model {
             Model::Unmoved => 0,
@@ -47,7 +49,7 @@ impl Increment {
         }
     }
 
-    /// d(place) / d(parameters) at (x, y), in pixels.
+    /// d(position) / d(parameters) at (x, y), in pixels.
     pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
@@ -77,16 +79,17 @@ impl Increment {
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
-    /// Adds to A and b the prior of how far `h`, in pixels, is from rigid (see [`SCALE`]). A and b are those of noise
-    /// that is independent from point to point; where it leaves `factor` times as much, they count `factor`^2 times too
-    /// much, and so must this.
+    /// Adds to A and b the prior of the deviation of `h`, in pixels, from rigid (see [`SCALE`]).
+    ///
+    /// A and b assume noise that is independent between points. If its actual effect is `factor` times as large, they
+    /// are `factor`^2 times too large, and the prior is scaled in the same way.
     pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {
             return;
         }
         let n = self.to_units() * h * self.to_pixels();
         let n = n / n[(2, 2)];
-        // The derivative at the centre, turned back: S = R(-phi) A, near the identity, and the perspective as it is.
+        // The derivative at the centre without its rotation, S = R(-phi) A, is near the identity.
         let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
         let (xx, xy, yx, yy) = (derivative(0, 0), derivative(0, 1), derivative(1, 0), derivative(1, 1));
         let (sum, turn) = (xx + yy, yx - xy);
@@ -115,25 +118,25 @@ impl Increment {
         }
     }
 
-    /// From pixels to the coordinates of [`Increment`].
+    /// Maps pixels to the coordinates of [`Increment`].
     fn to_units(&self) -> Matrix3<f64> {
         let (cx, cy) = self.centre;
         Matrix3::new(1.0 / self.unit, 0.0, -cx / self.unit, 0.0, 1.0 / self.unit, -cy / self.unit, 0.0, 0.0, 1.0)
     }
 
-    /// Back to pixels.
+    /// Maps the coordinates of [`Increment`] to pixels.
     fn to_pixels(&self) -> Matrix3<f64> {
         let (cx, cy) = self.centre;
         Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0)
     }
 
-    /// -A^-1 b; none where A is singular.
+    /// Solves A d = -b; none where A is singular.
     pub(crate) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
         let step = -a.cholesky()?.solve(&b);
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    /// The motion of the reference's pixels that the parameters `d` stand for.
+    /// The motion of the reference's pixels with the parameters `d`, as a matrix on pixels.
     pub(crate) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),
@@ -147,15 +150,14 @@ impl Increment {
         self.to_pixels() * m * self.to_units()
     }
 
-    /// The farthest that the motion `d` moves a corner, in pixels.
+    /// The largest displacement of a corner by the motion `d`, in pixels.
     pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
         Transform::Homography(self.matrix(d)).corner_distance(&Transform::Identity, self.size.0, self.size.1)
     }
 
-    /// The root mean square over the picture of how far the motion `d` moves it, in pixels.
+    /// The root mean square displacement over the picture by the motion `d`, in pixels.
     pub(crate) fn mean_move(&self, d: &DVector<f64>) -> f64 {
-        let sum: f64 = self
-            .grid()
+        let sum: f64 = grid(self.size.0, self.size.1)
             .map(|(x, y)| {
                 let j = self.jacobian(x, y);
                 let along = |k: usize| d.iter().zip(&j).map(|(d, j)| d * j[k]).sum::<f64>();
@@ -165,12 +167,12 @@ impl Increment {
         (sum / (GRID * GRID) as f64).sqrt()
     }
 
-    /// The root mean square over the picture of the error that A^-1, the covariance of the parameters, stands for, in
-    /// pixels.
+    /// The root mean square error over the picture for the covariance A^-1 of the parameters, in pixels; none where A
+    /// is singular.
     pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
         let mut sum = 0.0;
-        for (x, y) in self.grid() {
+        for (x, y) in grid(self.size.0, self.size.1) {
             let j = self.jacobian(x, y);
             let mut local = Matrix2::zeros();
             for p in 0..self.parameters() {
@@ -182,13 +184,4 @@ impl Increment {
         }
         Some((sum / (GRID * GRID) as f64).sqrt())
     }
-
-    /// Places all over the picture.
-    fn grid(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
-        let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
-        (0..GRID * GRID).map(move |i| (place(i % GRID, self.size.0), place(i / GRID, self.size.1)))
-    }
 }
-
-/// Places along each axis at which what a motion does to the picture is looked at.
-const GRID: usize = 9;

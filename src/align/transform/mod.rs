@@ -1,7 +1,7 @@
 //! Transforms: reference pixel -> frame pixel.
 //!
-//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, shift, rotation, distance to
-//! another transform, and the same between the levels of a pyramid. Cost: negligible. Source: Hartley & Zisserman,
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, its shift, rotation and distance
+//! to another transform, and its matrix on the levels of a pyramid. Cost: negligible. Source: Hartley & Zisserman,
 //! Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 mod increment;
@@ -14,13 +14,12 @@ pub(crate) use model::{restrict, to_transform};
 use nalgebra::Matrix3;
 use std::f64::consts::PI;
 
-/// Where the reference's pixels lie in a frame: maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at
-/// the centre of the top-left one.
+/// Maps **reference pixel -> frame pixel**, both in pixels with (0, 0) at the centre of the top-left pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Transform {
     /// The frame did not move.
     Identity,
-    /// x' = c + R(angle) (x - c) + d, c the picture's centre; a shift where the angle is 0.
+    /// x' = c + R(angle) (x - c) + d with the picture's centre c; a shift if the angle is 0.
     Rigid {
         /// Shift to the right, in pixels.
         dx: f64,
@@ -29,12 +28,12 @@ pub enum Transform {
         /// Rotation from +x towards +y (clockwise on the screen), in radians.
         angle: f64,
     },
-    /// x' ~ H x, with the lower right number 1.
+    /// x' ~ H x; the lower right element of H is 1.
     Homography(Matrix3<f64>),
 }
 
 impl Transform {
-    /// The transform as a matrix on homogeneous pixel coordinates, for pictures of this size; its lower right number is 1.
+    /// The matrix on homogeneous pixel coordinates, for pictures of this size; its lower right element is 1.
     pub fn matrix(&self, width: usize, height: usize) -> Matrix3<f64> {
         match *self {
             Transform::Identity => Matrix3::identity(),
@@ -47,14 +46,14 @@ impl Transform {
         }
     }
 
-    /// How far the picture's centre moves, in pixels.
+    /// The displacement of the picture's centre, in pixels.
     pub fn shift_px(&self, width: usize, height: usize) -> (f64, f64) {
         let (cx, cy) = centre(width, height);
         let (x, y) = map(&self.matrix(width, height), cx, cy);
         (x - cx, y - cy)
     }
 
-    /// How far the picture turns at its centre, in degrees, from +x towards +y.
+    /// The rotation at the picture's centre, in degrees from +x towards +y.
     pub fn rotation_deg(&self, width: usize, height: usize) -> f64 {
         let h = self.matrix(width, height);
         let (cx, cy) = centre(width, height);
@@ -62,7 +61,7 @@ impl Transform {
         libm::atan2(y1 - y0, x1 - x0) * 180.0 / PI
     }
 
-    /// The largest distance between where this transform and another put a corner of the picture, in pixels.
+    /// The largest distance between the positions of a corner under this transform and another, in pixels.
     pub fn corner_distance(&self, other: &Transform, width: usize, height: usize) -> f64 {
         let (a, b) = (self.matrix(width, height), other.matrix(width, height));
         corners(width, height)
@@ -75,7 +74,7 @@ impl Transform {
     }
 }
 
-/// The centre of a picture, between its pixels where a side is even.
+/// The centre of a picture; between two pixels along an even side.
 pub fn centre(width: usize, height: usize) -> (f64, f64) {
     ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0)
 }
@@ -86,14 +85,20 @@ pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
     [(0.0, 0.0), (r, 0.0), (r, b), (0.0, b)]
 }
 
-/// The root mean square distance over the picture of where two transforms put a pixel.
+/// Points along each axis over which errors and distances are averaged.
+const GRID: usize = 9;
+
+/// A grid of `GRID` x `GRID` points over the whole picture, row by row.
+fn grid(width: usize, height: usize) -> impl Iterator<Item = (f64, f64)> {
+    let at = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
+    (0..GRID * GRID).map(move |i| (at(i % GRID, width), at(i / GRID, height)))
+}
+
+/// The root mean square distance between the positions of a pixel under two transforms, over the picture, in pixels.
 pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize) -> f64 {
-    const GRID: usize = 9;
     let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
-    let place = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
-    let sum: f64 = (0..GRID * GRID)
-        .map(|i| {
-            let (x, y) = (place(i % GRID, width), place(i / GRID, height));
+    let sum: f64 = grid(width, height)
+        .map(|(x, y)| {
             let ((ax, ay), (bx, by)) = (map(&ha, x, y), map(&hb, x, y));
             (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
         })
@@ -101,32 +106,32 @@ pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize
     (sum / (GRID * GRID) as f64).sqrt()
 }
 
-/// Pixel of the full size from pixel of level `level`: halving puts the centre of a pixel between two.
+/// Maps a pixel of `level` to a pixel of the full size. Halving puts the centre of a pixel between two.
 pub fn level_to_full(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (scale - 1.0) / 2.0;
     Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
 }
 
-/// Pixel of level `level` from pixel of the full size.
+/// Maps a pixel of the full size to a pixel of `level`.
 fn full_to_level(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (1.0 - scale) / (2.0 * scale);
     Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)
 }
 
-/// `h`, between pixels of the full size, as a matrix between pixels of level `level`.
+/// Converts `h` from pixels of the full size to pixels of `level`.
 pub fn on_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
     full_to_level(level) * h * level_to_full(level)
 }
 
-/// `h`, between pixels of level `level`, as a matrix between pixels of the full size; its lower right number is 1.
+/// Converts `h` from pixels of `level` to pixels of the full size; the lower right element of the result is 1.
 pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
     let whole = level_to_full(level) * h * full_to_level(level);
     whole / whole[(2, 2)]
 }
 
-/// x' ~ H x. Not finite on the line that H sends to infinity.
+/// Applies x' ~ H x to the point (x, y). Not finite on the line that H maps to infinity.
 #[inline(always)]
 pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];

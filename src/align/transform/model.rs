@@ -1,28 +1,28 @@
 //! The models of a transform: unmoved, shift, rigid, homography; and the nearest transform of a model.
 //!
-//! In: a transform, or its matrix. Out: the smallest [`Model`] that it is of; the nearest one of a smaller model. Cost:
+//! In: a transform, or its matrix. Out: its [`Model`]; the nearest transform of a smaller model. Cost:
 //! negligible. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of
 //! transformations).
 
 use super::Transform;
 use nalgebra::Matrix3;
 
-/// What a transform is allowed to do, from the least to the most.
+/// The model of a transform, from the fewest to the most parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
-    /// Nothing.
+    /// The identity.
     Unmoved,
     /// Shift: two parameters.
     Shift,
     /// Shift and rotation about the centre: three parameters.
     Rigid,
-    /// Any view of a plane, or any turn of the camera: eight parameters.
+    /// Any view of a plane, or any rotation of the camera: eight parameters.
     Homography,
 }
 
 impl Model {
-    /// The model that `transform` is of.
+    /// The smallest model of the kind of `transform`.
     pub fn of(transform: &Transform) -> Self {
         match *transform {
             Transform::Identity => Model::Unmoved,
@@ -33,7 +33,7 @@ impl Model {
     }
 }
 
-/// The transform of `model` nearest to `h`, in the sense that it does the same to the centre and to its surroundings.
+/// The matrix of the transform of `model` nearest to `h`: the one with the same shift and rotation at the centre.
 pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
     let transform = Transform::Homography(*h);
     let (dx, dy) = transform.shift_px(width, height);
@@ -48,6 +48,7 @@ pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usi
     }
 }
 
+/// The transform of `model` with the same shift and rotation at the centre as `h`.
 pub(crate) fn to_transform(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Transform {
     let whole = Transform::Homography(h / h[(2, 2)]);
     let (dx, dy) = whole.shift_px(width, height);

@@ -1,7 +1,7 @@
-//! The colour profile that a photograph carries.
+//! ICC profiles embedded in photographs.
 //!
 //! In: the bytes of an ICC profile. Out: its description, and the chromaticities of its red, green, blue and white where it is an RGB
-//! profile of matrix and curves: read once, kept with it. Cost: nothing to speak of.
+//! profile with a matrix and curves. Cost: negligible.
 //! Source: ICC.1:2022, section 8.3 and annexes E and F: colorants are adapted to D50, by the `chad` tag or else by Bradford's transform.
 
 use super::{BRADFORD, Curve, D50, D65, Primaries};
@@ -10,40 +10,38 @@ use nalgebra::{Matrix3, Vector3};
 /// The D50 of the profile connection space (ICC.1, 7.2.16).
 const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
 
-/// An ICC profile, kept as it was found.
+/// An ICC profile with its unmodified bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
     /// The profile's bytes.
     pub icc: Vec<u8>,
     /// Its own description, such as `sRGB IEC61966-2.1`.
     pub description: String,
-    /// The chromaticities that its numbers are of, those of a [standard set](Primaries::nearest_standard) to the letter where they are
-    /// as near as rounding leaves them; `None` where it works by tables, or makes no sense.
+    /// Primaries of the profile, replaced by a [standard set](Primaries::nearest_standard) where they match one within rounding. `None`
+    /// where the profile uses tables or is inconsistent.
     pub primaries: Option<Primaries>,
 }
 
-/// What a file's profile turned out to be.
+/// Result of parsing a profile.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Found {
     /// An RGB profile; its primaries may be unknown.
     Rgb(Profile),
-    /// A profile of another kind of numbers, by name; it says nothing of the RGB that is decoded.
+    /// A profile of another colour model, by name; it does not apply to the decoded RGB.
     Other(&'static str),
-    /// No profile that could be read.
+    /// An unreadable profile.
     Damaged,
 }
 
 impl Profile {
-    /// Reads the kind and the description of an ICC profile.
+    /// Parses an ICC profile.
     pub fn parse(icc: Vec<u8>) -> Found {
-        let Some(parsed) = parse(&icc) else {
-            return Found::Damaged;
-        };
+        let Ok(parsed) = moxcms::ColorProfile::new_from_slice(&icc) else { return Found::Damaged };
         match parsed.color_space {
             moxcms::DataColorSpace::Rgb => {
                 let description = parsed.description.as_ref().map(text).filter(|d| !d.is_empty());
                 let primaries = primaries(&parsed).map(|p| p.nearest_standard().unwrap_or(p));
-                // Three on a line, or a white without light, are colours of no picture.
+                // Collinear primaries or a white without luminance are invalid.
                 let primaries = primaries.filter(|p| p.to_xyz().is_some());
                 Found::Rgb(Profile {
                     icc,
@@ -57,22 +55,22 @@ impl Profile {
         }
     }
 
-    /// What to embed for sRGB where a format has no other word for it. The same bytes every time.
+    /// Returns the sRGB profile, to be embedded in formats without another way to mark sRGB. The bytes are always the same.
     pub fn srgb() -> Option<Profile> {
         let mut profile = moxcms::ColorProfile::new_srgb();
-        // It would speak of video.
+        // cICP is meant for video.
         profile.cicp = None;
         // The white of a display profile is that of the connection space (ICC.1, 9.2.36).
         profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
         Profile::made(profile, D65, 1999)
     }
 
-    /// What to embed for Adobe RGB (1998), where a camera says so by EXIF alone. The same bytes every time.
+    /// Returns the Adobe RGB (1998) profile, for cameras that indicate it by EXIF only. The bytes are always the same.
     pub fn adobe_rgb() -> Option<Profile> {
         Profile::made(moxcms::ColorProfile::new_adobe_rgb(), D65, 1998)
     }
 
-    /// A profile of matrix and curve, for what a file says in numbers; none where the primaries span no space. The same bytes every time.
+    /// Creates a matrix and curve profile; `None` where the primaries span no space. The bytes are always the same.
     pub fn of(primaries: &Primaries, curve: Curve, description: &str) -> Option<Profile> {
         let matrix = from_d50(primaries.white)?.try_inverse()? * primaries.to_xyz()?;
         let colorant = |c: usize| moxcms::Xyzd { x: matrix[(0, c)], y: matrix[(1, c)], z: matrix[(2, c)] };
@@ -88,7 +86,7 @@ impl Profile {
         Profile::made(profile, primaries.white, 2022)
     }
 
-    /// A profile for `white`, dated by the year of its standard: a clock has no part in it.
+    /// Encodes a profile for `white` with a fixed date in `year`, the year of its standard.
     fn made(mut profile: moxcms::ColorProfile, white: [f64; 2], year: u16) -> Option<Profile> {
         let to_d50 = from_d50(white)?.try_inverse()?;
         let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
@@ -106,7 +104,7 @@ impl Profile {
     }
 }
 
-/// The chromaticities that the profile's numbers are of; `None` where it works by tables, or makes no sense.
+/// Primaries of the profile; `None` where it uses tables or is inconsistent.
 fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
     let colorant = |c: moxcms::Xyzd| Vector3::new(c.x, c.y, c.z);
     let colorants = [profile.red_colorant, profile.green_colorant, profile.blue_colorant].map(colorant);
@@ -127,10 +125,6 @@ fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
     if d65.nearest_standard().is_some() { Some(d65) } else { unadapted(&colorants, Matrix3::identity()) }
 }
 
-fn parse(icc: &[u8]) -> Option<moxcms::ColorProfile> {
-    moxcms::ColorProfile::new_from_slice(icc).ok()
-}
-
 fn text(description: &moxcms::ProfileText) -> String {
     let text = match description {
         moxcms::ProfileText::PlainString(s) => s.as_str(),
@@ -144,7 +138,7 @@ fn text(description: &moxcms::ProfileText) -> String {
     text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string()
 }
 
-/// Colorants and D50 taken to where they were before adaptation.
+/// Undoes the adaptation of the colorants and of the white to D50.
 fn unadapted(colorants: &[Vector3<f64>; 3], from_d50: Matrix3<f64>) -> Option<Primaries> {
     let [red, green, blue] = colorants.map(|c| xy(from_d50 * c));
     Some(Primaries { red: red?, green: green?, blue: blue?, white: xy(from_d50 * PCS_WHITE)? })

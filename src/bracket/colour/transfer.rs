@@ -1,21 +1,21 @@
-//! What code values mean: light, by a colour profile's curves.
+//! Transfer curves of colour profiles: pixel value to linear light.
 //!
-//! In: a profile, or none. Out: the light of a code of each channel. Cost: at most a power a code.
+//! In: a profile, or none. Out: the linear value of a pixel value of each channel. Cost: at most one power per value.
 //! Source: ICC.1:2022, 10.6 (`curv`) and 10.18 (`para`); IEC 61966-2-1 where there is no profile, or one that works by tables.
 
 use super::{Profile, srgb_to_linear};
 use libm::pow;
 use moxcms::{ColorProfile, ToneReprCurve};
 
-/// The curves of red, green and blue; none for sRGB's.
+/// Transfer curves of red, green and blue; `None` for sRGB's.
 #[derive(Debug, Clone)]
 pub struct Transfer(Option<[ToneReprCurve; 3]>);
 
-/// What two curves may differ by to be the same, of white: what profiles round.
+/// Largest difference between equal curves, as a fraction of white: the rounding of profiles.
 const ROUNDING: f64 = 1e-3;
 
 impl Transfer {
-    /// The curves of `profile`; sRGB's where there is none, and for one that works by tables.
+    /// Returns the curves of `profile`; sRGB's where there is no profile, or one that uses tables.
     pub fn of(profile: Option<&Profile>) -> Transfer {
         let curves = |profile: &Profile| {
             profile.primaries?;
@@ -25,7 +25,7 @@ impl Transfer {
         Transfer(profile.and_then(curves))
     }
 
-    /// The light of code `x` of channel 0, 1 or 2, both 0 to 1.
+    /// Decodes the pixel value `x` of channel 0, 1 or 2 to linear light, both 0..=1.
     pub fn light(&self, channel: usize, x: f64) -> f64 {
         match &self.0 {
             None => srgb_to_linear(x),
@@ -33,13 +33,13 @@ impl Transfer {
         }
     }
 
-    /// Whether codes of both mean the same light, but for what profiles round.
+    /// Whether both decode 8-bit values to the same light within the rounding of profiles.
     pub fn is_close(&self, other: &Transfer) -> bool {
         let codes = || (0..=255).map(|code| f64::from(code) / 255.0);
         (0..3).all(|c| codes().all(|x| (self.light(c, x) - other.light(c, x)).abs() < ROUNDING))
     }
 
-    /// Whether it is sRGB's.
+    /// Whether the curves are close to sRGB's.
     pub fn is_srgb(&self) -> bool {
         self.is_close(&Transfer(None))
     }
@@ -52,7 +52,7 @@ pub enum Curve {
     Srgb,
     /// The inverse of ITU-R BT.709's camera curve, and of BT.601's and BT.2020's.
     Bt709,
-    /// Light is the code to this power.
+    /// Linear light is the pixel value to this power.
     Power(f64),
 }
 
@@ -67,7 +67,7 @@ impl Curve {
     }
 }
 
-/// The light of `x`, both 0 to 1.
+/// Evaluates the curve at `x`, both 0..=1.
 fn evaluate(curve: &ToneReprCurve, x: f64) -> f64 {
     let light = match curve {
         ToneReprCurve::Lut(lines) => match lines.as_slice() {

@@ -1,7 +1,7 @@
-//! EXIF: the bytes of a block to its fields, each where it belongs.
+//! Parses an EXIF block and moves each field to its standard directory.
 //!
-//! In: a TIFF block, and which of its directories is that of the picture. Out: the fields that can be read, those of the picture as
-//! [`In::PRIMARY`]. Cost: kamadak-exif's; a second time for blocks that have to be put in order.
+//! In: a TIFF block, and the index of the directory of the image. Out: the readable fields, those of the image as [`In::PRIMARY`]. Cost:
+//! that of kamadak-exif, twice for blocks that must be reordered.
 //! Source: EXIF 2.32, section 4.6; TIFF/EP, which puts the exposure into the picture's own directory.
 
 use crate::bracket::metadata::carried::DESCRIPTIVE;
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::panic::catch_unwind;
 
-/// The fields of the block `raw` that can be read, where the picture is that of its directory `picture`; `None` where it is no such block.
+/// Parses the readable fields of the block `raw`, whose directory `picture` describes the image. `None` where it is not a TIFF block.
 pub(super) fn parsed(raw: Vec<u8>, picture: u16) -> Option<Exif> {
     let exif = read(raw)?;
     if picture == 0 && exif.fields().all(|field| placed(field.tag) == field.tag) {
@@ -21,22 +21,22 @@ pub(super) fn parsed(raw: Vec<u8>, picture: u16) -> Option<Exif> {
 }
 
 fn read(raw: Vec<u8>) -> Option<Exif> {
-    // Many a writer leaves one bad entry; the others are still good.
+    // Many writers leave one bad entry; the others are still valid.
     let parsed = catch_unwind(|| {
         exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
     });
     parsed.ok()?.ok()
 }
 
-/// The tag as it would be in the directory where EXIF has it.
+/// The tag in the directory where EXIF defines it.
 fn placed(tag: Tag) -> Tag {
     let of_exif = Tag(Context::Exif, tag.number());
     let is_displaced = tag.context() == Context::Tiff && tag.description().is_none() && of_exif.description().is_some();
     if is_displaced { of_exif } else { tag }
 }
 
-/// A block of the fields of the directory `picture`, completed by those of the first; of each the one in its place before a displaced one.
-/// Maker notes are left out: they address what is no longer where it was.
+/// Writes a block with the fields of the directory `picture`, completed from the first directory. A field in its standard directory comes
+/// before a displaced one. Maker notes are left out because their offsets become invalid.
 fn in_order(exif: &Exif, picture: u16) -> Option<Vec<u8>> {
     let mut fields: BTreeMap<(u8, u16), Field> = BTreeMap::new();
     for (directory, displaced) in [(picture, false), (picture, true), (0, false), (0, true)] {

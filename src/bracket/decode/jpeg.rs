@@ -1,15 +1,15 @@
-//! JPEG: baseline and progressive, grey, YCbCr, RGB, CMYK and Adobe's YCCK.
+//! Decodes JPEG files: baseline and progressive; grey, YCbCr, RGB, CMYK and Adobe's YCCK.
 //!
-//! In: the file. Out: 8-bit RGB, by zune-jpeg, straight into its buffer. Cost: zune-jpeg's (7 ns a pixel at 4:2:0), and one look for 0xFF
-//! through the file. Three kinds of files go to jpeg-decoder, which takes three times as long, because zune-jpeg 0.5.15 gets them wrong:
-//! sequential ones of several scans, whose blocks it misplaces where chroma has fewer rows; those whose chroma is finer than luma; and those
-//! whose last chroma sample it interpolates with the padding behind the picture, which is anything.
+//! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at 4:2:0), and one pass through
+//! the file. Three kinds of files are decoded by jpeg-decoder, which takes three times as long, because zune-jpeg 0.5.15 decodes them
+//! wrongly: sequential files with several scans, whose blocks it misplaces where chroma has fewer rows; files whose chroma is finer than
+//! luma; and files whose last chroma sample it interpolates with the arbitrary padding behind the image.
 //! Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
 //!
-//! Decoders fill what is missing with grey or with noise, each in its way, so the file is walked first: it must be whole up to the end of
-//! its first image. Further images behind it (MPF previews, gain maps) and trailing bytes are cut off. For a file that was cut and then
-//! closed with an end marker by a repair tool, the data of each sequential scan is followed by ones, which are no Huffman code (T.81,
-//! annex C): a decoder that runs past its data meets them and fails; a progressive one must have sent every coefficient in full.
+//! Decoders fill missing data with grey or noise, so the markers are checked first: the file must be complete up to the end of its first
+//! image. Further images (MPF previews, gain maps) and trailing bytes are cut off. A repair tool may have closed a truncated file with an
+//! end marker. To detect this, ones are appended to the data of each sequential scan: they are not a Huffman code (T.81, annex C), so a
+//! decoder that reads past its data fails. A progressive file must contain every bit of every coefficient.
 
 mod layout;
 
@@ -27,32 +27,36 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 const END: [u8; 2] = [0xFF, 0xD9];
 
-/// 64 ones of entropy-coded data, more than any code and its value have: each 0xFF is followed by a zero (T.81, F.1.2.3).
+/// 64 one bits of entropy-coded data, longer than any code with its value. Each 0xFF is followed by a zero byte (T.81, F.1.2.3).
 const ONES: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
 
-/// Most scans of a picture: encoders make about ten, and each goes through the whole picture, however little it says.
+/// Maximum number of scans: encoders write about ten, and each takes a pass over the whole image.
 const MOST_SCANS: usize = 200;
+
+const UNSUPPORTED_COLOUR: &str = "its kind of colour components is not supported; save it as RGB or grey";
 
 /// Decodes a JPEG file.
 pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reason> {
     let mut layout = Layout::of(&bytes)?;
     if !layout.junk.is_empty() {
-        // Padding between segments is harmless, but strict decoding refuses it.
+        // Padding between segments is harmless, but strict decoding rejects it.
         bytes = without(&bytes, &layout.junk);
         layout = Layout::of(&bytes)?;
     }
     layout.check_complete()?;
     let scans = layout.scan_ends.len();
     if scans > MOST_SCANS {
-        return Err(format!("it is of {scans} scans, and {MOST_SCANS} are read; save it as plain JPEG"));
+        return Err(format!(
+            "it has {scans} scans, more than the {MOST_SCANS} that are supported; save it as plain JPEG"
+        ));
     }
     let (width, height) = layout.size;
     limits.check_size(width, height)?;
     let pixels = width as u64 * height as u64;
-    // A block of 64 pixels takes a bit, in any kind of scan; chroma may be finer than luma, but by four by four at most.
+    // A block of 64 pixels takes at least one bit in any scan; chroma may be finer than luma by at most four by four.
     limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
     let is_beyond_zune = layout.is_beyond_zune();
-    // RGB or CMYK; of a progressive file all coefficients, and of what jpeg-decoder reads all components.
+    // RGB or CMYK, all coefficients of a progressive file, and all components where jpeg-decoder is used.
     let kept = if layout.progressive { 2 } else { 0 } + u64::from(is_beyond_zune);
     let components = layout.sampling.len();
     let rgb = if components == 4 { 4 + 3 } else { 3 };
@@ -65,7 +69,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     }
     bytes.extend(END);
 
-    // Without Adobe's marker the inks are as they are; with it they are inverted, as zune-jpeg takes all of them to be.
+    // With Adobe's marker CMYK is inverted, which zune-jpeg assumes for all files; without it, it is not.
     let plain_cmyk = components == 4 && !layout.adobe;
     let wanted = if plain_cmyk { ColorSpace::CMYK } else { ColorSpace::RGB };
     let options = DecoderOptions::default()
@@ -91,9 +95,9 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     };
     let channels = if plain_cmyk { 4 } else { 3 };
     if pixels.len() != channels * width * height {
-        return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into());
+        return Err(UNSUPPORTED_COLOUR.into());
     }
-    let samples = if plain_cmyk { cmyk_to_rgb(&pixels, 4, 255) } else { pixels };
+    let samples = if plain_cmyk { cmyk_to_rgb(&pixels, 255) } else { pixels };
     Ok(Stored {
         width,
         height,
@@ -107,15 +111,15 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     })
 }
 
-/// The pixels of a file that zune-jpeg gets wrong: RGB, or the inks as they are where they are `plain_cmyk`. `space` is that of the file.
-/// Parallel work is that of the thread pool it is called in.
+/// Decodes a file that zune-jpeg decodes wrongly, to RGB, or to CMYK where it is `plain_cmyk`. `space` is the colour space of the file.
+/// Parallel work runs in the current thread pool.
 fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<Vec<u8>, Reason> {
     let transform = match space {
         ColorSpace::YCbCr => ColorTransform::YCbCr,
         ColorSpace::RGB => ColorTransform::RGB,
         ColorSpace::YCCK => ColorTransform::YCCK,
         ColorSpace::CMYK => ColorTransform::CMYK,
-        _ => return Err("its colour components are of a kind that is not supported; save it as RGB or grey".into()),
+        _ => return Err(UNSUPPORTED_COLOUR.into()),
     };
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_color_transform(transform);
@@ -129,14 +133,14 @@ fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<
     };
     let pixels = decoder.decode().map_err(refused)?;
     Ok(match space {
-        // It takes all inks to be inverted, as Adobe's are.
+        // jpeg-decoder inverts all CMYK, as for Adobe files.
         ColorSpace::CMYK | ColorSpace::YCCK if plain_cmyk => pixels.into_iter().map(|ink| 255 - ink).collect(),
-        ColorSpace::CMYK | ColorSpace::YCCK => cmyk_to_rgb(&pixels, 4, 255),
+        ColorSpace::CMYK | ColorSpace::YCCK => cmyk_to_rgb(&pixels, 255),
         _ => pixels,
     })
 }
 
-/// `bytes` with [`ONES`] before each of `ends`, which are in order.
+/// Inserts [`ONES`] before each of `ends`, which are in order.
 fn with_ones(bytes: &[u8], ends: &[usize]) -> Vec<u8> {
     let mut filled = Vec::with_capacity(bytes.len() + (ends.len() + 1) * ONES.len());
     let mut done = 0;
@@ -149,14 +153,14 @@ fn with_ones(bytes: &[u8], ends: &[usize]) -> Vec<u8> {
     filled
 }
 
-/// `bytes` without the ranges `junk`, which are in order. In one go: a damaged file may have a million of them.
+/// Removes the ranges `junk`, which are in order, in one pass: a damaged file may have a million of them.
 fn without(bytes: &[u8], junk: &[Range<usize>]) -> Vec<u8> {
     let ends = junk.iter().map(|range| range.start).chain([bytes.len()]);
     let starts = std::iter::once(0).chain(junk.iter().map(|range| range.end));
     starts.zip(ends).flat_map(|(start, end)| &bytes[start..end]).copied().collect()
 }
 
-/// What stands before the picture's data, by seeking: the size and the EXIF. Damage behind that is not seen.
+/// Reads the size and the EXIF from the segments before the image data, with seeks. Damage after them is not detected.
 pub(super) fn head<R: Read + Seek>(reader: &mut std::io::BufReader<R>) -> Result<Found, Reason> {
     let damaged = |e: std::io::Error| match e.kind() {
         std::io::ErrorKind::UnexpectedEof => "it ends before the picture (truncated); copy the file again".to_owned(),
@@ -193,7 +197,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut std::io::BufReader<R>) -> Result
     Ok(Found { width, height, depth: 8, exif, software: None, refused: None })
 }
 
-/// The code of the next marker; what stands before it is passed over.
+/// Returns the code of the next marker and skips the bytes before it.
 fn next_code(reader: &mut impl BufRead) -> std::io::Result<u8> {
     let mut byte = [0; 1];
     loop {

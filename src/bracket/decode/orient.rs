@@ -1,11 +1,11 @@
-//! Orientation: the samples turned as the camera was held.
+//! Applies the EXIF orientation.
 //!
-//! In: interleaved RGB and the EXIF orientation, 1 to 8. Out: the picture as it is to be seen. Cost: none for 1, else one copy.
-//! Source: EXIF 2.32, tag 274, which says where row 0 and column 0 of the stored picture are to be seen.
+//! In: interleaved RGB and the EXIF orientation, 1 to 8. Out: the upright image. Cost: none for 1, else one copy.
+//! Source: EXIF 2.32, tag 274, which gives the displayed side of row 0 and column 0 of the stored image.
 
 use crate::bracket::Samples;
 
-/// The samples as seen, and their width and height. An orientation that does not exist counts as 1.
+/// Returns the upright samples, their width and height. An invalid orientation counts as 1.
 pub(super) fn apply(samples: Samples, width: usize, height: usize, orientation: u32) -> (Samples, usize, usize) {
     if !(2..=8).contains(&orientation) {
         return (samples, width, height);
@@ -25,7 +25,7 @@ fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) ->
     let (seen_width, seen_height) = if orientation >= 5 { (height, width) } else { (width, height) };
     for y in 0..seen_height {
         for x in 0..seen_width {
-            // The stored column and row of what is seen at (x, y).
+            // Stored column and row of the pixel displayed at (x, y).
             let (column, row) = match orientation {
                 2 => (right - x, y),
                 3 => (right - x, bottom - y),

@@ -1,8 +1,8 @@
-//! PNG: all of its kinds, at 8 or 16 bit.
+//! Decodes PNG files of every colour type, at 8 or 16 bits.
 //!
-//! In: the file. Out: RGB at the file's depth; fewer than 8 bit and palettes become 8. Cost: that of the `png` crate.
+//! In: the file. Out: RGB at the depth of the file; palettes and depths below 8 bits become 8 bits. Cost: that of the `png` crate.
 //! Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks; ImageMagick, `coders/png.c`, and
-//! exiv2, `pngchunk_int.cpp`, for the "Raw profile type exif" that programs wrote before there was eXIf, and many still do.
+//! exiv2, `pngchunk_int.cpp`, for "Raw profile type exif", which programs wrote before eXIf existed and many still write.
 
 mod colour;
 
@@ -15,7 +15,7 @@ use std::io::{BufReader, Cursor, Read, Seek};
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
 pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> {
     let damaged = |e: png::DecodingError| format!("{e}; copy the file again");
-    // Beside the picture: its profile, which is packed and may be of any size, its EXIF, and a few of its rows.
+    // Memory beside the image: its profile, which is compressed and may have any size, its EXIF, and a few rows.
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
@@ -27,7 +27,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let bits = header.bits_per_pixel() as u64;
     limits::check_length(bytes.len(), pixels * bits / 8, DEFLATE)?;
     let (bytes_each, channels) = (if header.bit_depth == BitDepth::Sixteen { 2 } else { 1 }, 1 + bits.div_ceil(8));
-    // Unpacked, taken apart into words, and as RGB.
+    // Decompressed, converted to 16-bit words, and as RGB.
     let needed = pixels * bytes_each * (channels.max(3) + 3) + bytes.len() as u64;
     allowed.check_memory((width, height), needed)?;
     let mut reader = decoder.read_info().map_err(damaged)?;
@@ -54,7 +54,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         return Err("its first frame is smaller than the picture; save it as a plain PNG".into());
     }
     let info = reader.info();
-    // A profile that could not be unpacked is passed over in silence; an empty one is told to be damaged.
+    // The png crate ignores a profile that it cannot decompress; an empty one is reported as damaged instead.
     let begin = bytes.windows(4).position(|kind| kind == b"IDAT").unwrap_or(0);
     let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
     let embedded = info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new));
@@ -73,23 +73,23 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     })
 }
 
-/// Most bytes of what comes with a picture; its largest rows, of 65535 pixels and more, are a fraction of it.
+/// Memory limit in bytes beside the image; a few rows of 65535 pixels are a fraction of it.
 const MOST_BESIDE: usize = 64 << 20;
 
-/// Most bytes of a chunk that is taken for EXIF.
+/// Maximum size in bytes of an EXIF chunk.
 const MOST_EXIF: u32 = 1 << 20;
 
-/// The size, the EXIF and the program, by seeking from chunk to chunk: each says how long it is.
+/// Reads the size, the EXIF and the writing program by seeking from chunk to chunk.
 pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, Reason> {
     let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
     reader.seek_relative(8).map_err(damaged)?;
     let mut found: Option<Found> = None;
-    // Of eXIf and raw profiles the former counts, of several the first.
+    // eXIf comes before raw profiles; of several, the first is used.
     let mut raw_profile = None;
     loop {
         let mut head = [0; 8];
         let read = reader.read_exact(&mut head);
-        // EXIF may stand behind the picture, but one that is cut off in its data has its size all the same.
+        // EXIF may follow the image data; a file cut off in the image data still has a size.
         let is_end = read.is_err() || &head[4..] == b"IEND";
         match (read, found.take()) {
             (_, Some(so_far)) if is_end => return Ok(Found { exif: so_far.exif.or(raw_profile), ..so_far }),
@@ -100,7 +100,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
         let is_wanted = match &head[4..] {
             b"IHDR" => length >= 13,
             b"eXIf" => length <= MOST_EXIF,
-            // Two digits to a byte, and the ends of the lines.
+            // Two digits per byte, and line ends.
             b"tEXt" | b"zTXt" | b"iTXt" => length <= 3 * MOST_EXIF,
             _ => false,
         };
@@ -135,7 +135,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
     }
 }
 
-/// The keyword and the text of a chunk of the given kind.
+/// Returns the keyword and the text of a text chunk of the given kind.
 fn text<'a>(kind: &[u8], content: &'a [u8]) -> Option<(&'a [u8], Vec<u8>)> {
     let cut = |bytes: &'a [u8]| {
         let end = bytes.iter().position(|&b| b == 0)?;
@@ -160,7 +160,7 @@ fn text<'a>(kind: &[u8], content: &'a [u8]) -> Option<(&'a [u8], Vec<u8>)> {
     Some((keyword, text))
 }
 
-/// The EXIF, from its TIFF header on, of a raw profile: its name, its length, and its bytes by two digits each, on lines of their own.
+/// Returns the EXIF, from its TIFF header on, of a raw profile: name, length, and bytes as lines of two hexadecimal digits each.
 fn exif_of_profile(text: &[u8]) -> Option<Vec<u8>> {
     let text = std::str::from_utf8(text).ok()?;
     let mut words = text.split_ascii_whitespace();

@@ -1,9 +1,9 @@
-//! What a file is, by its first bytes.
+//! Recognises the format of a file by its first bytes.
 //!
-//! In: content. Out: the [`Format`] to decode it by, or in words what it looks like, so that the user knows what to convert.
-//! Source: the formats' specifications; the list of camera raws follows libraw's identify step.
+//! In: content. Out: the [`Format`] to decode, or a description of what it looks like, so that the user knows what to convert.
+//! Source: the specifications of the formats; the list of camera raw formats follows libraw's identify step.
 
-/// A format that is read.
+/// A supported format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
     Jpeg,
@@ -21,7 +21,7 @@ impl Format {
     }
 }
 
-/// First bytes, and what they are the first bytes of.
+/// First bytes of unsupported formats, and their names.
 const OTHERS: [(&[u8], &str); 22] = [
     (b"GIF8", "GIF"),
     (b"BM", "BMP"),
@@ -47,7 +47,7 @@ const OTHERS: [(&[u8], &str); 22] = [
     (b"\0\0\0\0", "nothing but zeros; copy it again"),
 ];
 
-/// The format of `bytes`, or what else they look like.
+/// Returns the format of `bytes`, or as an error what else they look like.
 pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
     if bytes.starts_with(b"\xff\xd8\xff") {
         return Ok(Format::Jpeg);
@@ -57,7 +57,7 @@ pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
     }
     let tiff = [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| bytes.starts_with(*magic));
     if tiff {
-        // Canon's CR2 marks itself in the header; the other raws are known only by their tags.
+        // Canon CR2 has a mark in the header; other raw formats are recognised by their tags.
         return if bytes.get(8..10) == Some(b"CR") { Err("camera raw (Canon CR2)".into()) } else { Ok(Format::Tiff) };
     }
     Err(other(bytes).into())
@@ -83,7 +83,7 @@ fn other(bytes: &[u8]) -> &'static str {
     }
     let head = &bytes[..bytes.len().min(512)];
     let printable = |b: u8| b >= 0x20 || matches!(b, b'\t' | b'\n' | b'\r' | 0x0c);
-    // A cut through a multi-byte character at the end of the head is still text.
+    // A multi-byte character cut off at the end of the head is still text.
     let utf8 = match std::str::from_utf8(head) {
         Ok(_) => true,
         Err(e) => e.error_len().is_none(),

@@ -1,7 +1,7 @@
-//! TIFF: grey, palettes, RGB and CMYK, at 8 or 16 bit, in strips, tiles or planes.
+//! Decodes TIFF files: grey, palettes, RGB and CMYK, at 8 or 16 bits, in strips, tiles or planes.
 //!
-//! In: the file. Out: RGB at the file's depth, of its first picture that is no thumbnail; fewer than 8 bit and palettes become 8, extra
-//! samples are left out. Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0 (sections 4 to 6, 8, 16 and 18); libtiff,
+//! In: the file. Out: RGB at the depth of the file, of its first image that is not a thumbnail; palettes and depths below 8 bits become 8
+//! bits, extra samples are dropped. Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0 (sections 4 to 6, 8, 16 and 18); libtiff,
 //! `tif_getimage.c`, for colour maps of 8 bit.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
@@ -16,7 +16,7 @@ use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::{IfdPointer, Tag};
 
-/// Bytes up to the first directory's offset, and of it.
+/// Size in bytes of the file header, including the offset of the first directory.
 const HEADER: usize = 8;
 
 const ICC: Tag = Tag::Unknown(34675);
@@ -24,7 +24,7 @@ const ICC: Tag = Tag::Unknown(34675);
 const FLOATING_POINT: &str = "it holds floating-point values, which no camera writes and which are linear already; \
                               give the camera's own 8- or 16-bit pictures";
 
-/// Decodes the first picture of a TIFF file that is no thumbnail.
+/// Decodes the first image of a TIFF file that is not a thumbnail.
 pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
     let picture = tiff_file::picture(Cursor::new(&bytes))?;
     refuse_raw(picture)?;
@@ -41,12 +41,12 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
     let packed = pixels.saturating_mul(kind.samples * kind.depth) / 8;
     limits::check_length(bytes.len(), packed, limits::tiff_packing(compression))?;
-    // As stored, without the extra samples, and as RGB: two of them at a time.
+    // As stored, without extra samples, and as RGB; two of the three at a time.
     let wanted = kind.colour.samples();
     let (each, stored) = (kind.depth.div_ceil(8), pixels.saturating_mul(kind.samples * kind.depth.div_ceil(8)));
     let needed = stored.saturating_add(pixels * each * wanted.max(3) as u64 + bytes.len() as u64);
     allowed.check_memory((width, height), needed)?;
-    // The size is checked; what it needs may be had.
+    // The size was checked above, so allow what it needs.
     let mut limits = Limits::default();
     let stored = usize::try_from(stored).unwrap_or(usize::MAX);
     limits.decoding_buffer_size = limits.decoding_buffer_size.max(stored);
@@ -61,7 +61,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
         _ => return Err(FLOATING_POINT.into()),
     };
     if samples.len() != 3 * width * height {
-        return Err("its picture data is not of its size; copy the file again".into());
+        return Err("its image data does not match its size; copy the file again".into());
     }
     bytes[..HEADER].copy_from_slice(&header);
     Ok(Stored {
@@ -78,7 +78,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     })
 }
 
-/// Camera raws are TIFF files that hold a thumbnail or a sensor's mosaic: they must not pass for photographs.
+/// Rejects camera raw files, which are TIFF files with a thumbnail or a sensor mosaic.
 fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     if picture.is_raw {
         return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, all frames alike".into());
@@ -86,18 +86,18 @@ fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     Ok(())
 }
 
-/// What a picture's samples are.
+/// Colour and depth of the samples.
 struct Kind {
     colour: Colour,
-    /// To a pixel.
+    /// Samples per pixel.
     samples: u64,
-    /// Bits of each.
+    /// Bits per sample.
     depth: u64,
     has_alpha: bool,
 }
 
 impl Kind {
-    /// That of the picture that `decoder` is at, whose photometric interpretation is given.
+    /// Reads the kind of the current image of `decoder`, whose photometric interpretation is given.
     fn of<R: Read + Seek>(decoder: &mut Decoder<R>, photometric: Option<u16>) -> Result<Kind, Reason> {
         let mut numbers = |tag| decoder.find_tag_unsigned_vec::<u16>(tag).ok().flatten().unwrap_or_default();
         // 3 is "floating point" (TIFF 6.0, section 19).
@@ -123,15 +123,15 @@ impl Kind {
             let palette = if is_palette { "a palette" } else { "samples" };
             return unsupported(&format!("a picture with {palette} of {depth} bit"));
         }
-        // Of extra samples that are not told, the first is alpha to all programs.
+        // Programs take the first extra sample as alpha where ExtraSamples does not describe it.
         let extra = usize::from(samples).saturating_sub(colour.samples());
-        let told = numbers(Tag::ExtraSamples);
-        let has_alpha = extra > told.len() || told.iter().any(|kind| matches!(kind, 1 | 2));
+        let described = numbers(Tag::ExtraSamples);
+        let has_alpha = extra > described.len() || described.iter().any(|kind| matches!(kind, 1 | 2));
         Ok(Kind { colour, samples: samples.into(), depth: depth.into(), has_alpha })
     }
 }
 
-/// What the samples of a pixel stand for, extra ones behind them aside.
+/// Colour model of the samples of a pixel, without extra samples.
 enum Colour {
     Grey,
     /// 0 is white.
@@ -143,7 +143,7 @@ enum Colour {
 }
 
 impl Colour {
-    /// To a pixel.
+    /// Samples per pixel.
     fn samples(&self) -> usize {
         match self {
             Colour::Grey | Colour::InverseGrey | Colour::Palette(_) => 1,
@@ -152,7 +152,7 @@ impl Colour {
         }
     }
 
-    /// Interleaved RGB of bytes; those of fewer bits, which `depth` is, are of the full range.
+    /// Converts bytes to interleaved RGB. Samples of fewer bits (`depth`) are already scaled to the full range.
     fn eight(&self, values: Vec<u8>, depth: u64) -> Vec<u8> {
         let Colour::Palette(map) = self else { return self.rgb(values) };
         let last = (1 << depth.min(8)) - 1;
@@ -162,11 +162,11 @@ impl Colour {
         values.iter().flat_map(|&v| colours[usize::from(v) * last / 255]).collect()
     }
 
-    /// Interleaved RGB of samples that are no indices.
+    /// Converts samples other than palette indices to interleaved RGB.
     fn rgb<T: Copy + Into<u32> + TryFrom<u32> + Bounded>(&self, values: Vec<T>) -> Vec<T> {
         match self {
             Colour::Rgb => values,
-            Colour::Cmyk => cmyk_to_rgb(&values, 4, T::MAX),
+            Colour::Cmyk => cmyk_to_rgb(&values, T::MAX),
             Colour::Grey | Colour::Palette(_) => to_rgb(values, 1),
             Colour::InverseGrey => {
                 let inverse = |v: T| T::try_from(T::MAX - v.into()).unwrap_or(v);
@@ -176,7 +176,7 @@ impl Colour {
     }
 }
 
-/// The largest code value of a sample type.
+/// The largest pixel value of a sample type.
 trait Bounded {
     const MAX: u32;
 }
@@ -189,8 +189,8 @@ impl Bounded for u16 {
     const MAX: u32 = 65535;
 }
 
-/// The size and the EXIF of the first picture that is no thumbnail, by seeking to its directories. What `decode` refuses for its kind is
-/// told beside them.
+/// Reads the size and the EXIF of the first image that is not a thumbnail, by seeking to its directories. Also returns why `decode` would
+/// reject this kind of image.
 pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let picture = tiff_file::picture(&mut reader)?;
     let mut refused = refuse_raw(picture).err();
@@ -203,21 +203,21 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
     let photometric = decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten();
     refused = refused.or(Kind::of(&mut decoder, photometric).err());
     let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
-    // Of a BigTIFF as well, which has no EXIF here.
+    // Also for BigTIFF, whose EXIF is not read.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
     let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, first, wanted) };
     Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
 }
 
-/// Whether it is a BigTIFF, of which kamadak-exif, and so `decode`, reads no EXIF.
+/// Whether it is a BigTIFF, whose EXIF kamadak-exif, and so `decode`, does not read.
 fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
     let mut head = [0; 4];
     let reader = decoder.inner();
     reader.rewind().and_then(|()| reader.read_exact(&mut head)).is_ok() && head[2..].contains(&43)
 }
 
-/// The `wanted` fields of the picture, else of the `first` one: each of the directory where EXIF has it, else of the picture's own. As a TIFF
-/// block of their own.
+/// Returns the `wanted` fields of the image, else of the `first` one, as a TIFF block. Each is read from the EXIF directory where EXIF
+/// defines it there, else from the directory of the image.
 fn fields<R: Read + Seek>(
     decoder: &mut Decoder<R>,
     first: Option<IfdPointer>,
@@ -252,7 +252,7 @@ fn fields<R: Read + Seek>(
     Some(block.into_inner())
 }
 
-/// The first value of a tag in the words of the other crate; none of a kind that no wanted tag has.
+/// Converts the first value of a tag to kamadak-exif; `None` for types that no wanted tag has.
 fn exif_value(value: Value) -> Option<exif::Value> {
     Some(match value {
         Value::List(values) => exif_value(values.into_iter().next()?)?,

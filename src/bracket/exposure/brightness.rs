@@ -1,18 +1,19 @@
-//! Exposure steps from the pixels, for frames whose EXIF says nothing, or says what cannot be.
+//! Estimates exposure steps from the pixels, for frames with missing or impossible exposures in EXIF.
 //!
-//! In: the code values of all frames. Out: exposures in EV up to a common term, and how far off they may be; and whether exposures that were
-//! written down can be right. Cost: one histogram per frame over a quarter of its pixels, and per pair of neighbours in brightness a
-//! search on coarse pictures and fits to 256-entry tables.
+//! In: the pixel values of all frames. Out: exposures in EV up to a common term, with error estimates; and whether the exposures in EXIF are
+//! possible. Cost: one histogram per frame over a quarter of its pixels, and per pair of neighbours in brightness a search on coarse images
+//! and fits to 256-entry tables.
 //!
-//! Two frames of a still scene rank its points alike, so equal ranks in their histograms are equal radiances (Grossberg and Nayar,
-//! "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The green channel is taken, of what both frames
-//! show ([`mod@overlap`]), at every code of the darker frame that is well exposed in both ([`histogram`]). Frames are chained in order of
-//! brightness. What matches leave open of the camera's curve comes from what curves are like ([`curve`]), and a bracket's steps
-//! from how cameras are set ([`steps`]).
+//! Two frames of a static scene rank its points equally, so equal ranks in their histograms are equal radiances (Grossberg and Nayar,
+//! "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The green channel of the
+//! overlap is used ([`mod@overlap`]), at every pixel value of the darker frame that is well exposed in both ([`histogram`]). Frames are
+//! chained in order of brightness. Matches do not determine the response completely; the rest comes from prior distributions of camera
+//! curves ([`curve`]) and of the steps that cameras are set to ([`steps`]).
 //!
-//! Measured: of 14 brackets of cameras, each estimated by curves fitted without it, the whole span is right to 1 % (median); two are off by more
-//! than 5 %, by 7 and 17 %. Renderings under sRGB's curve are right to 0.2 % (median), and to 5 % where no frame is moved. Pairs under curves of
-//! negative film are right to between 1 and 30 %, by curve; slides, twice as contrasty, are taken for cameras'.
+//! Measured: for 14 camera brackets, each estimated with curves fitted without it, the median error of the total span is 1 %; two are off by
+//! more than 5 %: by 7 and 17 %. For renderings with the sRGB curve the median error is 0.2 %, and at most 5 % where no frame is moved.
+//! Pairs with curves of negative film have errors of 1 to 30 %, depending on the curve; slides, twice as contrasty, are mistaken for camera
+//! images.
 
 mod contradiction;
 mod curve;
@@ -28,12 +29,12 @@ use steps::Steps;
 
 pub use contradiction::{at_odds, contradiction};
 
-/// Standard deviation of a step from the pixels, as a share of it, that is allowed for before it contradicts what is written.
+/// Relative standard deviation of a step from the pixels that is tolerated before it contradicts EXIF.
 const CAMERAS: f64 = 0.12;
-/// A step below this, in EV, is none at all.
+/// Steps below this, in EV, count as none.
 const STEP: f64 = 0.2;
 
-/// How bright a frame is, where.
+/// Brightness statistics of a frame.
 #[derive(Debug, Clone)]
 pub struct Brightness {
     histogram: Histogram,
@@ -41,7 +42,7 @@ pub struct Brightness {
 }
 
 impl Brightness {
-    /// Of a picture `width` pixels wide.
+    /// Computes the statistics of an image `width` pixels wide.
     pub fn of(samples: &Samples, width: usize) -> Self {
         let height = samples.len() / (3 * width.max(1));
         let at = |y: usize, x: usize| 3 * (y * width + x) + 1;
@@ -52,54 +53,54 @@ impl Brightness {
         Brightness { histogram: Histogram::of(samples, width), view }
     }
 
-    /// Whether the two have as many pixels of every code.
+    /// Whether both have the same histogram.
     pub fn is_like(&self, other: &Brightness) -> bool {
         self.histogram.counts == other.histogram.counts
     }
 }
 
-/// The codes of both that are of one radiance; `None` where there are too few.
+/// Matches the pixel values of both frames that have equal radiance; `None` where there are too few.
 fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     let shared = overlap(&dark.view, &bright.view).map(|shared| shared.map(Histogram::from));
     let shared = shared.and_then(|[dark, bright]| histogram::matches(&dark, &bright));
     shared.or_else(|| histogram::matches(&dark.histogram, &bright.histogram))
 }
 
-/// The step from `dark` to `bright` in EV; `None` where nothing is well exposed in both.
+/// Estimates the step from `dark` to `bright` in EV; `None` where nothing is well exposed in both.
 fn step(dark: &Brightness, bright: &Brightness) -> Option<f64> {
     steps::of(&[matches(dark, bright)?])?.means.first().copied()
 }
 
-/// Exposures from the pixels.
+/// Exposures estimated from the pixels.
 #[derive(Debug, Clone)]
 pub struct Estimate {
-    /// In EV, that of the darkest frame being 0.
+    /// In EV relative to the darkest frame.
     pub evs: Vec<f64>,
-    /// Of each frame, how many are darker.
+    /// For each frame, the number of darker ones.
     places: Vec<usize>,
     steps: Steps,
 }
 
 impl Estimate {
-    /// Of `count` frames that were exposed as one.
+    /// Returns equal exposures for `count` frames.
     pub fn alike(count: usize) -> Self {
         Estimate { evs: vec![0.0; count], places: vec![0; count], steps: Steps::default() }
     }
 
-    /// The standard deviation of the difference between two frames, in EV.
+    /// Standard deviation of the difference between two frames, in EV.
     pub fn deviation(&self, a: usize, b: usize) -> f64 {
         let (a, b) = (self.places[a], self.places[b]);
         self.steps.variance(a.min(b)..a.max(b)).sqrt()
     }
 
-    /// The same of the darkest and the brightest frame, as a share of their difference.
+    /// Standard deviation of the difference between the darkest and the brightest frame, relative to the difference.
     pub fn uncertainty(&self) -> f64 {
         self.steps.variance(0..self.steps.means.len()).sqrt() / spread(&self.evs).max(STEP)
     }
 }
 
-/// The exposures of `frames`, in their order. `None` where neighbours in brightness cannot be compared.
-/// Ties go by index, so hand frames over in an order of their own.
+/// Estimates the exposures of `frames`, in their order. `None` where neighbours in brightness cannot be compared. Ties are resolved by
+/// index, so pass frames in an order that does not depend on the command line.
 pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     let order = by_brightness(frames);
     let pairs: Vec<Pair> =
@@ -113,7 +114,7 @@ pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     Some(Estimate { evs, places, steps })
 }
 
-/// The indices of `frames`, the darkest first.
+/// Indices of `frames`, sorted by rising brightness.
 fn by_brightness(frames: &[&Brightness]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..frames.len()).collect();
     order.sort_by(|&a, &b| frames[a].histogram.mean().total_cmp(&frames[b].histogram.mean()));
@@ -127,7 +128,7 @@ pub fn spread(evs: &[f64]) -> f64 {
     if evs.is_empty() { 0.0 } else { largest - least }
 }
 
-/// Whether pictures are all the same as far as exposure goes.
+/// Whether all exposures are equal within the smallest step.
 pub fn all_alike(evs: &[f64]) -> bool {
     spread(evs) < STEP
 }

@@ -1,36 +1,23 @@
-//! Exposures as they were, not as they were printed: the steps that a camera's rounded numbers stand for.
+//! Exact exposure values for the nominal values (dial markings) that cameras write.
 //!
-//! In: the numbers of a bracket. Out: the same with exact values, where all are numbers from the dials of a camera; nothing otherwise. Cost:
-//! a search in short tables. Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are powers of 2^(1/3) or
-//! 2^(1/2) s, f-numbers those of their roots, sensitivities of 2^(1/3) from ISO 100 on. What is printed is rounded for people: a
-//! shutter at 1/30 is open for 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is 252. Bodies say so themselves: a Canon EOS
-//! that writes 1/30 s into ExposureTime writes 5, which is 1/32 s, into ShutterSpeedValue.
+//! In: the tags of a bracket. Out: the same with exact values where all are nominal, else nothing. Cost: a search in short tables.
+//! Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are powers of 2^(1/3) or 2^(1/2) s, f-numbers powers
+//! of the square roots of these, sensitivities 100 times a power of 2^(1/3). Nominal values are rounded: a shutter at 1/30 is open for
+//! 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is 252. A Canon EOS that writes 1/30 s into ExposureTime writes 5, which is
+//! 1/32 s, into ShutterSpeedValue.
 //!
-//! What was measured or computed must stay: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So it takes the whole bracket: every
-//! time of it printed, on one series; and the same of f-numbers and sensitivities, or shutter speeds that tell.
+//! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of the bracket must
+//! be nominal and on one series, and either the same holds for f-numbers and sensitivities, or ShutterSpeedValue confirms the exact times.
 
-/// What a file says of its exposure, in plain numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Numbers {
-    /// Shutter time in seconds.
-    pub(crate) time_s: Option<f64>,
-    /// The f-number.
-    pub(crate) f_number: Option<f64>,
-    /// Sensitivity.
-    pub(crate) iso: Option<f64>,
-    /// Whether the time has the form of a number on a dial.
-    pub(crate) is_time_printed: bool,
-    /// ShutterSpeedValue, in stops under 1 s.
-    pub(crate) shutter_speed: Option<f64>,
-}
+use super::{ExposureTags, Tagged};
 
-/// Numbers as printed, each for the next power of 2^(1/3): times in s from 1 on, and their denominators.
+/// Nominal values of successive powers of 2^(1/3): times from 1 s up, and denominators of times.
 const THIRDS: [f64; 43] = [
     1.0, 1.3, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0,
     100.0, 125.0, 160.0, 200.0, 250.0, 320.0, 400.0, 500.0, 640.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0,
     3200.0, 4000.0, 5000.0, 6400.0, 8000.0, 10_000.0, 12_800.0, 16_000.0,
 ];
-/// Other ways to print some of them: the number, and how many thirds of a stop over 1 s it is.
+/// Alternative markings: the value in seconds, and its number of thirds of a stop above 1 s.
 const OTHER_THIRDS: [(f64, i32); 5] = [(0.8, -1), (0.6, -2), (0.3, -5), (1.0 / 3.0, -5), (3.0, 5)];
 /// The same for powers of 2^(1/2).
 const HALVES: [f64; 27] = [
@@ -38,40 +25,42 @@ const HALVES: [f64; 27] = [
     750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0, 8000.0,
 ];
 const OTHER_HALVES: [(f64, i32); 6] = [(0.7, -1), (0.3, -3), (10.0, 7), (0.1, -7), (20.0, 9), (0.05, -9)];
-/// F-numbers, each for the next power of 2^(1/6), from 1 on; and of 2^(1/4).
+/// Nominal f-numbers from 1 up: successive powers of 2^(1/6), then of 2^(1/4).
 const F_THIRDS: [f64; 34] = [
     1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0, 10.0, 11.0,
     13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
 ];
 const F_HALVES: [f64; 21] =
     [1.0, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.3, 4.0, 4.8, 5.6, 6.7, 8.0, 9.5, 11.0, 13.0, 16.0, 19.0, 22.0, 27.0, 32.0];
-/// Sensitivities, each for the next power of 2^(1/3), from ISO 25 on.
+/// Nominal sensitivities from ISO 25 up: successive powers of 2^(1/3).
 const ISO_THIRDS: [f64; 37] = [
     25.0, 32.0, 40.0, 50.0, 64.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 320.0, 400.0, 500.0, 640.0, 800.0, 1000.0,
     1250.0, 1600.0, 2000.0, 2500.0, 3200.0, 4000.0, 5000.0, 6400.0, 8000.0, 10_000.0, 12_800.0, 16_000.0, 20_000.0,
     25_600.0, 32_000.0, 40_000.0, 51_200.0, 64_000.0, 80_000.0, 102_400.0,
 ];
 
-/// A value is a printed number if it is within this share of it: decimals are cut (333/10000 s), and neighbours are 20 % apart.
+/// Relative tolerance for matching a nominal value: decimals are truncated (333/10000 s), and neighbours are 20 % apart.
 const SAME: f64 = 2e-3;
-/// Shutter speeds are rounded to eighths of a stop by some bodies: half of one is 0.0625 stops, of which thirds take no more than 0.042.
-const TOLD: f64 = 0.05;
-/// Stops between the printed and the exact time from which on a shutter speed can tell which it was: 1/30 and 1/32 are 0.093 apart.
+/// Tolerance in stops for ShutterSpeedValue to confirm the exact time. Some cameras round it to eighths of a stop: half of one is
+/// 0.0625 stops, of which thirds take no more than 0.042.
+const CONFIRMED: f64 = 0.05;
+/// Smallest difference in stops between ShutterSpeedValue and the nominal time that shows the latter to be rounded: 1/30 and 1/32 are
+/// 0.093 apart.
 const APART: f64 = 0.06;
 
-/// `written` with exact values, where all of them are printed numbers.
-pub(crate) fn exact(written: &[Numbers]) -> Option<Vec<Numbers>> {
+/// Returns `written` with exact values where all of them are nominal.
+pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     if !written.iter().all(|n| n.is_time_printed) {
         return None;
     }
     let times = of_series(written, |n| n.time_s, &[thirds_of_time, halves_of_time])?;
     let f_numbers = of_series(written, |n| n.f_number, &[thirds_of_f_number, halves_of_f_number]);
     let isos = of_series(written, |n| n.iso, &[thirds_of_iso]);
-    // A lens at f/4.9 may be a phone's, which counts in microseconds; unless the shutter says more.
-    if (f_numbers.is_none() || isos.is_none()) && !shutter_speeds_tell(written, &times) {
+    // f/4.9 may be a phone, whose times are not rounded, unless ShutterSpeedValue confirms the exact times.
+    if (f_numbers.is_none() || isos.is_none()) && !is_confirmed(written, &times) {
         return None;
     }
-    let exact = written.iter().enumerate().map(|(i, n)| Numbers {
+    let exact = written.iter().enumerate().map(|(i, n)| ExposureTags {
         time_s: times[i],
         f_number: f_numbers.as_ref().map_or(n.f_number, |exact| exact[i]),
         iso: isos.as_ref().map_or(n.iso, |exact| exact[i]),
@@ -80,24 +69,24 @@ pub(crate) fn exact(written: &[Numbers]) -> Option<Vec<Numbers>> {
     Some(exact.collect())
 }
 
-/// Whether ShutterSpeedValue says of every frame that its time was the exact one, and of some that it was not the printed one.
-fn shutter_speeds_tell(written: &[Numbers], times: &[Option<f64>]) -> bool {
-    let off = |n: &Numbers, time: Option<f64>| Some((n.shutter_speed? + libm::log2(time?)).abs());
-    let is_exact = |(n, time): (&Numbers, &Option<f64>)| off(n, *time).is_some_and(|stops| stops <= TOLD);
-    let is_news = |n: &Numbers| off(n, n.time_s).is_some_and(|stops| stops >= APART);
-    written.iter().zip(times).all(is_exact) && written.iter().any(is_news)
+/// Whether ShutterSpeedValue agrees with the exact time of every frame, and differs from the nominal time of at least one.
+fn is_confirmed(written: &[ExposureTags], times: &[Tagged]) -> bool {
+    let off = |n: &ExposureTags, time: Tagged| Some((n.shutter_speed? + libm::log2(time?.0)).abs());
+    let is_exact = |(n, time): (&ExposureTags, &Tagged)| off(n, *time).is_some_and(|stops| stops <= CONFIRMED);
+    let is_rounded = |n: &ExposureTags| off(n, n.time_s).is_some_and(|stops| stops >= APART);
+    written.iter().zip(times).all(is_exact) && written.iter().any(is_rounded)
 }
 
-/// What the values of all frames stand for, on the first of `series` that has them all; a missing one stays missing.
+/// Returns the exact values of all frames on the first of `series` that contains them all; a missing value stays missing.
 fn of_series(
-    written: &[Numbers],
-    value: impl Fn(&Numbers) -> Option<f64>,
+    written: &[ExposureTags],
+    value: impl Fn(&ExposureTags) -> Tagged,
     series: &[fn(f64) -> Option<f64>],
-) -> Option<Vec<Option<f64>>> {
+) -> Option<Vec<Tagged>> {
     series.iter().find_map(|exact| {
-        let of = |n: &Numbers| match value(n) {
+        let of = |n: &ExposureTags| match value(n) {
             None => Some(None),
-            Some(v) => exact(v).map(Some),
+            Some((v, tag)) => Some(Some((exact(v)?, tag))),
         };
         written.iter().map(of).collect()
     })
@@ -111,7 +100,7 @@ fn index(value: f64, printed: &[f64]) -> Option<i32> {
     Some(printed.iter().position(|&p| is_same(value, p))? as i32)
 }
 
-/// Where a printed time is in a series, counted from 1 s.
+/// Returns the index of a nominal time in a series, counted from 1 s.
 fn time_index(time: f64, printed: &[f64], others: &[(f64, i32)]) -> Option<i32> {
     let other = others.iter().find(|(p, _)| is_same(time, *p)).map(|(_, k)| *k);
     other.or_else(|| index(time, printed)).or_else(|| Some(-index(1.0 / time, printed)?))
@@ -141,24 +130,24 @@ fn thirds_of_iso(iso: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn frame(time: f64, f_number: f64, iso: f64) -> Numbers {
-        Numbers {
-            time_s: Some(time),
-            f_number: Some(f_number),
-            iso: Some(iso),
+    fn frame(time: f64, f_number: f64, iso: f64) -> ExposureTags {
+        ExposureTags {
+            time_s: Some((time, "")),
+            f_number: Some((f_number, "")),
+            iso: Some((iso, "")),
             is_time_printed: true,
-            shutter_speed: None,
+            ..ExposureTags::default()
         }
     }
 
     fn times(printed: &[f64]) -> Option<Vec<f64>> {
         let frames: Vec<_> = printed.iter().map(|&t| frame(t, 8.0, 100.0)).collect();
-        Some(exact(&frames)?.iter().map(|t| t.time_s.unwrap()).collect())
+        Some(exact(&frames)?.iter().map(|t| t.time_s.unwrap().0).collect())
     }
 
     #[test]
     fn printed_numbers_are_rounded_steps() {
-        // No printed number is farther from its step than 1/60 from 1/64 and 6 s from 6.35 s: 6.7 %; f-numbers and ISO are nearer.
+        // No nominal value is farther from its step than 1/60 from 1/64 and 6 s from 6.35 s: 6.7 %; f-numbers and ISO are nearer.
         let near = |exact: Option<f64>, printed: f64, most: f64| (exact.unwrap() / printed - 1.0).abs() < most;
         for n in THIRDS {
             assert!(near(thirds_of_time(n), n, 0.068) && near(thirds_of_time(1.0 / n), 1.0 / n, 0.068), "{n}");
@@ -190,9 +179,9 @@ mod tests {
         let stained_glass: Vec<_> =
             [(4000.0, 11.0), (1000.0, 5.6), (60.0, 1.4)].map(|(n, f)| frame(1.0 / n, f, 250.0)).into();
         let exact = exact(&stained_glass).unwrap();
-        assert_eq!(exact[0].f_number, Some(libm::exp2(3.5)));
-        assert_eq!(exact[2].time_s, Some(1.0 / 64.0));
-        assert!((exact[1].iso.unwrap() - 251.984).abs() < 1e-3);
+        assert_eq!(exact[0].f_number, Some((libm::exp2(3.5), "")));
+        assert_eq!(exact[2].time_s, Some((1.0 / 64.0, "")));
+        assert!((exact[1].iso.unwrap().0 - 251.984).abs() < 1e-3);
     }
 
     #[test]
@@ -201,17 +190,17 @@ mod tests {
         assert_eq!(times(&[1.0 / 1243.0, 1.0 / 60.0]), None);
         // 1/45 is of the halves, 1/40 of the thirds.
         assert_eq!(times(&[1.0 / 45.0, 1.0 / 40.0]), None);
-        let computed = Numbers { is_time_printed: false, ..frame(1.0 / 60.0, 1.8, 50.0) };
+        let computed = ExposureTags { is_time_printed: false, ..frame(1.0 / 60.0, 1.8, 50.0) };
         assert_eq!(exact(&[computed, frame(1.0 / 30.0, 1.8, 50.0)]), None);
         assert_eq!(exact(&[frame(1.0 / 30.0, 1.79, 50.0), frame(1.0 / 60.0, 1.79, 50.0)]), None);
     }
 
     #[test]
     fn a_shutter_speed_tells_where_the_lens_does_not() {
-        let with = |time, shutter_speed| Numbers { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
-        let told = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
-        assert_eq!((told[0].time_s.unwrap(), told[0].f_number.unwrap()), (1.0 / 32.0, 4.9));
-        // Computed from the printed number: no news.
+        let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
+        let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
+        assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));
+        // Computed from the nominal value: confirms nothing.
         assert_eq!(exact(&[with(1.0 / 30.0, 4.907), with(1.0 / 125.0, 6.966)]), None);
     }
 }

@@ -1,17 +1,16 @@
-//! Copies: photographs that are there twice, under two names.
+//! Finds copies: photographs that are in the bracket twice, under two names.
 //!
-//! In: what there is of each photograph of a bracket. Out: those of which each pixel is that of another, and what that says of the
-//! exposures: light was caught once, and two exposures of it are one too many. Cost: that of comparing histograms; pixels are compared only
-//! where these are equal.
+//! In: size, pixel values and brightness of each photograph. Out: the photographs whose pixels equal those of another. Copies must have one
+//! exposure. Cost: that of comparing histograms; pixels are compared only where these are equal.
 //!
-//! Frames that are black or burnt out all over may well be alike, and are no copies.
+//! Frames that are entirely underexposed or clipped may be equal without being copies, and are ignored.
 
 use crate::bracket::exposure::brightness::Brightness;
 use crate::bracket::window::Store;
 use crate::error::{Result, Warning};
 use std::path::{Path, PathBuf};
 
-/// One photograph.
+/// What is compared of one photograph.
 pub(crate) struct Look<'a> {
     pub path: &'a Path,
     pub size: (usize, usize),
@@ -20,11 +19,11 @@ pub(crate) struct Look<'a> {
     pub well_exposed: u64,
 }
 
-/// A photograph that has the pixels of another.
+/// A photograph with the same pixels as another.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Copied {
     copy: usize,
-    /// The first that has them, by path.
+    /// The first photograph with these pixels, by path.
     original: usize,
     path: PathBuf,
     other: PathBuf,
@@ -36,10 +35,10 @@ impl Copied {
     }
 }
 
-/// All photographs that are copies of one before them, by path.
+/// Returns all photographs that are copies of an earlier one, in the order of their paths.
 ///
 /// # Errors
-/// [`Error::Scratch`](crate::error::Error::Scratch), where they are on disk.
+/// [`Error::Scratch`](crate::error::Error::Scratch) where the frames are on disk.
 pub(crate) fn find(looks: &[Look]) -> Result<Vec<Copied>> {
     let mut order: Vec<usize> = (0..looks.len()).filter(|&i| looks[i].well_exposed > 0).collect();
     order.sort_by(|&a, &b| looks[a].path.cmp(looks[b].path));
@@ -63,7 +62,7 @@ pub(crate) fn find(looks: &[Look]) -> Result<Vec<Copied>> {
     Ok(copies)
 }
 
-/// Rows that are compared at once, so that of frames on disk little is in memory.
+/// Rows compared at a time, to bound the memory for frames on disk.
 const AT_ONCE: usize = 64;
 
 fn is_copy(a: &Look, b: &Look) -> Result<bool> {
@@ -80,7 +79,7 @@ fn is_copy(a: &Look, b: &Look) -> Result<bool> {
     Ok(true)
 }
 
-/// Why `evs`, the exposures of the photographs, cannot be; `None` where no copy speaks against them.
+/// Returns why the exposures `evs` are impossible; `None` where no copy contradicts them.
 pub(crate) fn contradiction(copies: &[Copied], evs: &[f64]) -> Option<String> {
     copies.iter().find_map(|Copied { copy, original, path, other }| {
         let apart = (evs[*copy] - evs[*original]).abs();
@@ -91,7 +90,7 @@ pub(crate) fn contradiction(copies: &[Copied], evs: &[f64]) -> Option<String> {
     })
 }
 
-/// Two ways to write one exposure differ by no more than this, in EV.
+/// Largest difference in EV between two notations of one exposure.
 const ONE_EXPOSURE: f64 = 0.1;
 
 #[cfg(test)]

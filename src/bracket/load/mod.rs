@@ -1,47 +1,46 @@
-//! Loading: files to a bracket.
+//! Loads files as a bracket.
 //!
-//! In: paths, and what the user says of them. Out: a [`Bracket`] and what there is to say about it; the same whatever the order of the
-//! paths, save for `-e` and a reference by number, which go by it. Cost: that of the decoders, one frame per thread.
+//! In: paths and [`LoadOptions`]. Out: a [`Bracket`] and warnings. The result does not depend on the order of the paths, except through
+//! `-e` and a reference given by number. Cost: that of the decoders, one frame per thread.
 //!
-//! Exposures are the user's where given, else those of EXIF, else, where one is missing or cannot be, estimated from the pixels. A frame that the
-//! flash lit shows another scene than those that it did not, and is excluded.
+//! Exposures come from the user where given, else from EXIF; missing or impossible ones are estimated from the pixels. Frames lit by the
+//! flash are excluded where the others are not, because they show a differently lit scene.
 
 pub(crate) mod copies;
+mod exposures;
+mod picture;
 
-use super::colour::{Found, Profile};
-use super::decode::{self, Decoded};
 use super::exposure::{Exposure, ExposureSource, ExposureTags, MOST_EV};
-use super::header::Header;
 use super::window::Store;
-use super::{Bracket, Capture, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
+use super::{Bracket, Codes, Frame, OnDisk, ReferenceChoice, Samples, reference};
 use crate::bracket::exposure::brightness::{self, Brightness};
-use crate::bracket::metadata::capture;
 use crate::budget::{Budget, Demand, Stages};
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::{self, Limits};
 use crate::plane::map_at_once;
 use crate::scratch::{MemoryLimit, Scratch};
-use copies::{Copied, Look};
-use exif::{Exif, In, Tag};
+use copies::Copied;
+use picture::Picture;
+pub(super) use picture::{content, profile};
 use std::collections::HashMap;
-use std::io::{self, Cursor};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What the user says of a bracket's files.
+/// Options of [`load`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadOptions {
-    /// Exposures in EV, one a file in the order given; they win over anything the files say. Default: none.
+    /// Exposures in EV, one per file in the order given; they override the exposures in the files. Default: none.
     pub ev: Option<Vec<f64>>,
-    /// Which frame the others are aligned to. Default: automatic.
+    /// The frame that the others are aligned to. Default: automatic.
     pub reference: ReferenceChoice,
-    /// The most pixels that a photograph may have, by its header. Default: [`Limits::MAX_PIXELS`].
+    /// Maximum number of pixels of a photograph; checked on its header. Default: [`Limits::MAX_PIXELS`].
     pub max_pixels: u64,
-    /// How much memory may be used: frames that do not fit are put on disk. Default: as much as is needed.
+    /// Memory limit; frames that do not fit are moved to disk. Default: no limit.
     pub memory: Option<MemoryLimit>,
-    /// Whether the results may tell where the photographs were taken. No by default.
+    /// Whether to keep the GPS position in the metadata of the results. Default: no.
     pub keep_gps: bool,
 }
 
@@ -58,26 +57,26 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
-    /// What one photograph may ask for: of the memory allowed, what the program leaves.
+    /// Limits for decoding one photograph; of the memory limit, the part available for pixels.
     pub fn limits(&self) -> Limits {
         Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(MemoryLimit::for_pixels) }
     }
 }
 
-/// The most photographs of a bracket.
+/// Maximum number of photographs in a bracket.
 pub const MOST_FRAMES: usize = 1000;
 
 /// Reads the files `paths` as one bracket.
 ///
 /// # Errors
-/// Of the command line: [`Error::TooFewFrames`], [`Error::SameFile`], [`Error::Option`]. Of the first file in the order given that fails:
-/// [`Error::Read`], [`Error::UnknownFormat`], [`Error::Decode`], [`Error::SizeMismatch`]. [`Error::NoExposure`] where the files do not
-/// say how they were exposed and the pixels do not either.
+/// For the arguments: [`Error::TooFewFrames`], [`Error::SameFile`], [`Error::Option`]. For the first file, in the order given, that fails:
+/// [`Error::Read`], [`Error::UnknownFormat`], [`Error::Decode`], [`Error::SizeMismatch`]. [`Error::NoExposure`] where exposures are
+/// missing from the files and cannot be estimated from the pixels.
 pub fn load(paths: &[PathBuf], options: &LoadOptions) -> Result<(Bracket, Vec<Warning>)> {
     load_with_progress(paths, options, &|_| ())
 }
 
-/// As [`load`], and calls `progress` with the number of files done after each, from any thread.
+/// Same as [`load`], but calls `progress` after each file, from any thread, with the number of files done.
 ///
 /// # Errors
 /// As [`load`].
@@ -89,10 +88,10 @@ pub fn load_with_progress(
     load_for(&Stages { features: true, merging: true, ..Stages::default() }, paths, options, progress)
 }
 
-/// As [`load_with_progress`], of a bracket to which `stages` are done.
+/// Same as [`load_with_progress`], for a bracket that goes through `stages`.
 ///
 /// # Errors
-/// As [`load`]; [`Error::Option`] where that does not fit into the memory allowed.
+/// As [`load`]; [`Error::Option`] where the stages do not fit into the memory limit.
 pub(crate) fn load_for(
     stages: &Stages,
     paths: &[PathBuf],
@@ -128,7 +127,11 @@ pub(crate) fn load_for(
         picture
     };
     let (mut pictures, on_disk) = match &options.memory {
-        None => (in_order(map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None)))?, None),
+        None => {
+            let read = map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None));
+            // In the order given, so that the error is that of the first file that fails.
+            (read.into_iter().collect::<Result<Vec<_>>>()?, None)
+        }
         Some(limit) => read_within(limit, stages, paths, read)?,
     };
     check_sizes(&pictures)?;
@@ -139,7 +142,7 @@ pub(crate) fn load_for(
     warnings.extend(copies.iter().map(Copied::warning));
     let exposures = match given {
         Some(given) => {
-            warnings.extend(doubtful(&pictures, &copies, &given));
+            warnings.extend(check_given(&pictures, &copies, &given));
             given
         }
         None => {
@@ -152,9 +155,8 @@ pub(crate) fn load_for(
         .into_iter()
         .zip(exposures)
         .map(|(picture, exposure)| {
+            let (exposure, size) = (with_tags(exposure, &picture.tags), picture.size());
             notes.insert(picture.path.clone(), picture.warnings);
-            let exposure = with_tags(exposure, &picture.tags);
-            let size = (picture.width, picture.height);
             let mut frame = Frame::stored(picture.path, size, picture.store, picture.well_exposed, exposure);
             frame.profile = picture.profile;
             frame.capture = picture.capture;
@@ -170,24 +172,24 @@ pub(crate) fn load_for(
     Ok((bracket, warnings))
 }
 
-/// All of `paths` by `read`, within the memory of `limit`; where they do not fit, with where they are.
+/// Reads all `paths` within the memory of `limit`. The second value is the scratch file used, where they do not fit.
 fn read_within(
     limit: &MemoryLimit,
     stages: &Stages,
     paths: &[PathBuf],
     read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
 ) -> Result<(Vec<Picture>, Option<OnDisk>)> {
-    // The first tells how large they are.
+    // The size of the first file sets the budget.
     let mut first = read(&paths[0], None)?;
     let demand = Demand {
         stages: *stages,
         frames: paths.len(),
-        size: (first.width, first.height),
+        size: first.size(),
         frame: first.store.bytes(),
         decoding: first.decoding,
     };
     let budget = Budget::new(limit, demand)?;
-    let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_given);
+    let stay = budget.in_memory(rayon::current_num_threads()).is_some_and(limits::is_available);
     let scratch = if stay { None } else { Some(Scratch::in_folder(&limit.folder)?) };
     if let Some(scratch) = &scratch {
         first.store.put_on(scratch)?;
@@ -196,15 +198,11 @@ fn read_within(
     let others = &paths[1..];
     let mut pictures = vec![Ok(first)];
     pictures.extend(map_at_once(others.len(), at_once, |i| read(&others[i], scratch.as_ref())));
-    Ok((in_order(pictures)?, scratch.map(|scratch| OnDisk { scratch, budget })))
+    let pictures = pictures.into_iter().collect::<Result<_>>()?;
+    Ok((pictures, scratch.map(|scratch| OnDisk { scratch, budget })))
 }
 
-/// All of them, or the error of the first that failed, whichever did so first.
-fn in_order(read: Vec<Result<Picture>>) -> Result<Vec<Picture>> {
-    read.into_iter().collect()
-}
-
-/// The `-e` list as exposures.
+/// Converts the `-e` list to exposures.
 fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
     let wrong = |reason| Error::Option { option: "-e", reason };
     if ev.len() != files {
@@ -222,7 +220,7 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
         .collect()
 }
 
-/// Finds a file that was given twice, by the same or another name. What does not exist is left to the reading.
+/// Rejects a file that was given twice, by the same or another name. Missing files are reported when they are read.
 fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
     let mut seen: HashMap<intake::Identity, &PathBuf> = HashMap::new();
     for path in paths {
@@ -234,137 +232,26 @@ fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// One file, read.
-struct Picture {
-    path: PathBuf,
-    width: usize,
-    height: usize,
-    store: Store,
-    /// Bytes that it took while it was decoded.
-    decoding: u64,
-    brightness: Brightness,
-    well_exposed: u64,
-    tags: ExposureTags,
-    profile: Option<Profile>,
-    capture: Capture,
-    /// Why it is not to be merged.
-    excluded: Option<String>,
-    warnings: Vec<Warning>,
-}
-
-impl Picture {
-    /// Reads `path`; with a scratch file, the codes are put on it.
-    fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
-        let limits = options.limits();
-        let bytes = content(path, &limits)?;
-        refuse_result(path, &bytes, &limits)?;
-        let Decoded { width, height, samples, decoding, exif, icc, mut notes, .. } =
-            decode::decode(path, bytes, &limits)?;
-        let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
-        let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
-        let profile = profile(icc, exif.as_ref(), &mut notes);
-        let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
-        // Here, where another frame is being decoded beside it.
-        let (brightness, well_exposed) = (Brightness::of(&samples, width), reference::well_exposed(&samples, width));
-        let mut store = Store::Held(samples);
-        if let Some(scratch) = scratch {
-            store.put_on(scratch)?;
-        }
-        Ok(Picture {
-            path: path.into(),
-            width,
-            height,
-            store,
-            decoding,
-            brightness,
-            well_exposed,
-            tags,
-            profile,
-            capture,
-            excluded: None,
-            warnings,
-        })
-    }
-}
-
-impl Picture {
-    fn look(&self) -> Look<'_> {
-        let Picture { path, width, height, store, brightness, well_exposed, .. } = self;
-        Look { path, size: (*width, *height), store, brightness, well_exposed: *well_exposed }
-    }
-}
-
-/// The bytes of the picture `path`. It is read once, so that there is nothing to be seen twice, and differently.
-pub(super) fn content(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
-    intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))
-}
-
-/// Refuses what hdralign made of photographs before: a second `merge *.jpg` would merge the first one's results. What is damaged is left to the
-/// decoding.
-fn refuse_result(path: &Path, bytes: &[u8], limits: &Limits) -> Result<()> {
-    match Header::of(path, Cursor::new(bytes), limits) {
-        Ok(header) if header.is_ours() => {
-            let path = path.display();
-            let reason = format!(
-                "{path} is a result of hdralign, not a photograph; leave it out, or give the photographs it was made of"
-            );
-            Err(Error::Option { option: "IMAGES", reason })
-        }
-        _ => Ok(()),
-    }
-}
-
-/// The profile that a file carries, or that its EXIF means.
-pub(super) fn profile(icc: Option<Vec<u8>>, exif: Option<&Exif>, notes: &mut Vec<String>) -> Option<Profile> {
-    let Some(icc) = icc else {
-        // DCF 2.0: "uncalibrated" with the interoperability index R03 is Adobe RGB.
-        let exif = exif?;
-        let uncalibrated = exif.get_field(Tag::ColorSpace, In::PRIMARY)?.value.get_uint(0) == Some(0xFFFF);
-        let r03 = capture::ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");
-        return if uncalibrated && r03 { Profile::adobe_rgb() } else { None };
-    };
-    match Profile::parse(icc) {
-        Found::Rgb(profile) => {
-            if profile.primaries.is_none() {
-                notes.push(format!(
-                    "the primaries of its colour profile ({}) are unknown; sRGB's are assumed",
-                    profile.description
-                ));
-            }
-            Some(profile)
-        }
-        Found::Other(kind) => {
-            notes.push(format!("its {kind} colour profile was ignored; sRGB is assumed"));
-            None
-        }
-        Found::Damaged => {
-            notes.push("its colour profile is damaged and was ignored; sRGB is assumed".into());
-            None
-        }
-    }
-}
-
 fn check_sizes(pictures: &[Picture]) -> Result<()> {
-    let size = |p: &Picture| (p.width, p.height);
     let first = &pictures[0];
-    match pictures.iter().find(|p| size(p) != size(first)) {
+    match pictures.iter().find(|p| p.size() != first.size()) {
         None => Ok(()),
         Some(odd) => Err(Error::SizeMismatch {
             path: odd.path.clone(),
-            size: size(odd),
+            size: odd.size(),
             other: first.path.clone(),
-            other_size: size(first),
+            other_size: first.size(),
         }),
     }
 }
 
-/// Code values of one bracket are of one scale: 8-bit frames among 16-bit ones are spread to 0..=65535.
+/// Scales 8-bit frames to 0..=65535 where other frames have 16 bits, so that all pixel values of a bracket have one scale.
 fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) -> Result<()> {
     if pictures.iter().all(|p| p.store.max() == pictures[0].store.max()) {
         return Ok(());
     }
     for picture in pictures {
-        let whole = picture.store.window((picture.width, picture.height), 0..picture.height)?;
+        let whole = picture.store.window(picture.size(), 0..picture.height)?;
         let Codes::Eight(v) = whole.codes() else { continue };
         let wide = Samples::Sixteen(v.iter().map(|&code| u16::from(code) * 257).collect());
         drop(whole);
@@ -379,8 +266,8 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
     Ok(())
 }
 
-/// Excludes the frames that were lit by the flash, where at least two others were not; but not the reference that the user chose. Gives what there is
-/// to say of those that stay; of the others the user may still say where they lie.
+/// Excludes the frames lit by the flash where at least two others were not, except a reference chosen by the user. Returns warnings for
+/// the flash frames that are kept. Excluded frames get no warning here because the user may still place them.
 fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Result<Vec<Warning>> {
     let unlit = pictures.iter().filter(|p| !p.tags.flash).count();
     if unlit == 0 || unlit == pictures.len() {
@@ -400,15 +287,16 @@ fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Resul
     Ok(warnings)
 }
 
-/// What the pixels say against the exposures that the user gives; these are taken all the same.
-fn doubtful(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
+/// Warns where the exposures given by the user contradict the pixels; they are used all the same.
+fn check_given(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
     let seen: Vec<&Brightness> = pictures.iter().map(|p| &p.brightness).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();
     let detail = copies::contradiction(copies, &given).or_else(|| brightness::contradiction(&given, &seen))?;
     Some(Warning::ExposureDoubtful { detail })
 }
 
-/// `exposure` with what the file says of its parts. A time that the pixels belie is not repeated.
+/// Adds time, f-number and ISO of the file to an `exposure` that is not from EXIF. The time is left out where the exposure was estimated,
+/// because the pixels may contradict it.
 fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     if exposure.source != ExposureSource::Exif {
         exposure.time_s = if exposure.source == ExposureSource::Given { tags.time_s.map(|t| t.0) } else { None };
@@ -418,7 +306,7 @@ fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     exposure
 }
 
-/// What there is to say of frames whose colours are others than the reference's.
+/// Warns about frames whose primaries differ from those of the reference frame.
 pub(crate) fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
     let name = |frame: &Frame| frame.profile.as_ref().map_or("none, so sRGB".into(), |p| p.description.clone());
     let kept = bracket.reference();
@@ -430,6 +318,5 @@ pub(crate) fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
         .collect()
 }
 
-mod exposures;
 #[cfg(test)]
 mod tests;

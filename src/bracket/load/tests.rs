@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::bracket::Capture;
+use crate::bracket::colour::Profile;
 use crate::bracket::decode::tests::{jpeg, scene, with_exif};
-use exif::Value;
+use exif::{Tag, Value};
 use std::fs;
 use tempfile::TempDir;
 

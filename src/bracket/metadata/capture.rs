@@ -1,6 +1,6 @@
-//! What the camera noted beside the exposure.
+//! Capture data other than the exposure.
 //!
-//! In: EXIF. Out: a [`Capture`], with blanks, padding and clocks that were never set left out, and the camera's name of it. Cost: nothing to speak of.
+//! In: EXIF. Out: a [`Capture`] without blank fields, padding and dates of clocks that were never set, and the camera name. Cost: negligible.
 //! Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
 
 use crate::bracket::metadata::carried;
@@ -8,7 +8,7 @@ use crate::bracket::metadata::moment::{is_date, taken};
 use crate::bracket::{Capture, exposure};
 use exif::{Exif, In, Tag, Value};
 
-/// The notes that are carried over to the outputs; where it was taken if `keep_gps`.
+/// Reads the data that is copied to the outputs; with the GPS position if `keep_gps`.
 pub(crate) fn read(exif: &Exif, keep_gps: bool) -> Capture {
     let focal_length = exif.get_field(Tag::FocalLength, In::PRIMARY).and_then(|f| exposure::first_number(&f.value));
     Capture {
@@ -23,7 +23,7 @@ pub(crate) fn read(exif: &Exif, keep_gps: bool) -> Capture {
 }
 
 impl Capture {
-    /// Make and model as one text, the make not said twice: `Canon EOS 5D`; `None` when neither is known.
+    /// Make and model as one text without a repeated make: `Canon EOS 5D`. `None` where neither is known.
     pub fn camera(&self) -> Option<String> {
         let text = |t: &Option<String>| t.as_deref().unwrap_or_default().trim_matches(['\0', ' ']).to_owned();
         let (make, model) = (text(&self.make), text(&self.model));
@@ -34,7 +34,7 @@ impl Capture {
     }
 }
 
-/// The first line of a text field, without padding; `None` where nothing is left.
+/// The first string of a text field, without padding; `None` where it is empty.
 pub(crate) fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
     let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else {
         return None;

@@ -1,19 +1,18 @@
-//! The EXIF of a photograph that is still true of what is made of it.
+//! The EXIF fields of a photograph that are valid for results too.
 //!
-//! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost: nothing to speak of.
+//! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost: negligible.
 //! Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or drop, annex E.
 //!
-//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer knows better; the id of the one image that it
-//! was; thumbnail
-//! and maker note, which show or address what is no longer there; places in the picture, which has been moved and cropped; and, unless
-//! it is asked for, where it was taken.
+//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer sets; the unique image id;
+//! the thumbnail; the maker note, whose offsets become invalid; positions in the image, which has been moved and cropped; and, unless
+//! requested, the GPS position.
 
 use exif::experimental::Writer;
 use exif::{Context, Exif, Field, In, Tag, Value};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// Of the first directory, those that speak of the photograph.
+/// Fields of the first directory that describe the photograph.
 pub(crate) const DESCRIPTIVE: [Tag; 9] = [
     Tag::ImageDescription,
     Tag::Make,
@@ -26,7 +25,7 @@ pub(crate) const DESCRIPTIVE: [Tag; 9] = [
     Tag::Copyright,
 ];
 
-/// Of the EXIF directory, those that speak of the stored pixels or of what was left behind.
+/// Fields of the EXIF directory that describe the stored file and are left out.
 const OF_THE_FILE: [Tag; 12] = [
     Tag::MakerNote,
     Tag::PixelXDimension,
@@ -42,13 +41,13 @@ const OF_THE_FILE: [Tag; 12] = [
     Tag::ImageUniqueID,
 ];
 
-/// From here on numbers of the EXIF directory are padding of one program and another's own.
+/// Tags of the EXIF directory from this number on are padding or private to a program.
 const PRIVATE: u16 = 0xC000;
 
-/// A field longer than this is no note of a camera.
+/// Longest field that is copied, in bytes.
 const LONGEST: usize = 4096;
 
-/// The block; with the place if `keep_gps`. `None` where nothing is left.
+/// Returns the block, with the GPS position if `keep_gps`; `None` where it has no fields.
 pub(crate) fn carried(exif: &Exif, keep_gps: bool) -> Option<Vec<u8>> {
     let mut fields: BTreeMap<(u8, u16), &Field> = BTreeMap::new();
     for field in exif.fields().filter(|field| field.ifd_num == In::PRIMARY && is_writable(&field.value)) {
@@ -60,7 +59,7 @@ pub(crate) fn carried(exif: &Exif, keep_gps: bool) -> Option<Vec<u8>> {
             _ => (3, false),
         };
         if is_kept {
-            // Damaged files have a tag twice; the first counts.
+            // Damaged files may have a tag twice; the first is used.
             fields.entry((directory, tag.number())).or_insert(field);
         }
     }
@@ -74,7 +73,7 @@ pub(crate) fn carried(exif: &Exif, keep_gps: bool) -> Option<Vec<u8>> {
     Some(block.into_inner())
 }
 
-/// Whether the value is of a known type, not empty, and of a length that a note has.
+/// Whether the value has a known type and a length of 1 to [`LONGEST`] bytes.
 fn is_writable(value: &Value) -> bool {
     let bytes = match value {
         Value::Byte(v) => v.len(),

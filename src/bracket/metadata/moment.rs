@@ -1,12 +1,12 @@
-//! Moments: when a photograph was taken.
+//! The time at which a photograph was taken.
 //!
-//! In: the text of EXIF's dates. Out: a [`Moment`], to the digits that the camera writes. Cost: none to speak of.
+//! In: the text of the EXIF dates. Out: a [`Moment`], to the precision that the camera writes. Cost: negligible.
 //! Source: EXIF 2.32, section 4.6.5.
 
 use exif::{DateTime, Tag};
 use std::fmt;
 
-/// When a photograph was taken, by the clock of its camera, in no time zone.
+/// The time at which a photograph was taken, in local time of the camera clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Moment {
     seconds: i64,
@@ -15,17 +15,17 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Seconds from `earlier` to this.
+    /// Seconds from `earlier` to this time.
     pub fn since(&self, earlier: &Moment) -> f64 {
         (self.seconds - earlier.seconds) as f64 + (f64::from(self.nanoseconds) - f64::from(earlier.nanoseconds)) * 1e-9
     }
 
-    /// The step of the clock in seconds: 1, or what the digits of its fraction say.
+    /// Resolution in seconds: 1, or less where the camera wrote a fraction.
     pub fn resolution_s(&self) -> f64 {
         1.0 / f64::from(10_u32.pow(u32::from(self.digits.min(9))))
     }
 
-    /// From EXIF's `YYYY:MM:DD HH:MM:SS` and the digits of the fraction.
+    /// Parses EXIF's `YYYY:MM:DD HH:MM:SS` and the digits of the fraction.
     fn parse(date: &str, fraction: Option<&str>) -> Option<Self> {
         let mut date = DateTime::from_ascii(date.as_bytes()).ok()?;
         let digits: String = fraction.unwrap_or_default().chars().take_while(char::is_ascii_digit).take(9).collect();
@@ -40,7 +40,7 @@ impl Moment {
     }
 }
 
-/// Days of the Gregorian calendar, counted from the first of March of the year 0.
+/// Days in the Gregorian calendar since 1 March of the year 0.
 fn days(year: i64, month: i64, day: i64) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + (153 * month + 2) / 5 + day - 1
@@ -55,7 +55,7 @@ impl fmt::Display for Moment {
     }
 }
 
-/// Year, month and day of what [`days`] gives.
+/// Year, month and day: the inverse of [`days`].
 fn date(days: i64) -> (i64, i64, i64) {
     // 400 years have 146,097 days; within them, years begin in March, so that the leap day is the last.
     let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
@@ -67,7 +67,7 @@ fn date(days: i64) -> (i64, i64, i64) {
     (era * 400 + year_of_era + next, month, day)
 }
 
-/// The moment of the exposure; else that of the digitising, else of the last change, which are the same in a camera.
+/// The time of the exposure, else of digitising, else of the last change; a camera writes the same time to all.
 pub(crate) fn taken(text: &impl Fn(Tag) -> Option<String>) -> Option<Moment> {
     [
         (Tag::DateTimeOriginal, Tag::SubSecTimeOriginal),
@@ -78,7 +78,7 @@ pub(crate) fn taken(text: &impl Fn(Tag) -> Option<String>) -> Option<Moment> {
     .find_map(|(date, fraction)| Moment::parse(&text(date).filter(|d| is_date(d))?, text(fraction).as_deref()))
 }
 
-/// `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
+/// Whether `text` is `YYYY:MM:DD HH:MM:SS`, and not the blanks or zeros of a clock that was never set.
 pub(crate) fn is_date(text: &str) -> bool {
     let shape = b"0000:00:00 00:00:00";
     text.len() == shape.len()

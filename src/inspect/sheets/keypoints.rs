@@ -39,17 +39,17 @@ pub(in crate::inspect) fn draw(
     let counts = features.counts();
     let entry = |colour, words: String| Entry { mark: Mark::Keypoint, colour, words };
     let legend = [
-        entry(PLAIN, format!("plain picture only: {plain}")),
+        entry(PLAIN, format!("photograph only: {plain}")),
         entry(MTB, format!("bitmap (MTB) only: {mtb}")),
         entry(BOTH, format!("in both: {both}")),
     ];
     let (width, height) = features.size();
     let mut notes = format!(
-        "{} keypoints plain, {} on the bitmap, {} merged, sought on {width} x {height} pixels. Radius: scale (sigma); tick: direction.",
+        "Keypoints: {} in the photograph, {} in the bitmap, {} merged; detected at {width} x {height} pixels. Radius: scale (sigma); tick: direction.",
         counts.plain, counts.mtb, counts.merged
     );
     if photograph.brightened {
-        notes += " The frame is shown brighter than it is.";
+        notes += " The frame is shown brightened.";
     }
     let mut page = Page::new(title, &legend, photograph.size(), &notes);
     let corner = page.corner;

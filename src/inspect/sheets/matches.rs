@@ -1,4 +1,4 @@
-//! Matches: the reference and a frame side by side, and lines between what looks alike.
+//! Drawing of the matches: reference and frame side by side, with lines between matching keypoints.
 //!
 //! In: two frames and their matches. Out: a drawing, inliers of the robust fit and outliers in two colours. Cost: some 50 bytes a match.
 
@@ -10,7 +10,7 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);
 
-/// More lines than this hide each other.
+/// Maximum number of lines; more would hide each other.
 const MOST_LINES: usize = 160;
 /// Paper between the two frames, in pixels.
 const GAP: f64 = 16.0;
@@ -39,10 +39,10 @@ pub(in crate::inspect) fn draw(
         .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {
-        notes += &format!(" All are dots; one in {stride} has a line.");
+        notes += &format!(" All matches are drawn as dots, one in {stride} also as a line.");
     }
     if reference.1.brightened || frame.1.brightened {
-        notes += " Dark frames are shown brighter than they are.";
+        notes += " Dark frames are shown brightened.";
     }
     let (left, right) = (reference.1.size(), frame.1.size());
     let mut page = Page::new(title, &legend, (left.0 + GAP + right.0, NAMES + left.1.max(right.1)), &notes);
@@ -58,7 +58,7 @@ pub(in crate::inspect) fn draw(
         .collect();
     let all = Area { x: corners[0].0, y: corners[0].1, width: left.0 + GAP + right.0, height: left.1.max(right.1) };
     page.drawing.clipped(all, |inside| {
-        // What is wrong lies below, so that it does not hide what is right.
+        // Outliers are drawn first, so that they do not hide inliers.
         for (wanted, colour) in [(false, OUTLIER), (true, INLIER)] {
             let (mut lines, mut dots) = (Path::default(), Path::default());
             for (i, [from, to]) in ends.iter().enumerate().filter(|(i, _)| matching.inlier[*i] == wanted) {

@@ -27,7 +27,7 @@ const BELOW: f64 = 60.0;
 const ABOVE: f64 = 10.0;
 /// Places of each channel that are drawn, at most.
 const DOTS: usize = 600;
-/// Stops below code 128 that are drawn at the most: code 0 is anybody's guess.
+/// Lowest exposure that is drawn, in stops below that of code value 128; the exposure of code value 0 is not known.
 const DEEPEST: f64 = 14.0;
 
 /// `curve` with the `samples` that it was made of, if any; `title` names the camera.
@@ -43,7 +43,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
     // From code 1 on, and not deeper than is worth it.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
-    let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure, stops over that of code 128");
+    let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure, stops relative to code value 128");
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
     let plot = Plot { area, x, y: up };
     plot.draw_axes(&mut page.drawing);
@@ -115,7 +115,8 @@ mod tests {
         let drawn = Drawn { channels: [vec![sample], Vec::new(), Vec::new()], black: [0.0; 3] };
         let drawing = draw("Acme <One>", &curve, &drawn, "a note");
         let svg = drawing.to_svg();
-        for words in ["Acme &lt;One&gt;", "code value", "exposure, stops over that of code 128", "sRGB", "a note"] {
+        for words in ["Acme &lt;One&gt;", "code value", "exposure, stops relative to code value 128", "sRGB", "a note"]
+        {
             assert!(svg.contains(words), "{words}");
         }
         let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();

@@ -98,12 +98,12 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     let sides = views.frame.len() as f64;
     let room = (sides * size.0 + (sides - 1.0) * GAP, NAMES + size.1 + below);
     let mut notes =
-        "An edge in one colour alone: the other frame is burnt out or black there, or something moved.".to_owned();
+        "An edge in only one colour: the other frame is clipped or black there, or something moved.".to_owned();
     if !boxes.is_empty() {
-        notes += &format!(" Below, the places that are boxed: {MAGNIFIED} px for one of the photograph's.");
+        notes += &format!(" Below: the boxed areas, {MAGNIFIED} px for each pixel of the photograph.");
     }
     if couple.warp.is_none() {
-        notes += " The frame was left out: there is no after.";
+        notes += " The frame could not be aligned, so there is no view after alignment.";
     }
     let mut page = Page::new(title, &legend, room, &notes);
     for (k, ((_, view), words)) in views.frame.iter().zip(["before: as photographed", "after: aligned"]).enumerate() {

@@ -1,8 +1,7 @@
-//! What a frame's place rests on, as the page shows it: overlay, bitmaps, XOR curves, keypoints and matches.
+//! The evidence for the alignment on the page: overlay, bitmaps, XOR curves, keypoints and matches.
 //!
 //! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures.
-//! Source: Ward 2003, section 2
-//! (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
+//! Source: Ward 2003, section 2 (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
 
 use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::features::Keypoint;
@@ -22,17 +21,17 @@ use std::fmt::Write;
 /// Columns of an overlay at the most, for as many frames; more share the room.
 const OVERLAY: (usize, usize) = (680, 3);
 const LEAST_OVERLAY: usize = 360;
-/// The quality of an overlay's JPEG.
+/// JPEG quality of an overlay.
 const EDGES: u8 = 58;
-/// Lines between matches at the most: more hide each other.
+/// Maximum number of lines between matches; more would hide each other.
 const LINES: usize = 120;
 /// Units of a keypoint's drawing across: twice the photograph's pixels, so that half of one can be told.
 const UNITS: usize = 2;
 
-/// Dark, bright, and too near the threshold to count.
+/// Colours of dark, bright and excluded pixels.
 const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142, 48, 255]];
 
-/// What a frame's place rests on.
+/// The evidence for the alignment of one frame.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Evidence {
     pub bitmap: Picture,
@@ -45,7 +44,7 @@ pub(in crate::page) struct Evidence {
     pub keypoints: Option<(String, [usize; 3])>,
     /// SVG of matches, where features were needed; how many, and of these inliers.
     pub matches: Option<(String, usize, usize)>,
-    /// Whether the photograph behind those is brighter than it is.
+    /// Whether the photograph behind those is brightened.
     pub brightened: bool,
 }
 
@@ -57,7 +56,7 @@ pub(in crate::page) struct Xor {
     pub plots: [String; 3],
 }
 
-/// The edges of a frame over the reference's.
+/// The edges of a frame over those of the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Overlay {
     pub before: Picture,
@@ -73,7 +72,7 @@ pub(in crate::page) fn needs_features(alignment: &Alignment, i: usize) -> bool {
     }
 }
 
-/// The evidence of all frames.
+/// Returns the evidence for all frames.
 pub(in crate::page) fn gather(
     inspection: &Inspection,
     alignment: &Alignment,
@@ -224,7 +223,7 @@ fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -
     svg += &behind(frame, right);
     let place = |p: [f64; 2], left: f64| (left + units(p[0], scale), units(p[1], scale));
     let stride = matching.pairs.len().div_ceil(LINES).max(1);
-    // What is wrong lies below, so that it does not hide what is right.
+    // Outliers are drawn first, so that they do not hide inliers.
     for (wanted, class) in [(false, "outlier"), (true, "inlier")] {
         let mut lines = String::new();
         let mut ends = Vec::new();

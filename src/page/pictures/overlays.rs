@@ -1,4 +1,4 @@
-//! Overlays: what is laid over the picture to show where something moved, and where the phone or the camera processed the frames locally.
+//! Overlays of the result: movement, and local processing by the phone or camera.
 //!
 //! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns
 //! a pixel of the picture.
@@ -18,19 +18,19 @@ const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126,
 const FEW: u8 = 16;
 const HALF: u8 = 120;
 const NEARLY_ALL: u8 = 200;
-/// Colours of places that a frame shows brighter and darker than its exposure explains, and the opacity of the strongest.
+/// Colours of areas that are brighter and darker than the exposure of the frame explains, and the maximum opacity.
 const BRIGHTER: [u8; 3] = [20, 110, 255];
 const DARKER: [u8; 3] = [255, 120, 0];
 const OPAQUE: f64 = 130.0;
-/// Steps of the local gain to either side.
+/// Steps of the local gain in each direction.
 const STEPS: i32 = 7;
 
-/// By what frames were multiplied, place by place.
+/// Maps of the local gain of the frames.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Local {
-    /// What the strongest colours stand for, in stops.
+    /// Gain of the strongest colours, in stops.
     pub most_stops: f64,
-    /// Which of `frames` the greatest gain is of.
+    /// Index in `frames` of the map with the greatest gain.
     pub strongest: usize,
     /// The index in the bracket of each frame but the reference, and its own.
     pub frames: Vec<(usize, Picture)>,

@@ -1,13 +1,13 @@
-//! Advice: every warning, with what to do about it; of frames that have the same one, once.
+//! The warnings, each with what to do about it; the same warning for several frames is shown once.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
 use crate::draw::markup::{escape, file_name};
 use crate::report::{Report, WarningReport};
 
-/// A warning, of frames that have the same one.
+/// A warning and the frames that it applies to.
 struct Advice {
-    /// The names of the frames; none where it is of the bracket.
+    /// Names of the frames; empty if the warning is about the whole bracket.
     names: Vec<String>,
     what: String,
     remedy: String,
@@ -28,17 +28,17 @@ impl Advice {
         Advice { names, what: what.to_owned(), remedy: remedy.to_owned(), degrades: warning.degrades }
     }
 
-    /// What is done about it, for any of its frames.
+    /// Returns the remedy with `FILE` in place of the names of the frames.
     fn general(&self) -> String {
         self.names.iter().fold(self.remedy.clone(), |text, name| text.replace(name.as_str(), "FILE"))
     }
 
-    /// Takes the frames of `other`, if that says the same of them but for what is measured.
+    /// Adds the frames of `other` and returns true, if both warnings differ only in measured values.
     fn takes(&mut self, other: &Advice) -> bool {
         if self.names.is_empty() || other.names.is_empty() || self.general() != other.general() {
             return false;
         }
-        // What is measured stands behind a colon or between brackets.
+        // Measured values follow a colon or are in brackets.
         let end = common(&self.what, &other.what);
         let is_end = |text: &str| text.is_empty() || text.trim_start().starts_with([':', '(']);
         let end = match is_end(&self.what[end..]) && is_end(&other.what[end..]) {
@@ -61,15 +61,15 @@ impl Advice {
     }
 }
 
-/// Where `a` and `b` begin to differ.
+/// Returns the byte length of the common prefix of `a` and `b`.
 fn common(a: &str, b: &str) -> usize {
     a.char_indices().zip(b.chars()).find(|((_, a), b)| a != b).map_or(a.len().min(b.len()), |((at, _), _)| at)
 }
 
-/// What the user should know, each with what to do about it.
+/// Returns the list of warnings, each with its remedy.
 pub(in crate::page) fn warnings(report: &Report) -> String {
     if report.warnings.is_empty() {
-        return "<p class=\"calm\"><b>No warnings.</b> Every frame has its place, the exposures are known, and nothing had to be guessed.</p>\n"
+        return "<p class=\"calm\"><b>No warnings.</b> No problems were found with the frames or their exposures.</p>\n"
             .into();
     }
     let mut all: Vec<Advice> = Vec::new();
@@ -83,12 +83,12 @@ pub(in crate::page) fn warnings(report: &Report) -> String {
     format!("<div class=\"warnings\" role=\"note\" aria-label=\"Warnings\">\n<ul>\n{items}</ul>\n</div>\n")
 }
 
-/// `text` in which frames are named without their folders.
+/// Returns `text` with the folders of frame names removed.
 fn without_folders(text: &str, report: &Report) -> String {
     report.frames.iter().fold(text.to_owned(), |text, frame| text.replace(&frame.path, &file_name(&frame.path)))
 }
 
-/// Escaped `text` with options set as code.
+/// Returns escaped `text` with options marked up as code.
 fn with_code(text: &str) -> String {
     let word = |word: &str| {
         let bare = word.trim_end_matches([',', '.', ';', ':']);
@@ -100,7 +100,7 @@ fn with_code(text: &str) -> String {
     text.split(' ').map(word).collect::<Vec<_>>().join(" ")
 }
 
-/// `text` with a capital at its beginning, unless that is markup.
+/// Returns `text` with its first letter in upper case.
 fn capital(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())

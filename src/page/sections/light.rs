@@ -1,4 +1,4 @@
-//! Light: what codes mean, what the scene holds and which frame covers what of it, and which frame the result is made of.
+//! Histogram of the scene, camera response, and the contribution of each frame.
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
@@ -12,23 +12,23 @@ use crate::response::{CODES, ResponseCurve};
 use std::f64::consts::LN_2;
 use std::fmt::Write;
 
-/// Codes between which a frame tells light well: below is noise, above is clipping.
-const TELLING: (usize, usize) = (8, 248);
-/// Stops below code 128 that are drawn at the most: code 0 is anybody's guess.
+/// Range of code values that a frame measures well: noise is below it, clipping above.
+const MEASURED: (usize, usize) = (8, 248);
+/// Lowest exposure that is drawn, in stops below that of code value 128; the exposure of code value 0 is not known.
 const DEEPEST: f64 = 12.0;
-/// Pixels of the histogram's drawing for the range of each frame, and at the most for all.
+/// Height of the row that shows the range of one frame, in px of the drawing.
 const RANGE: f64 = 20.0;
-/// Tails of the histogram with less than this share of the pixels are cut off.
+/// Steps at both ends of the histogram with at most this fraction of the pixels are not drawn.
 const TAIL: f64 = 2e-5;
 
-/// The histogram and the response; none where frames were only aligned.
+/// Returns the histogram and the response, or `None` if the frames were only aligned.
 pub(in crate::page) fn scene(page: &Page, report: &Report) -> Option<String> {
     let curve = page.curve.as_ref()?;
     let histogram = histogram(page, report, curve).unwrap_or_default();
     Some(format!("{histogram}{}", response(report, curve)))
 }
 
-/// Pixels against luminance in stops, and the range that each frame covers.
+/// Returns the histogram of the luminance in stops, with the range that each frame covers.
 fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<String> {
     let (first, counts) = page.luminance.as_ref()?;
     let all: u64 = counts.iter().sum();
@@ -36,19 +36,19 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let (from, to) = (counts.iter().position(is_some)?, counts.iter().rposition(is_some)?);
     let per_stop = Page::PER_STOP as f64;
     let step = |i: usize| (*first + i as i64) as f64 / per_stop;
-    // Radiance as it was before it was given its unit.
+    // Ratio of the unit exposure to the exposure of the reference.
     let normalised = report.radiance.as_ref().and_then(|r| Some(r.unit_exposure_s? / r.reference_exposure));
     let unit = report.calibration.as_ref().map(|c| c.cd_m2_per_unit).or(normalised).map_or(0.0, libm::log2);
     let middle = match normalised {
-        Some(factor) if factor != 1.0 => "luminance, stops over what gives the middle code at the exposure of the unit",
-        _ => "luminance, stops over what gave the reference its middle code",
+        Some(factor) if factor != 1.0 => "luminance, stops relative to the middle code value at unit exposure",
+        _ => "luminance, stops relative to the middle code value of the reference",
     };
     let stops = stops_over_reference(report);
-    let tells = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;
+    let measured = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;
     let placed: Vec<usize> =
         (0..stops.len()).filter(|&i| report.frames[i].alignment.status.rejected_by().is_none()).collect();
     let ranges: Vec<(usize, f64, f64)> =
-        placed.iter().map(|&i| (i, tells(TELLING.0, stops[i]), tells(TELLING.1, stops[i]))).collect();
+        placed.iter().map(|&i| (i, measured(MEASURED.0, stops[i]), measured(MEASURED.1, stops[i]))).collect();
     let (low, high) = (step(from) - 0.5, step(to + 1) + 0.5);
     let x = match report.calibration {
         Some(_) => Axis::decades(low, high, "luminance, cd/m²"),
@@ -85,23 +85,23 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let bounds = report.radiance.as_ref().map_or_else(String::new, |m| {
         let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
         format!(
-            " {} of the pixels are clipped even in the shortest frame, {} black even in the longest: there the radiance is but a bound.",
+            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There the radiance is only a bound.",
             percent(m.all_clipped as f64 / pixels),
             percent(m.all_black as f64 / pixels)
         )
     });
     Some(format!(
-        "<figure class=\"plots wide\">\n{}<figcaption><b>What the scene holds, and which frame covers it.</b> Above, \
-         how many pixels have which luminance, in quarters of a stop. Below, for each frame (EV over the reference) \
-         from where to where its codes {} to {} tell light. Every column should have a bar under it; one without is \
-         noise or a guess. Between the bars there should be no gap.{bounds}</figcaption>\n</figure>\n",
+        "<figure class=\"plots wide\">\n{}<figcaption><b>Brightness range of the scene, and the frames that cover it.</b> \
+         Above: the luminance of the pixels, in quarters of a stop. Below: the range that each frame (EV relative to the \
+         reference) measures with code values {} to {}. Every column should have a bar below it; without one the \
+         values are unreliable. There should be no gap between the bars.{bounds}</figcaption>\n</figure>\n",
         plot.finish("big", &words),
-        TELLING.0,
-        TELLING.1
+        MEASURED.0,
+        MEASURED.1
     ))
 }
 
-/// What codes mean.
+/// Returns the plot of the camera response.
 fn response(report: &Report, curve: &ResponseCurve) -> String {
     let srgb = ResponseCurve::srgb();
     let stops = |ln: f64| ln / LN_2;
@@ -110,7 +110,7 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
     let high = all().map(|g| stops(g[CODES - 1])).fold(f64::MIN, f64::max);
     let x = Axis::at(0.0, 255.0, [0, 64, 128, 192, 255], "code value");
     let mut plot =
-        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops over that of code 128"));
+        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops relative to code value 128"));
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;
         (0..CODES).filter(deep).map(|z| (z as f64, stops(g[z]))).collect::<Vec<_>>()
@@ -121,23 +121,23 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
     }
     let model = report.response.as_ref().map_or("", |r| r.model);
     let fallback = report.response.as_ref().and_then(|r| r.fallback.as_ref());
-    let fallback =
-        fallback.map_or_else(String::new, |why| format!(" The curve asked for was not used: {}.", escape(why)));
+    let fallback = fallback
+        .map_or_else(String::new, |why| format!(" The requested response model was not used: {}.", escape(why)));
     let svg = plot.finish(
         "",
-        "The camera's response: exposure in stops against code, for red, green and blue, with the sRGB curve.",
+        "The camera's response: exposure in stops against code value, for red, green and blue, with the sRGB curve.",
     );
     format!(
-        "<figure class=\"plots beside\">\n{svg}<figcaption><b>What a code means</b> to this camera, by \
+        "<figure class=\"plots beside\">\n{svg}<figcaption><b>Camera response</b>, model \
          <code>{}</code>: <span class=\"key red\"></span> red <span class=\"key green\"></span> green <span \
-         class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for comparison. The three should rise \
-         smoothly and lie near each other; steps or crossings in the middle are the mark of a scene that does not \
-         tell, and of exposures that are not what the files say.{fallback}</figcaption>\n</figure>\n",
+         class=\"key bluechannel\"></span> blue; dashed the sRGB curve, for comparison. The three curves should \
+         rise smoothly and be close to each other. Steps or crossings in the middle mean that the scene has too few \
+         tones, or that the exposures in the files are wrong.{fallback}</figcaption>\n</figure>\n",
         escape(model)
     )
 }
 
-/// Which frame gives what; none where frames were only aligned.
+/// Returns the contribution of each frame, or `None` if the frames were only aligned.
 pub(in crate::page) fn shares(page: &Page, report: &Report) -> Option<String> {
     let map = page.shares.as_ref()?;
     let count = page.frames.len();
@@ -154,17 +154,17 @@ pub(in crate::page) fn shares(page: &Page, report: &Report) -> Option<String> {
             100.0 * share,
             percent(*share)
         );
-        let caption = format!("<b>{name}</b> gives {}", percent(*share));
+        let caption = format!("<b>{name}</b> contributes {}", percent(*share));
         each += &figure(picture, &format!("Where {} contributes.", frame.path), &caption);
     }
-    let caption = "<b>Weights.</b> Each place in the colour of the frame that it is made of, mixed where it is made \
-                   of several. Bright places should be of short exposures, dark ones of long ones. Sharp borders \
-                   across a smooth surface mean exposures or a response that do not fit.";
+    let caption = "<b>Contribution of each frame.</b> Each pixel has the colour of the frame it comes from, or a \
+                   mixture. Bright areas should come from short exposures, dark areas from long ones. Sharp borders \
+                   across a smooth surface mean that exposures or response are wrong.";
     Some(format!(
         "<div class=\"shares\">\n{}<ul class=\"legend\">\n{legend}</ul>\n</div>\n\
          <details class=\"frame\">\n<summary><b>Frame by frame</b></summary>\n\
-         <p class=\"intro\">White where the result is of this frame alone, black where it gives nothing.</p>\n\
+         <p class=\"intro\">White: the result comes from this frame alone. Black: the frame does not contribute.</p>\n\
          <div class=\"grid\">\n{each}</div>\n</details>\n",
-        figure(map, "Which frame the result is made of, place by place.", caption)
+        figure(map, "Map of the frames that the result comes from.", caption)
     ))
 }

@@ -1,4 +1,4 @@
-//! The photographs: the frames with their exposures, what moved, and the bitmaps that it is found by.
+//! The frames: exposures, alignment and median threshold bitmaps.
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML. Cost: none.
 
@@ -12,18 +12,18 @@ use crate::page::{FramePage, Page, frame_css, is_sought};
 use crate::report::{FrameReport, Report};
 use std::fmt::Write;
 
-/// The stops of each frame over the reference.
+/// Returns the exposure of each frame relative to the reference, in stops.
 pub(in crate::page) fn stops_over_reference(report: &Report) -> Vec<f64> {
     let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
     let unit = reference.map_or(1.0, |f| f.relative_exposure);
     report.frames.iter().map(|f| libm::log2(f.relative_exposure / unit)).collect()
 }
 
-/// The frames as cards.
+/// Returns the frames as cards.
 pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">From the shortest exposure to the longest, each moved to fit the reference and cut as the \
-         result is. The colour of a frame is its own throughout the page. EV counts from the reference.</p>\n",
+        "<p class=\"intro\">From the shortest exposure to the longest, each aligned to the reference and cropped like \
+         the result. Each frame has one colour throughout the page. EV is relative to the reference.</p>\n",
     );
     let ratio = report.crop.width_px as f64 / report.crop.height_px.max(1) as f64;
     let _ = writeln!(out, "<ul class=\"cards\" style=\"--ratio:{ratio:.4}\">");
@@ -35,14 +35,14 @@ pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
         let photograph = img(&shown.photograph, &format!("Frame {}.", frame.path));
         let lies = match frame.alignment.status {
             Status::Reference => "the reference",
-            Status::Unmoved => "as it was photographed",
-            Status::Aligned | Status::Assumed => "moved to fit",
-            Status::Rejected | Status::Excluded | Status::Flash => "left out, as it was photographed",
+            Status::Unmoved => "as photographed",
+            Status::Aligned | Status::Assumed => "aligned",
+            Status::Rejected | Status::Excluded | Status::Flash => "left out, shown as photographed",
         };
         let ghosts =
             report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
         let left_out = ghosts.map_or_else(String::new, |ghost| {
-            format!("<div><dt>left out</dt><dd>{}, where it moved</dd></div>\n", percent(ghost.ghost_fraction))
+            format!("<div><dt>left out</dt><dd>{}, because of movement</dd></div>\n", percent(ghost.ghost_fraction))
         });
         let share = shown.share.as_ref().map_or_else(String::new, |(share, _)| {
             format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share))
@@ -61,7 +61,7 @@ pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
     out + "</ul>\n"
 }
 
-/// How a frame was exposed, and where that is from.
+/// Returns the exposure of a frame, and its source if that is not EXIF.
 fn exposure(frame: &FrameReport) -> String {
     let time = frame.time_s.map(|t| escape(&shutter(t)).replace(' ', "\u{a0}"));
     let aperture = frame.f_number.map(|n| format!("f/{}", (n * 10.0).round() / 10.0));
@@ -73,23 +73,22 @@ fn exposure(frame: &FrameReport) -> String {
         ExposureSource::Estimated => parts.push("estimated from the pixels".into()),
     }
     if frame.exposure_correction_stops.abs() >= 0.005 {
-        parts.push(format!("{} by the pixels", signed(frame.exposure_correction_stops, 2)));
+        parts.push(format!("corrected by {} EV", signed(frame.exposure_correction_stops, 2)));
     }
     parts.join(" · ")
 }
 
-/// Every frame that was sought, with what its place rests on.
+/// Returns the evidence for the alignment of every frame but the reference, then the keypoints of the reference.
 pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
     let mut out = String::new();
     if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
-        out += "<p class=\"intro\">Nothing: all frames lie as the reference does. Below is what speaks for that.</p>\n";
+        out += "<p class=\"intro\">No frame was moved: all have the same position as the reference. The measurements are below.</p>\n";
     } else {
-        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both lie on \
-                each other they are white. Move the slider: to its left the frame is as it was photographed, to its \
-                right as it was aligned. Right of the slider nearly all should be white. A blue or an orange edge \
-                alone is one that the other frame cannot show, because it is clipped or black there, or something \
-                that moved in the scene.</p>\n";
+        out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both \
+                coincide they are white. Move the slider: left of it the frame is as photographed, right of it as \
+                aligned. Right of the slider nearly all edges should be white. A single blue or orange edge means \
+                that the other frame is clipped or black there, or that something moved in the scene.</p>\n";
     }
     for (frame, shown) in all.iter().filter(|(frame, _)| frame.alignment.status != Status::Reference) {
         let status = status_word(frame.alignment.status);
@@ -127,18 +126,16 @@ pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     out
 }
 
-/// Before and after, one over the other.
+/// Returns the edges before and after alignment, with a slider between them.
 fn compare(overlay: &Overlay, name: &str) -> String {
     let before_words = "Edges as photographed, before alignment.";
     let Some(after) = &overlay.after else {
-        let caption = "Edges as photographed. The frame was left out: there is no after.";
+        let caption = "Edges as photographed. The frame could not be aligned, so there is no picture after alignment.";
         return figure(&overlay.before, before_words, caption);
     };
     let ratio = overlay.before.width as f64 / overlay.before.height as f64;
     let details = match overlay.has_details {
-        true => {
-            " Below, the three places that are boxed, at two pixels for one of the photograph's: half a pixel is seen there."
-        }
+        true => " Below, the three boxed areas at 200\u{a0}%, where half a pixel is visible.",
         false => "",
     };
     format!(
@@ -152,7 +149,7 @@ fn compare(overlay: &Overlay, name: &str) -> String {
     )
 }
 
-/// What was found of a frame's place, in numbers.
+/// Returns the alignment of a frame in numbers.
 fn verdict(frame: &FrameReport) -> String {
     let place = &frame.alignment;
     let model = place.model.map(|m| match m {
@@ -162,16 +159,16 @@ fn verdict(frame: &FrameReport) -> String {
         Model::Homography => "homography",
     });
     let rows = [
-        ("model of the motion", model.map(str::to_owned)),
+        ("motion model", model.map(str::to_owned)),
         ("shift, right and down", place.shift_px.map(|[x, y]| format!("{} px, {} px", signed(x, 2), signed(y, 2)))),
         ("rotation, right to down", place.rotation_deg.map(|a| format!("{}°", signed(a, 3)))),
-        ("error left, our estimate", place.error_px.map(|e| format!("{e:.2} px"))),
+        ("alignment error, estimated", place.error_px.map(|e| format!("{e:.2} px"))),
         ("confidence", Some(format!("{:.2}", place.confidence))),
         (
-            "keypoints, plain / bitmap / both merged",
+            "keypoints: photograph / bitmap / merged",
             place.keypoints.map(|k| format!("{} / {} / {}", k.plain, k.mtb, k.merged)),
         ),
-        ("matches that agree", place.inliers.map(|n| n.to_string())),
+        ("matches that agree (inliers)", place.inliers.map(|n| n.to_string())),
     ];
     let rows = rows.iter().filter_map(|(name, value)| value.as_ref().map(|v| (name, v)));
     let mut out = String::from("<dl class=\"numbers\">\n");
@@ -190,67 +187,67 @@ fn verdict(frame: &FrameReport) -> String {
     out + "</dl>\n"
 }
 
-/// What differs between the bitmaps.
+/// Returns the plots of the bitmap difference against rotation and shift.
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
     let about = if frame.alignment.status.rejected_by().is_some() {
-        "the bitmaps' own best motion"
+        "the best motion for the bitmaps"
     } else {
         "the motion found"
     };
     format!(
-        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmaps against angle and \
-         shift.</b> Of the pixels that count in both bitmaps {} differ unmoved, {} under {about}, which is the dashed \
-         line. Each curve varies one number and keeps the two others. A sharp valley at the line is a place that is \
-         sure; a flat curve, or a valley elsewhere, is one to look at.</figcaption>\n</figure>\n",
+        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmap difference against \
+         rotation and shift.</b> Of the pixels that count in both bitmaps {} differ before alignment and {} with {about} \
+         (dashed line). Each curve varies one parameter and keeps the other two. A sharp minimum at the line confirms \
+         the alignment. Check the frame if the curve is flat or has its minimum elsewhere.</figcaption>\n</figure>\n",
         percent(xor.before),
         percent(xor.after)
     )
 }
 
-/// Keypoints and matches, where features were needed.
+/// Returns the keypoints and matches, if features were needed.
 fn features(evidence: &Evidence, frame: &FrameReport) -> String {
     let mut out = String::new();
-    let bright = if evidence.brightened { " The frame is shown brighter than it is." } else { "" };
+    let bright = if evidence.brightened { " The frame is shown brightened." } else { "" };
     if let Some((svg, [plain, bitmap, both])) = &evidence.keypoints {
         let _ = write!(
             out,
-            "<figure>\n{svg}<figcaption><b>Keypoints.</b> <span class=\"key plain\"></span> of the plain picture alone: {plain} \
-             <span class=\"key bitmap\"></span> of its bitmaps alone: {bitmap} <span class=\"key both\"></span> in both: \
-             {both}. They should lie all over \
-             the picture; where there are none, nothing holds the frame.{bright}</figcaption>\n</figure>\n"
+            "<figure>\n{svg}<figcaption><b>Keypoints.</b> <span class=\"key plain\"></span> only in the photograph: {plain} \
+             <span class=\"key bitmap\"></span> only in its bitmaps: {bitmap} <span class=\"key both\"></span> in both: \
+             {both}. They should be spread \
+             over the whole picture; areas without keypoints do not contribute to the alignment.{bright}</figcaption>\n</figure>\n"
         );
     }
     if let Some((svg, all, inliers)) = &evidence.matches {
         let _ = write!(
             out,
-            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference, which is on the left: {all}, of which \
+            "<figure>\n{svg}<figcaption><b>Matches</b> with the reference (left): {all}, of which \
              <span class=\"key inlier\"></span> {inliers} agree on one motion and <span class=\"key outlier\"></span> \
-             {} do not. Lines that agree run side by side; as many orange ones as blue ones mean that the motion \
-             rests on little.</figcaption>\n</figure>\n",
+             {} do not. Lines of matches that agree are nearly parallel. As many orange as blue lines mean that \
+             the alignment is uncertain.</figcaption>\n</figure>\n",
             all - inliers
         );
     }
     if out.is_empty() && is_sought(frame.alignment.status) {
-        out += "<p class=\"note\">Features were not needed: the bitmaps and the pixels alone explain the motion. \
-                <code>hdralign inspect</code> draws them all the same.</p>\n";
+        out += "<p class=\"note\">Features were not needed: bitmaps and pixels were enough for the alignment. \
+                <code>hdralign inspect</code> draws the features of every frame.</p>\n";
     }
     out
 }
 
-/// The bitmaps of all frames.
+/// Returns the median threshold bitmaps of all frames.
 pub(in crate::page) fn bitmaps(page: &Page, report: &Report) -> String {
     let mut out = String::from(
-        "<p class=\"intro\">Median threshold bitmaps, by which frames of any exposure can be compared: white is \
-         brighter than the frame's threshold, black darker, and ochre is too near it to count (the exclusion bitmap). \
-         They should look alike from frame to frame. Where they do not, exposures are too far apart, or the picture \
-         has few tones, and features have to help.</p>\n<div class=\"grid\">\n",
+        "<p class=\"intro\">Median threshold bitmaps make frames of different exposure comparable. White is \
+         brighter than the threshold of the frame, black is darker, and ochre is too close to it to count (the \
+         exclusion bitmap). The bitmaps of all frames should look alike. If they do not, the exposures are too far \
+         apart or the picture has few tones, and features are needed for the alignment.</p>\n<div class=\"grid\">\n",
     );
     for (frame, shown) in report.frames.iter().zip(&page.frames) {
         let (percentile, level, excluded) = shown.evidence.threshold;
         let rank = if percentile == 50 { "median".to_owned() } else { format!("{percentile}th percentile") };
         let name = file_name(&frame.path);
-        let caption = format!("<b>{name}</b> {rank}, level {level}; {} excluded", percent(excluded));
+        let caption = format!("<b>{name}</b> {rank}, grey value {level}; {} excluded", percent(excluded));
         out += &figure(&shown.evidence.bitmap, &format!("Bitmap of {}.", frame.path), &caption);
     }
     out + "</div>\n"

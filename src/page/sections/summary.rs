@@ -1,4 +1,4 @@
-//! The summary: the numbers that matter, the settings, and how long the run took.
+//! The key figures, the settings, and the time of each stage.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
@@ -10,14 +10,14 @@ use crate::report::Report;
 use serde_json::Value;
 use std::fmt::Write;
 
-/// The numbers that matter.
+/// Returns the key figures: frames, dynamic range, motion, error, size, time.
 pub(in crate::page) fn facts(report: &Report) -> String {
     let count = |status| report.frames.iter().filter(|f| f.alignment.status == status).count();
     let aligned = count(Status::Aligned);
     let words = [
-        (aligned, "moved and aligned"),
+        (aligned, "aligned"),
         (count(Status::Unmoved), "unmoved"),
-        (count(Status::Assumed), "assumed"),
+        (count(Status::Assumed), "position assumed"),
         (count(Status::Rejected), "left out"),
         (count(Status::Excluded) + count(Status::Flash), "excluded"),
     ];
@@ -25,33 +25,33 @@ pub(in crate::page) fn facts(report: &Report) -> String {
     let mut facts = vec![("Frames", report.frames.len().to_string(), became.join(", "))];
     if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
         let range = format!("{stops:.1} stops");
-        facts.push(("Dynamic range", range, "of the scene, above the noise and below clipping".into()));
+        facts.push(("Dynamic range", range, "of the result, from the noise to clipping".into()));
     }
     let shift = |f: &crate::report::FrameReport| f.alignment.shift_px.map_or(0.0, |[x, y]| (x * x + y * y).sqrt());
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);
     let turned = report.frames.iter().filter_map(|f| f.alignment.rotation_deg).map(f64::abs).fold(0.0, f64::max);
     if aligned > 0 {
-        let turn = if turned >= 0.005 { format!("and a turn of {turned:.2}°") } else { "without a turn".to_owned() };
+        let turn = if turned >= 0.005 { format!("and a rotation of {turned:.2}°") } else { "no rotation".to_owned() };
         facts.push(("Largest motion", format!("{most:.1} px"), turn));
     }
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
-        facts.push(("Error left", format!("{worst:.2} px"), "our own estimate for the worst frame".into()));
+        facts.push(("Alignment error", format!("{worst:.2} px"), "estimate for the worst frame".into()));
     }
     if let Some((least, most)) = report.local_processing.as_ref().and_then(LocalReport::range_stops) {
         let range = format!("{} to {} stops", signed(least, 1), signed(most, 1));
-        facts.push(("Local gain", range, "of frames that the camera tone-mapped".into()));
+        facts.push(("Local gain", range, "in frames that the camera tone-mapped".into()));
     }
     let crop = &report.crop;
     facts.push(("Result", format!("{} × {}", crop.width_px, crop.height_px), "pixels".into()));
-    facts.push(("Time", format!("{:.1} s", report.time_s.total), "all stages together".into()));
+    facts.push(("Time", format!("{:.1} s", report.time_s.total), "for all stages".into()));
     let item = |(name, value, note): &(&str, String, String)| {
         format!("<div><dt>{name}</dt><dd><b>{}</b><span>{}</span></dd></div>\n", escape(value), escape(note))
     };
     format!("<dl class=\"facts\">\n{}</dl>\n", facts.iter().map(item).collect::<String>())
 }
 
-/// The files written, and the settings.
+/// Returns the files written, and the settings.
 pub(in crate::page) fn settings(report: &Report) -> String {
     let mut out = String::new();
     if !report.outputs.is_empty() {
@@ -61,7 +61,7 @@ pub(in crate::page) fn settings(report: &Report) -> String {
     }
     out += "<h3>Settings</h3>\n<dl class=\"numbers\">\n";
     let mut rows: Vec<_> = options(report).into_iter().map(|(name, value)| (named(&name), value)).collect();
-    // The parameters of the tone mapping after its name.
+    // Tone mapping parameters follow the name of the operator.
     rows.sort_by_key(|((at, words, option), ..)| (*at, *option == "--tmo-set", words.clone()));
     for ((_, words, option), value) in rows {
         let option = if option.is_empty() { String::new() } else { format!(" <code>{option}</code>") };
@@ -70,46 +70,46 @@ pub(in crate::page) fn settings(report: &Report) -> String {
     out + "</dl>\n"
 }
 
-/// Options by their names in the report, what a photographer calls them, and how they are typed.
+/// Options: key in the report, name on the page, spelling on the command line.
 const NAMES: [(&str, &str, &str); 24] = [
     ("reference", "Reference frame", "--reference"),
     ("operator, name", "Tone mapping", "--tmo"),
     ("adjust, white balance", "White balance", "--white-balance"),
-    ("white", "Light that is white", ""),
+    ("white", "White point", ""),
     ("adjust, brightness", "Brightness, EV", "--brightness"),
     ("adjust, contrast", "Contrast", "--contrast"),
     ("adjust, saturation", "Saturation", "--saturation"),
     ("adjust, shadows", "Shadows", "--shadows"),
     ("adjust, highlights", "Highlights", "--highlights"),
-    ("crop", "Part that is kept", "--crop"),
-    ("resize", "Size of the picture", "--resize"),
-    ("bit depth", "Bits of the picture", "--bit-depth"),
-    ("picture colour", "Colours of the picture", "--picture-colour"),
+    ("crop", "Crop", "--crop"),
+    ("resize", "Picture size", "--resize"),
+    ("bit depth", "Picture bit depth", "--bit-depth"),
+    ("picture colour", "Picture colour space", "--picture-colour"),
     ("deghost strength", "Removal of movement, strength", "--deghost"),
     ("align", "Alignment", "--align"),
-    ("transforms from", "Places taken from", "--transforms"),
+    ("transforms from", "Alignment read from", "--transforms"),
     ("exposures", "Exposures", "--exposures"),
     ("response model", "Camera response", "--response-model"),
-    ("response file", "Camera response, from", "--response"),
-    ("flare", "Removal of lens flare", "--flare"),
+    ("response file", "Camera response file", "--response"),
+    ("flare", "Lens flare removal", "--flare"),
     ("colour", "Colour space", "--colour"),
-    ("weight", "Weight of pixel values", "--weight"),
+    ("weight", "Weighting function", "--weight"),
     ("max rotation deg", "Largest rotation, degrees", "--max-rotation"),
-    ("robust", "Fit of matching points", "--robust"),
+    ("robust", "Robust estimator for feature matches", "--robust"),
 ];
 
-/// What a photographer calls the option of that name in the report, how it is typed, and where it stands in the list.
+/// Returns the position in the list, the name on the page and the command line option for the report key `name`.
 fn named(name: &str) -> (usize, String, &'static str) {
     let known = NAMES.iter().position(|(key, ..)| *key == name);
     match (known, name.strip_prefix("operator, ")) {
         (Some(at), _) => (at, NAMES[at].1.to_owned(), NAMES[at].2),
-        // Right after its name.
+        // Same position as the name of the operator.
         (None, Some(key)) => (1, format!("Tone mapping, {key}"), "--tmo-set"),
         (None, None) => (NAMES.len(), name.to_owned(), ""),
     }
 }
 
-/// The time of each stage.
+/// Returns the table of the time of each stage; `page_s` is the time for this page in seconds.
 pub(in crate::page) fn times(report: &Report, page_s: f64) -> String {
     let mut out = String::from("<table class=\"times\">\n");
     let times = &report.time_s;
@@ -121,7 +121,7 @@ pub(in crate::page) fn times(report: &Report, page_s: f64) -> String {
         ("Tone-map", times.tonemap),
         ("Write", times.write),
         ("This page", Some(page_s)),
-        ("All", Some(times.total)),
+        ("Total", Some(times.total)),
     ];
     for (name, time) in stages.iter().filter_map(|(n, t)| t.map(|t| (n, t))) {
         let share = (100.0 * time / times.total.max(1e-9)).min(100.0);
@@ -134,7 +134,7 @@ pub(in crate::page) fn times(report: &Report, page_s: f64) -> String {
     out + "</table>\n"
 }
 
-/// Every option and its value, as the report has them, and the reference.
+/// Returns the reference frame, every option with its value as in the report, and the measured settings.
 fn options(report: &Report) -> Vec<(String, String)> {
     let mut rows = vec![("reference".to_owned(), file_name(&report.reference))];
     rows.extend(report.transforms_from.iter().map(|path| ("transforms from".to_owned(), path.clone())));
@@ -142,15 +142,15 @@ fn options(report: &Report) -> Vec<(String, String)> {
     flatten("", all.as_ref().unwrap_or(&Value::Null), &mut rows);
     rows.extend(report.white_balance.map(|light| ("white".to_owned(), light.to_string())));
     if let Some(calibration) = &report.calibration {
-        rows.push(("cd/m² of radiance 1".into(), format!("{:.4}", calibration.cd_m2_per_unit)));
+        rows.push(("Luminance of radiance 1, cd/m²".into(), format!("{:.4}", calibration.cd_m2_per_unit)));
     }
     if let Some(flare) = &report.flare {
-        rows.push(("flare found".into(), percent(flare.scattered_fraction).replace("&lt;", "<")));
+        rows.push(("Flare found".into(), percent(flare.scattered_fraction).replace("&lt;", "<")));
     }
     rows
 }
 
-/// `value` as rows of names and words; what is not set is left out.
+/// Appends `value` to `rows` as pairs of name and text; options that are not set (null) are skipped.
 fn flatten(name: &str, value: &Value, rows: &mut Vec<(String, String)>) {
     let words = match value {
         Value::Null => return,
@@ -168,21 +168,21 @@ fn flatten(name: &str, value: &Value, rows: &mut Vec<(String, String)>) {
     rows.push((name.to_owned(), words));
 }
 
-/// How a frame lies, in a few words.
+/// Describes the motion of a frame in a few words.
 pub(in crate::page) fn motion(frame: &crate::report::FrameReport) -> String {
     let place = &frame.alignment;
     match (place.status, place.shift_px, place.rotation_deg) {
-        (Status::Reference, ..) => "the others are fitted to it".into(),
-        (Status::Unmoved, ..) => "lies as the reference does".into(),
-        (Status::Assumed, ..) if place.model == Some(Model::Unmoved) => "assumed to lie as the reference does".into(),
-        (Status::Assumed, Some([dx, dy]), Some(angle)) => {
-            format!("assumed: {}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
+        (Status::Reference, ..) => "the other frames are aligned to it".into(),
+        (Status::Unmoved, ..) => "none: same position as the reference".into(),
+        (Status::Assumed, ..) if place.model == Some(Model::Unmoved) => {
+            "assumed: same position as the reference".into()
         }
-        (Status::Rejected, ..) => "could not be placed".into(),
+        (Status::Rejected, ..) => "could not be aligned".into(),
         (Status::Excluded, ..) => "excluded by the user".into(),
         (Status::Flash, ..) => "excluded: the flash fired".into(),
-        (Status::Aligned, Some([dx, dy]), Some(angle)) => {
-            format!("{}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
+        (status, Some([dx, dy]), Some(angle)) => {
+            let assumed = if status == Status::Assumed { "assumed: " } else { "" };
+            format!("{assumed}{}, {} px; {}°", signed(dx, 1), signed(dy, 1), signed(angle, 2))
         }
         (Status::Aligned | Status::Assumed, ..) => String::new(),
     }

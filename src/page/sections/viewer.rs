@@ -1,8 +1,7 @@
-//! The viewer: the result and every frame at the same place and zoom, with overlays that can be switched on.
+//! The viewer: the result and every frame at the same position and zoom, with optional overlays.
 //!
 //! In: a [`Page`] and its [`Report`]. Out: HTML for `viewer.js`; without scripts it shows the result, and the overlays
-//! can be switched on all the same. Cost:
-//! none: the frames are those of the cards, which the script puts over the result.
+//! still work. Cost: none: the script places the pictures of the frame cards over the result.
 
 use super::photographs::stops_over_reference;
 use crate::align::Status;
@@ -13,10 +12,10 @@ use crate::page::{Page, frame_css};
 use crate::report::Report;
 use std::fmt::Write;
 
-/// Regions of movement that can be gone to, at the most.
+/// Maximum number of buttons that go to a region of movement.
 const REGIONS: usize = 5;
 
-/// The viewer of the `result`, or of the frames where there is none.
+/// Returns the viewer of the `result`, or of the frames if there is no result.
 pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let ratio = crop.width_px as f64 / crop.height_px.max(1) as f64;
@@ -25,7 +24,7 @@ pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Pict
         None => (" hidden", String::new(), ""),
     };
     let (layers, switches) = overlays(page, report);
-    // Pixels of the picture that is 100 %.
+    // The zoom of 100 % is relative to this width.
     let held = result.or(page.frames.first().map(|frame| &frame.photograph));
     let width = held.map_or(crop.width_px, |picture| picture.width);
     format!(
@@ -47,7 +46,7 @@ const ZOOMS: &str = "<fieldset class=\"pills\"><legend>Zoom</legend>\n\
     <label><input type=\"radio\" name=\"zoom\" value=\"1\"><span>100\u{a0}%</span></label>\n\
     <label><input type=\"radio\" name=\"zoom\" value=\"2\"><span>200\u{a0}%</span></label>\n</fieldset>\n";
 
-/// What can be shown: the result, and every frame by its exposure.
+/// Returns the choice of the picture: the result, or a frame by its exposure.
 fn choices(report: &Report, has_result: bool) -> String {
     let mut out = String::from("<fieldset class=\"pills shown\"><legend>Show</legend>\n");
     if has_result {
@@ -69,13 +68,13 @@ fn choices(report: &Report, has_result: bool) -> String {
     out + "</fieldset>\n"
 }
 
-/// Stops in as few letters as tell them.
+/// Formats stops with one decimal, or with none if that is zero.
 fn short(stops: f64) -> String {
     let words = signed(stops, 1);
     words.strip_suffix(".0").map_or_else(|| words.clone(), str::to_owned)
 }
 
-/// What lies over the picture, and the switches for it.
+/// Returns the overlays of the picture, and their switches.
 fn overlays(page: &Page, report: &Report) -> (String, String) {
     let (mut layers, mut switches) = (String::new(), String::new());
     let layer = |picture: &Picture, class: &str, alt: &str| {
@@ -92,8 +91,8 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
         let reference = reference.map_or_else(String::new, |frame| file_name(&frame.path));
         let mut words = format!(
-            "<span class=\"key moved\"></span> something moved ({} of the picture): here {reference} is shown, and what differs \
-             from it was left out.",
+            "<span class=\"key moved\"></span> something moved ({} of the picture): here the result shows {reference}, and frames \
+             that differ from it are not used.",
             percent(ghosts.ghost_fraction)
         );
         let (width, height) = (report.crop.width_px.max(1) as f64, report.crop.height_px.max(1) as f64);
@@ -101,7 +100,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
             let x = (region.x_px as f64 + 0.5 * region.width_px as f64) / width;
             let y = (region.y_px as f64 + 0.5 * region.height_px as f64) / height;
             format!(
-                "<button type=\"button\" data-x=\"{x:.4}\" data-y=\"{y:.4}\" aria-label=\"Go to place {n}\">{n}</button> ",
+                "<button type=\"button\" data-x=\"{x:.4}\" data-y=\"{y:.4}\" aria-label=\"Go to movement {n}\">{n}</button> ",
                 n = i + 1
             )
         };
@@ -113,7 +112,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
             "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> \
-             darkened, against the reference, by up to {:.1} stops; over the result that of {}.",
+             darkened, by up to {:.1} stops relative to the reference. Over the result, the overlay is that of {}.",
             local.most_stops,
             report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
         );
@@ -128,7 +127,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     }
 }
 
-/// What is in the page of the picture, and what is not.
+/// Describes the size of the pictures on the page compared with the files.
 fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let mut words = String::new();
@@ -139,11 +138,11 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         });
         words += &match result.width == crop.width_px {
             true => format!(
-                "The result is here with all its {} × {} pixels: 100\u{a0}% is that of the file.",
+                "The result is shown with all its {} × {} pixels: 100\u{a0}% is that of the file.",
                 crop.width_px, crop.height_px
             ),
             false => format!(
-                "To keep the page small, the result is here with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
+                "To keep the page small, the result is shown with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
                  {:.0}\u{a0}% of the file.</b>{open}",
                 result.width,
                 result.height,

@@ -1,4 +1,4 @@
-//! What was done to the bracket, in plain sentences.
+//! The section "What was done": the processing of the bracket, in plain sentences.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
@@ -8,15 +8,15 @@ use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
-/// An error of an alignment, in pixels, that cannot be seen, and one that may blur fine detail.
+/// Alignment errors in px: below the first the result shows no difference; above the second fine detail may be blurred.
 const UNSEEN_PX: f64 = 0.3;
 const SOFT_PX: f64 = 1.0;
-/// A share of the picture that is worth a sentence.
+/// Smallest fraction of the picture that is reported.
 const WORTH: f64 = 0.005;
-/// A correction of an exposure that is worth a sentence, in stops.
+/// Smallest exposure correction that is reported, in stops.
 const CORRECTED: f64 = 0.15;
 
-/// What was done, one thing after the other.
+/// Returns the list of processing steps, one sentence or more for each.
 pub(in crate::page) fn done(report: &Report) -> String {
     let mut items = vec![("Frames", frames(report))];
     items.push(("Alignment", alignment(report)));
@@ -30,7 +30,7 @@ pub(in crate::page) fn done(report: &Report) -> String {
     format!("<dl class=\"done\">\n{}</dl>\n", items.iter().map(item).collect::<String>())
 }
 
-/// `frames` by name, in bold and with an `and`.
+/// Returns the names of `frames` in bold, joined by commas and a final "and".
 fn named<'a>(frames: impl Iterator<Item = &'a FrameReport>) -> String {
     let names: Vec<String> = frames.map(|frame| format!("<b>{}</b>", file_name(&frame.path))).collect();
     match names.split_last() {
@@ -40,17 +40,17 @@ fn named<'a>(frames: impl Iterator<Item = &'a FrameReport>) -> String {
     }
 }
 
-/// The frames of that status.
+/// Returns the frames with the given status.
 fn with(report: &Report, status: Status) -> impl Iterator<Item = &FrameReport> + Clone {
     report.frames.iter().filter(move |frame| frame.alignment.status == status)
 }
 
-/// The reference, by name.
+/// Returns the name of the reference frame, in bold.
 fn reference(report: &Report) -> String {
     named(with(report, Status::Reference))
 }
 
-/// How many frames were merged, and which were left out and why.
+/// Describes how many frames were merged, and which were left out and why.
 fn frames(report: &Report) -> String {
     let taken: Vec<&FrameReport> = report.frames.iter().filter(|f| f.alignment.rejected_by.is_none()).collect();
     let (count, all) = (taken.len(), report.frames.len());
@@ -64,13 +64,13 @@ fn frames(report: &Report) -> String {
         - taken.iter().map(|f| stops(f)).fold(f64::MAX, f64::min);
     words += &format!(" Their exposures are {span:.1} stops apart.");
     if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
-        words += &format!(" The result holds {stops:.1} stops above the noise and below clipping.");
+        words += &format!(" The dynamic range of the result is {stops:.1} stops, from the noise to clipping.");
     }
     let out = [
         (
             Status::Rejected,
-            "did not fit the others, however it was moved",
-            "did not fit the others, however they were moved",
+            "did not fit the others and could not be aligned",
+            "did not fit the others and could not be aligned",
         ),
         (Status::Excluded, "was excluded by you", "were excluded by you"),
         (Status::Flash, "was taken with flash, unlike the others", "were taken with flash, unlike the others"),
@@ -85,7 +85,7 @@ fn frames(report: &Report) -> String {
     words
 }
 
-/// How the camera moved, and what is left of that.
+/// Describes how the camera moved, and the remaining alignment error.
 fn alignment(report: &Report) -> String {
     let mut words = String::new();
     let length = |frame: &FrameReport| frame.alignment.shift_px.map_or(0.0, |[x, y]| (x * x + y * y).sqrt());
@@ -99,58 +99,52 @@ fn alignment(report: &Report) -> String {
             false => format!("by up to {shift:.1}\u{a0}px{turn}"),
         };
         words += &format!(
-            "The camera moved {moved} between the frames. They were fitted to {}, the reference.",
+            "The camera moved {moved} between the frames. They were aligned to {}, the reference.",
             reference(report)
         );
         if let Some(error) = aligned.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
             words += &match error {
-                error if error < UNSEEN_PX => " What is left of that cannot be seen.".to_owned(),
-                error if error < SOFT_PX => format!(" What is left is about {error:.1}\u{a0}px."),
+                error if error < UNSEEN_PX => " The remaining error is too small to see.".to_owned(),
+                error if error < SOFT_PX => format!(" The remaining error is about {error:.1}\u{a0}px."),
                 error => {
-                    format!(" About {error:.1}\u{a0}px are left in the worst frame: look for soft or double edges.")
+                    format!(
+                        " The remaining error is about {error:.1}\u{a0}px in the worst frame: look for soft or double edges."
+                    )
                 }
             };
         }
     } else {
-        words += "The camera stood still: the frames fit as they are.";
+        words += "The camera did not move: the frames did not have to be aligned.";
     }
     let assumed = with(report, Status::Assumed);
-    match assumed.clone().count() {
-        0 => {}
-        1 => {
-            words += &format!(
-                " {} is too dark or too bright to be aligned. It was assumed to lie where the others say, and serves only where \
-                 they show nothing.",
-                named(assumed)
-            );
-        }
-        _ => {
-            words += &format!(
-                " {} are too dark or too bright to be aligned. They were assumed to lie where the others say, and serve only \
-                 where those show nothing.",
-                named(assumed)
-            );
-        }
+    let count = assumed.clone().count();
+    if count > 0 {
+        words += &format!(
+            " {} {} too dark or too bright to be aligned. The position was inferred from the other frames, and the pixels \
+             are used only where those show nothing.",
+            named(assumed),
+            if count == 1 { "is" } else { "are" }
+        );
     }
     if let Some(path) = &report.transforms_from {
-        words += &format!(" The places were taken from {}.", file_name(path));
+        words += &format!(" The alignment was read from {}.", file_name(path));
     }
     words
 }
 
-/// What was cut off; none where nothing was.
+/// Describes the crop. Returns `None` if less than [`WORTH`] was cut off.
 fn crop(report: &Report) -> Option<String> {
     let all = report.width_px * report.height_px;
     let share = 1.0 - (report.crop.width_px * report.crop.height_px) as f64 / all.max(1) as f64;
     (share > WORTH).then(|| {
         format!(
-            "{} of the reference was cut off, where not every frame reaches. <code>--crop none</code> keeps it.",
+            "{} of the reference was cut off, because not every frame covers it. <code>--crop none</code> keeps it.",
             percent(share)
         )
     })
 }
 
-/// What moved in the scene; none where frames were only aligned.
+/// Describes what moved in the scene. Returns `None` if the frames were only aligned.
 fn movement(report: &Report) -> Option<String> {
     report.radiance.as_ref()?;
     let Some(ghosts) = &report.ghosts else {
@@ -168,25 +162,28 @@ fn movement(report: &Report) -> Option<String> {
         reference(report)
     );
     if ghosts.continued_fraction > 0.0 {
-        words += &format!(" In {} that is white, and was filled from around.", percent(ghosts.continued_fraction));
+        words += &format!(
+            " In {} that is clipped; it was filled in from the surroundings.",
+            percent(ghosts.continued_fraction)
+        );
     }
     Some(words)
 }
 
-/// What the phone did to the frames; none where it did nothing.
+/// Describes local tone mapping by the phone or camera. Returns `None` if there was none.
 fn local(report: &Report) -> Option<String> {
     let local = report.local_processing.as_ref().filter(|local| local.locally_processed)?;
     let (least, most) = LocalReport::range_stops(local)?;
     Some(format!(
-        "The phone or camera brightened and darkened parts of each frame before it saved them. Against the reference that makes \
-         {} to {} stops; it was evened \
-         out before merging. The picture is sound, but the measured light is approximate.",
+        "The phone or camera brightened and darkened parts of each frame before it saved them, \
+         by {} to {} stops relative to the reference. This was compensated for before merging. The picture is usable, but \
+         the measured brightness is approximate.",
         signed(least, 1),
         signed(most, 1)
     ))
 }
 
-/// Where exposures are from.
+/// Describes where the exposures come from, and how they were corrected.
 fn exposures(report: &Report) -> Option<String> {
     let of = |source| report.frames.iter().filter(move |frame| frame.exposure_source == source);
     let count = |source| of(source).count();
@@ -194,10 +191,10 @@ fn exposures(report: &Report) -> Option<String> {
         (0, 0) => "Read from the files.".to_owned(),
         (0, _) => "As given with <code>-e</code>.".to_owned(),
         (estimated, _) if estimated == report.frames.len() => {
-            "Assumed from the pixels, because the files do not have them. <code>-e</code> sets them.".to_owned()
+            "Estimated from the pixels, because the files do not record them. Set them with <code>-e</code>.".to_owned()
         }
         _ => format!(
-            "Those of {} were assumed from the pixels. <code>-e</code> sets them.",
+            "Those of {} were estimated from the pixels. Set them with <code>-e</code>.",
             named(of(ExposureSource::Estimated))
         ),
     };
@@ -206,30 +203,30 @@ fn exposures(report: &Report) -> Option<String> {
     let corrected = report.frames.iter().filter(is_corrected);
     let most = corrected.clone().map(|f| f.exposure_correction_stops.abs()).fold(0.0, f64::max);
     if most > 0.0 {
-        words += &format!(" Corrected by up to {most:.1} stops, as the pixels show: {}.", named(corrected));
+        words += &format!(" Corrected by up to {most:.1} stops to match the pixels: {}.", named(corrected));
     }
     Some(words)
 }
 
-/// What codes were taken to mean; none where frames were only aligned.
+/// Describes the camera response that was used. Returns `None` if the frames were only aligned.
 fn response(report: &Report) -> Option<String> {
     let response = report.response.as_ref()?;
     let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
     Some(match (&response.fallback, response.model) {
         (Some(_), _) if is_local => {
-            "Its response cannot be measured from such frames: that of sRGB was assumed.".into()
+            "Its response cannot be measured from frames that the camera tone-mapped: the sRGB curve was used.".into()
         }
         (Some(why), model) => {
-            format!("Its response could not be measured ({}): <code>{}</code> was assumed.", escape(why), escape(model))
+            format!("Its response could not be measured ({}): <code>{}</code> was used.", escape(why), escape(model))
         }
-        (None, "file") => "Its response was read from the file given.".into(),
+        (None, "file") => "Its response was read from the given file.".into(),
         (None, "linear") => "Pixel values were taken as proportional to the light.".into(),
         (None, "srgb") => "Pixel values were taken as sRGB.".into(),
         (None, _) => "Its response to light was measured from the frames themselves.".into(),
     })
 }
 
-/// What no frame shows.
+/// Describes what is clipped or black in every frame. Returns `None` if that is less than [`WORTH`].
 fn bounds(report: &Report) -> Option<String> {
     let merged = report.radiance.as_ref()?;
     let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;

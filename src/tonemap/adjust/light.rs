@@ -1,8 +1,8 @@
-//! The light of a picture, adjusted: the last step before codes.
+//! Adjusts the light of a picture, the last step before it is encoded.
 //!
-//! In: rows of light of the picture's primaries, 0..=1, as an operator or fusion gives them. Out: rows of codes of the adjusted picture. Cost: 5 ns a pixel and
-//! core. Luminance alone is changed, colours keep their hue and, unless saturation is asked for, the proportions of their light; those that the display
-//! lacks then are drawn to grey in OkLab.
+//! In: rows of light of the picture's primaries, 0..=1, from an operator or from fusion. Out: rows of code values of the adjusted picture. Cost: 5 ns a
+//! pixel and core. Only luminance is changed; colours keep their hue and, unless saturation is set, the proportions of their light. Colours outside the
+//! gamut are desaturated in OkLab.
 
 use super::surroundings::Surroundings;
 use super::{Light, MOST, Options};
@@ -13,38 +13,40 @@ use crate::tonemap::display::codes::{Code, Colours, Encoder};
 use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
 
-/// Stops by which shadows and highlights are changed at [`MOST`], in the deepest dark and the brightest light: as far as the two may go
-/// against each other without a dark surface becoming brighter than a bright one (the slope left in the middle tones is 0.31).
+/// Change of shadows and highlights at [`MOST`], in stops, in the darkest and the brightest surroundings. It is small enough that opposite settings never
+/// make a dark surface brighter than a bright one (the remaining slope in the middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
-/// The least luminance that is told from black, and from white: that of floats next to 1.
+/// Smallest distance of a luminance from black and from white: that of floats next to 1.
 const LEAST: f32 = 1.0 / 16_777_216.0;
 
-/// Pixels that are worked out side by side.
+/// Pixels that are computed together.
 const BLOCK: usize = 64;
 
-/// What takes the light of a picture to that of the adjusted one.
+/// Applies adjustments to the light of a picture.
 #[derive(Debug, Clone)]
 pub struct Adjusted {
     to_srgb: ToSrgb,
-    /// The same with white balanced, of light that was not when it was radiance.
+    /// The same with white balance, for light that was not balanced as radiance.
     balanced: Option<ToSrgb>,
     brightness: f32,
-    /// The slope of log odds.
+    /// Slope of the log odds.
     contrast: f32,
-    /// The log odds of the middle code.
+    /// Log odds of the middle code value.
     middle: f32,
-    /// Times the chroma.
+    /// Factor on chroma.
     saturation: f32,
-    /// Stops in the deepest dark, and in the brightest light.
+    /// Change in stops in the darkest and in the brightest surroundings.
     shadows: f32,
     highlights: f32,
     surroundings: Option<Surroundings>,
 }
 
 impl Adjusted {
-    /// By `options`, of a picture of `colours` that is `width` pixels wide; none where its light stays as it is. `light` is to be shown as white, where that is still to
-    /// be done. The picture has the luminances `display`, 0..=1, by cells of so many pixels, where the options [need](Options::needs_surroundings) them.
+    /// Prepares `options` for a picture of `colours` that is `width` pixels wide; `None` when its light does not change.
+    ///
+    /// `light` is the light to show as white, unless the radiance was balanced already. `display` holds the luminances of the picture, 0..=1, for cells
+    /// of so many pixels; it is needed when the options [need surroundings](Options::needs_surroundings).
     pub fn new(
         options: &Options,
         colours: Colours,
@@ -67,16 +69,16 @@ impl Adjusted {
         })
     }
 
-    /// The codes of the row `y` of which this is the `light`.
+    /// Adjusts and encodes row `y`, whose light is `light`.
     pub fn row<C: Code>(&self, encoder: &Encoder, y: usize, light: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let mut lines = Vec::new();
         if let Some(surroundings) = &self.surroundings {
-            surroundings.row(y, &mut lines);
+            surroundings.guide.row(y, &mut lines);
         }
         vectorised(Row { adjusted: self, lines: &lines, encoder, light, codes });
     }
 
-    /// Takes luminances on the display of pixels, the first of which is in column `x`, to the adjusted ones; `lines` are of the row.
+    /// Adjusts the display luminances of pixels in place, the first of which is in column `x`; `lines` are those of the row.
     #[inline(always)]
     fn luminances(&self, x: usize, lines: &[[f32; 2]], display: &mut [f32; BLOCK]) {
         let mut odds = [0.0f32; BLOCK];
@@ -88,7 +90,7 @@ impl Adjusted {
             let mut around = odds;
             surroundings.around(x, lines, &mut around);
             for i in 0..BLOCK {
-                // How bright it is there, 0..1, a half at the middle code.
+                // Brightness of the surroundings, 0..1; 0.5 at the middle code value.
                 let bright = 1.0 / (1.0 + exp2(at_least(at_most(self.middle - around[i], 30.0), -30.0)));
                 let dark = 1.0 - bright;
                 odds[i] += self.shadows * (dark * dark) + self.highlights * (bright * bright);
@@ -102,7 +104,7 @@ impl Adjusted {
     }
 }
 
-/// A row of light that is adjusted.
+/// A row of light to adjust.
 struct Row<'a, C> {
     adjusted: &'a Adjusted,
     lines: &'a [[f32; 2]],
@@ -121,17 +123,14 @@ impl<C: Code> Loops for Row<'_, C> {
         let (mut light, mut display) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let mut x = 0;
         for (pixels, codes) in self.light.chunks(BLOCK).zip(self.codes.chunks_mut(BLOCK)) {
-            {
-                let [red, green, blue] = &mut rgb;
-                for (((r, g), b), p) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
-                    (*r, *g, *b) = (p[0], p[1], p[2]);
-                }
-            }
             let [red, green, blue] = &mut rgb;
+            for (((r, g), b), p) in red.iter_mut().zip(&mut *green).zip(&mut *blue).zip(pixels) {
+                (*r, *g, *b) = (p[0], p[1], p[2]);
+            }
             for i in 0..BLOCK {
                 let shown = adjusted.to_srgb.apply([red[i], green[i], blue[i]]);
                 display[i] = luminance(shown);
-                // What is balanced here keeps its luminance: white, which clipped, stays white.
+                // Balancing here keeps luminance, so that clipped white stays white.
                 let [r, g, b] = match &adjusted.balanced {
                     None => shown,
                     Some(balanced) => balanced.apply([red[i], green[i], blue[i]]),
@@ -184,8 +183,8 @@ mod tests {
         libm::log2(f64::from(y) / (1.0 - f64::from(y)))
     }
 
-    /// The formulas of this file's head in doubles, by the platform-independent library; what is vectorised has logarithms within 2e-7 of a value below 16 and
-    /// powers within 3e-7. The way through OkLab is good to 1e-5 of linear light.
+    /// The formulas of the module documentation in doubles. The vectorised code has logarithms within 2e-7 of a value below 16 and powers within 3e-7; the
+    /// conversion through OkLab is exact to 1e-5 of linear light.
     #[test]
     fn rows_are_those_of_the_formula() {
         let middle = odds(srgb_to_linear(128.0 / 255.0) as f32);
@@ -235,7 +234,7 @@ mod tests {
         }
     }
 
-    /// What is brighter stays brighter, at the ends of all that may be asked for: even surfaces, each as bright as what is around it.
+    /// Brighter uniform surfaces stay brighter at the extremes of all options.
     #[test]
     fn even_surfaces_keep_their_order_at_the_extremes() {
         for bits in 0..32 {
@@ -267,7 +266,7 @@ mod tests {
                 }
             }
         }
-        // More than there is is drawn to grey, and no channel clips.
+        // Colours outside the gamut are desaturated, and no channel clips.
         let red = adjusted(&of(|o| o.saturation = 100.0), None, &[[0.9, 0.1, 0.1]])[0];
         let hue = |rgb| {
             let [_, a, b] = oklab::from_linear(rgb);
@@ -295,7 +294,7 @@ mod tests {
         assert!(Adjusted::new(&asked, Colours::Srgb, None, None, 3).is_none(), "it was radiance");
     }
 
-    /// A dark room beside a bright window, both with texture: each is changed as a whole, its texture keeps its contrast, and beside the edge there is no halo.
+    /// A dark room beside a bright window, both with texture: each changes as a whole, its texture keeps its contrast, and there is no halo at the edge.
     #[test]
     fn places_are_changed_with_their_texture_and_without_halos() {
         let (width, side) = (600, 6);

@@ -1,11 +1,11 @@
-//! Adjustments: what a photographer changes of the picture after the operator, with the same meaning for every operator.
+//! Adjustments: white balance, brightness, contrast, saturation, shadows and highlights, with the same meaning for every operator.
 //!
-//! In: [`Options`]. Out: which light is white (`white`, `neutral`), and what takes the light of the picture to that of the adjusted one ([`Adjusted`]).
-//! Radiance stays as it is. Cost: see [`Adjusted`]; nothing where all is left as it is.
+//! In: [`Options`]. Out: the light that is shown as white (`white`, `neutral`), and [`Adjusted`], which changes the light of the picture. The radiance map
+//! is not changed. Cost: see [`Adjusted`]; none when nothing is adjusted.
 //!
-//! White is balanced in linear light, before the operator. All else is a change of the log odds of luminance Y on the display, t = log2(Y / (1 - Y)): in the
-//! dark they are stops, and black and white are out of reach, so that nothing clips. Shadows and highlights are added to t where the surroundings are dark or
-//! bright; contrast is the slope of what comes of it about the middle code; brightness is added to that. Saturation is times the chroma of OkLab.
+//! White is balanced in linear light, before the operator. All other adjustments change the log odds of display luminance Y, t = log2(Y / (1 - Y)). In the
+//! dark these are stops, and black and white are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings are dark or
+//! bright; then contrast sets the slope about the middle code value; then brightness is added. Saturation scales the chroma of OkLab.
 
 mod light;
 pub(crate) mod neutral;
@@ -18,30 +18,30 @@ pub use light::Adjusted;
 pub use surroundings::CELLS;
 pub use white::{Light, WhiteBalance};
 
-/// What is changed of a picture; by default nothing.
+/// Adjustments of a picture; by default none.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
 pub struct Options {
-    /// Which light is shown as white.
+    /// The light that is shown as white.
     pub white_balance: WhiteBalance,
-    /// Added to the log odds of luminance, -5 to 5: in the dark parts stops, towards white less and less.
+    /// Added to the log odds of luminance, -5 to 5: stops in the dark parts, and less and less towards white.
     pub brightness: f64,
     /// -100 to 100: at 100 the log odds are twice as far from those of the middle code, at -100 half as far.
     pub contrast: f64,
     /// -100 to 100: at 100 chroma is doubled, at -100 all is grey.
     pub saturation: f64,
-    /// -100 to 100: at 100 what lies in the dark is two stops brighter, at -100 two stops darker.
+    /// -100 to 100: at 100 the darkest surroundings are two stops brighter, at -100 two stops darker.
     pub shadows: f64,
-    /// -100 to 100: at 100 what lies in the light is two stops brighter, at -100 two stops darker.
+    /// -100 to 100: at 100 the brightest surroundings are two stops brighter, at -100 two stops darker.
     pub highlights: f64,
 }
 
-/// The most that brightness is, in stops.
+/// Largest brightness, in stops.
 const MOST_STOPS: f64 = 5.0;
-/// The most of the others: as in most programs for photographs.
+/// Largest value of the other adjustments, as in most photo editors.
 const MOST: f64 = 100.0;
 
 impl Options {
-    /// The numbers, each with its option as it is typed and the most that it is, to either side.
+    /// Option, value and largest absolute value of each numeric adjustment.
     fn numbers(&self) -> [(&'static str, f64, f64); 5] {
         [
             ("--brightness", self.brightness, MOST_STOPS),
@@ -52,10 +52,10 @@ impl Options {
         ]
     }
 
-    /// Checks the values against their ranges.
+    /// Checks that every value is within its range.
     ///
     /// # Errors
-    /// [`Error::Option`] for the first that is out of its range.
+    /// [`Error::Option`] for the first option that is out of range.
     pub fn validate(&self) -> Result<()> {
         if let WhiteBalance::Light(light) = self.white_balance {
             light.validate()?;
@@ -64,15 +64,15 @@ impl Options {
             None => Ok(()),
             Some((option, value, most)) => Err(Error::Option {
                 option,
-                reason: format!("{value} is outside of -{most} to {most}; 0 changes nothing"),
+                reason: format!("{value} is outside of -{most} to {most}; give a value in this range, 0 for no change"),
             }),
         }
     }
 
-    /// Whether a picture of `size` pixels can be changed so.
+    /// Checks that the adjustments can be applied to a picture of `size` pixels.
     ///
     /// # Errors
-    /// [`Error::Option`] where the grey spot is outside of it.
+    /// [`Error::Option`] when the grey spot is outside of the picture.
     pub fn check(&self, size: (usize, usize)) -> Result<()> {
         match self.white_balance {
             WhiteBalance::Spot(x, y) => neutral::Spot::new((x, y), size).map(|_| ()),
@@ -80,18 +80,18 @@ impl Options {
         }
     }
 
-    /// The first that is asked for, as it is typed; none where nothing is changed.
+    /// The first option that differs from its default; `None` when nothing is adjusted.
     pub fn asked(&self) -> Option<&'static str> {
         let white = (self.white_balance != WhiteBalance::AsShot).then_some(white::OPTION);
         white.or_else(|| self.numbers().into_iter().find(|(_, value, _)| *value != 0.0).map(|(option, ..)| option))
     }
 
-    /// Whether anything but white is changed.
+    /// Whether anything besides white balance is adjusted.
     fn changes_light(&self) -> bool {
         self.numbers().iter().any(|(_, value, _)| *value != 0.0)
     }
 
-    /// Whether what lies around a pixel must be known.
+    /// Whether the adjustment of a pixel depends on its surroundings.
     pub fn needs_surroundings(&self) -> bool {
         self.shadows != 0.0 || self.highlights != 0.0
     }

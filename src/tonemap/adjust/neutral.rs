@@ -1,9 +1,9 @@
-//! Neutral: what the picture itself tells of the light in it.
+//! Estimates the light of a scene from the picture, for white balance.
 //!
-//! In: the picture from afar, or the pixels around a spot that is said to be grey. Out: the [`Light`] in which that is grey. Cost: 20 ns a cell; of a spot one pass.
-//! Source: Buchsbaum, "A spatial processor model for object colour perception" (1980): scenes are grey on average; of radiance as Reinhard et al. 2002, equation 3,
-//! show it. The higher exponents of Finlayson, Trezzi, "Shades of Gray and Colour Constancy" (2004), were tried: with a window or a screen in the picture these
-//! decide, and not the room.
+//! In: the overview of a scene, or the pixels around a spot that is known to be grey. Out: the [`Light`] in which that is grey. Cost: 20 ns a cell; one
+//! pass for a spot. Source: Buchsbaum, "A spatial processor model for object colour perception" (1980): scenes are grey on average, here after the tone
+//! curve of Reinhard et al. 2002, equation 3. The higher exponents of Finlayson, Trezzi, "Shades of Gray and Colour Constancy" (2004), were tried: with
+//! them a window or a screen in the picture determines the result instead of the room.
 
 use super::white::{self, Light, OPTION};
 use crate::bracket::colour::Primaries;
@@ -15,13 +15,13 @@ use crate::tonemap::overview::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The parts of the pixels below and above which a cell does not count: too dark to tell a colour; lamps, windows and what clipped.
+/// Percentiles below and above which cells are ignored: too dark to have a reliable colour; lamps, windows and clipped parts.
 const ENDS: (f64, f64) = (0.05, 0.95);
-/// How far white is taken from that of the photographs to the mean, in reciprocal temperature and in tint: cameras have balanced already, and no scene is wholly
-/// grey on average. By eye, on four photographed brackets: a lamp stays a lamp.
+/// How far white moves from that of the photographs to the mean, in reciprocal temperature and in tint. Cameras have balanced already, and no scene is
+/// exactly grey on average. Chosen by eye on four photographed brackets, in which lamp light stays warm.
 const SHARE: f64 = 0.6;
 
-/// The light in `scene`, as far as it is trusted; none where the mean is of no light's colour.
+/// The light to show as white in `scene`; `None` when the mean is not the colour of a light.
 pub fn auto(scene: &Scene) -> Option<Light> {
     let [dark, bright] = [ENDS.0, ENDS.1].map(|part| scene.percentile(part) as f32);
     let middle = scene.percentile(0.5) as f32;
@@ -31,7 +31,7 @@ pub fn auto(scene: &Scene) -> Option<Light> {
         if (dark..=bright).contains(&log) {
             let [red, blue] = [red, blue].map(f64::from);
             let green = ((1.0 - r * red - b * blue) / g).max(0.0);
-            // As a display shows it: of radiance a window alone would decide.
+            // Compressed as on a display; with plain radiance a window would dominate.
             let shown = 1.0 / (1.0 + libm::exp2(f64::from(middle - log)));
             sums.iter_mut().zip([red, green, blue]).for_each(|(sum, ratio)| *sum += shown * ratio);
         }
@@ -43,36 +43,36 @@ pub fn auto(scene: &Scene) -> Option<Light> {
     Some(Light { kelvin, tint: SHARE * found.tint }.rounded())
 }
 
-/// The light that is this in linear sRGB.
+/// The light with this colour in linear sRGB.
 fn of_linear([r, g, b]: [f64; 3]) -> Option<Light> {
     let xyz = Primaries::SRGB.to_xyz()? * nalgebra::Vector3::new(r, g, b);
     let sum = xyz.x + xyz.y + xyz.z;
     (sum > 0.0).then(|| Light::of_xy([xyz.x / sum, xyz.y / sum]))?
 }
 
-/// A pixel that is said to be grey, and what is around it: a square, a hundredth of the longer side wide.
+/// A pixel that the user declares grey, and the square around it, a hundredth of the longer side wide.
 #[derive(Debug, Clone)]
 pub struct Spot {
     at: (usize, usize),
     rows: Range<usize>,
     columns: Range<usize>,
     seen: Vec<[f32; 3]>,
-    /// Of each channel the greatest value, and the sum of all.
+    /// The largest value and the sum of each channel over the picture.
     most: [f32; 3],
     sums: [f64; 3],
     pixels: usize,
 }
 
-/// The least pixels from the spot to a side of its square: noise is averaged.
+/// Smallest radius of the square in pixels, so that noise is averaged.
 const LEAST_REACH: usize = 2;
-/// The parts of the longer side to a reach.
+/// The radius is the longer side divided by this.
 const REACHES: usize = 200;
 
 impl Spot {
-    /// The pixel `at` of a picture of `size` pixels.
+    /// The spot at the pixel `at` of a picture of `size` pixels.
     ///
     /// # Errors
-    /// [`Error::Option`] where it is outside.
+    /// [`Error::Option`] when it is outside of the picture.
     pub fn new(at: (usize, usize), size: (usize, usize)) -> Result<Self> {
         let ((x, y), (width, height)) = (at, size);
         if x >= width || y >= height {
@@ -87,13 +87,13 @@ impl Spot {
         Ok(Spot { at, rows, columns, seen: Vec::new(), most: [0.0; 3], sums: [0.0; 3], pixels: 0 })
     }
 
-    /// Sees the rows `pixels`, which begin with row `first`.
+    /// Adds the rows `pixels`, the first of which is row `first` of the picture.
     pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
         let rows = self.rows.start.max(first)..self.rows.end.min(first + pixels.height());
         for y in rows {
             self.seen.extend_from_slice(&pixels.row(y - first)[self.columns.clone()]);
         }
-        // By rows, so that threads do not show in the sums.
+        // Row by row, so that the sums do not depend on the threads.
         let of_rows: Vec<_> = (0..pixels.height()).into_par_iter().map(|y| measured(pixels.row(y))).collect();
         for (most, sums) in of_rows {
             for c in 0..3 {
@@ -104,25 +104,26 @@ impl Spot {
         self.pixels += pixels.as_slice().len();
     }
 
-    /// The light in which it is grey, of a picture of `primaries` of which what is at `black` or below, and at `white` or above, tells no colour.
+    /// The light in which the spot is grey, in a picture of `primaries`. Values at or below `black`, and at or above `white`, carry no colour.
     ///
     /// # Errors
-    /// [`Error::Option`] where it is black, clipped, or too colourful to be grey in any light.
+    /// [`Error::Option`] when the spot is black, clipped, or too colourful to be grey in any light.
     pub fn light(&self, primaries: &Primaries, (black, white): (f32, f32)) -> Result<Light> {
-        const OTHER: &str = "name one that is grey and neither black nor white";
+        let refused =
+            |why: &str| refused(self.at, &format!("{why}; choose one that is grey and neither black nor white"));
         let half = self.seen.len() / 2;
         let count = |is: &dyn Fn(&[f32; 3]) -> bool| self.seen.iter().filter(|pixel| is(pixel)).count();
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {
-            return Err(refused(self.at, &format!("is black, and has no colour; {OTHER}")));
+            return Err(refused("is black, and has no colour"));
         }
-        // What clipped in all photographs is as bright as anything in the picture.
+        // A spot that is clipped in all photographs is as bright as anything in the picture.
         let ends: [f32; 3] = std::array::from_fn(|c| {
             let mean = self.sums[c] / self.pixels.max(1) as f64;
             let is_far = f64::from(self.most[c]) > FAR * mean;
             if is_far { white.min(self.most[c] * PLATEAU) } else { white }
         });
         if count(&|pixel| pixel.iter().zip(ends).any(|(&v, end)| v >= end)) > half {
-            return Err(refused(self.at, &format!("is clipped, and its colour is lost; {OTHER}")));
+            return Err(refused("is clipped, and its colour is lost"));
         }
         let to_srgb = ToSrgb::from(primaries);
         let mut sums = [0.0f64; 3];
@@ -130,21 +131,19 @@ impl Spot {
             let rgb = to_srgb.apply(pixel);
             sums.iter_mut().zip(rgb).for_each(|(sum, v)| *sum += f64::from(v));
         }
-        of_linear(sums)
-            .map(Light::rounded)
-            .ok_or_else(|| refused(self.at, &format!("is too colourful to be grey in any light; {OTHER}")))
+        of_linear(sums).map(Light::rounded).ok_or_else(|| refused("is too colourful to be grey in any light"))
     }
 }
 
-/// Values from this part of the greatest on are the greatest, but for rounding.
+/// Values above this share of the largest count as equal to it, to allow for rounding.
 const PLATEAU: f32 = 0.999;
-/// The greatest value is an end of the range, and no surface of an even picture, from so many times the mean on.
+/// The largest value counts as clipped, and not as the surface of an even picture, when it exceeds the mean by this factor.
 const FAR: f64 = 1.5;
 
-/// What is black in radiance, which has no zeros.
+/// Radiance at or below which a value counts as black; radiance has no zeros.
 pub const BLACK_RADIANCE: f32 = 10.0 * FLOOR;
 
-/// Of each channel the greatest value, and the sum.
+/// The largest value and the sum of each channel.
 fn measured(row: &[[f32; 3]]) -> ([f32; 3], [f64; 3]) {
     let (mut most, mut sums) = ([0.0f32; 3], [0.0f64; 3]);
     for pixel in row {
@@ -167,10 +166,10 @@ mod tests {
     use crate::tonemap::overview::Overview;
 
     const SIZE: (usize, usize) = (600, 400);
-    /// A lamp of 3200 K, a little green, in linear sRGB.
+    /// A lamp of 3200 K, slightly green.
     const LAMP: Light = Light { kelvin: 3200.0, tint: 10.0 };
 
-    /// Linear sRGB of `light`, of luminance 1.
+    /// Linear sRGB of a chromaticity, with luminance 1.
     fn rgb([x, y]: [f64; 2]) -> [f32; 3] {
         let xyz = nalgebra::Vector3::new(x / y, 1.0, (1.0 - x - y) / y);
         let rgb = Primaries::SRGB.to_xyz().unwrap().try_inverse().unwrap() * xyz;
@@ -253,7 +252,7 @@ mod tests {
         assert!((found.kelvin - LAMP.kelvin).abs() < 5.0, "{found}");
     }
 
-    /// Grey on average: the light is found; of the way there `SHARE` goes. The window, 30 times as bright, does not decide.
+    /// The light of a scene that is grey on average is found, and white moves by `SHARE` towards it. A window, 30 times as bright, does not dominate.
     #[test]
     fn auto_goes_a_part_of_the_way_to_the_mean_of_the_scene() {
         let auto = |light: Light| {

@@ -1,14 +1,14 @@
-//! White balance: which light of the picture is shown as white.
+//! White balance: the light that is shown as white.
 //!
-//! In: what was asked for. Out: a [`Light`], and its chromaticity. Cost: none.
+//! In: the option. Out: a [`Light`] and its chromaticity. Cost: negligible.
 //! Source: CIE 15:2018, section 4.1.2 (daylight); Krystek, "An algorithm to calculate correlated colour temperature" (1985), equations 1 and 2 (black
-//! bodies); ANSI/IES TM-30-20, annex B (the one below 4000 K, the other above 5000 K, mixed between); Adobe, DNG SDK 1.7 (the unit of the tint).
+//! bodies); ANSI/IES TM-30-20, annex B (black bodies below 4000 K, daylight above 5000 K, a mixture between); Adobe, DNG SDK 1.7 (the unit of the tint).
 
 use crate::error::{Error, Result};
 use std::fmt;
 use std::str::FromStr;
 
-/// Which light is shown as white.
+/// The light that is shown as white.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum WhiteBalance {
     /// As the photographs show it.
@@ -16,62 +16,62 @@ pub enum WhiteBalance {
     AsShot,
     /// Estimated from the picture.
     Auto,
-    /// Of this colour.
+    /// Light of this colour.
     Light(Light),
-    /// That in which what is around this pixel is grey: x and y of the picture before it is made smaller.
+    /// The light in which the surroundings of this pixel are grey: x and y in the picture before resizing.
     Spot(usize, usize),
 }
 
-/// The colour of a light, as the photographs show it: in those of a camera that balanced them well it is 6504 K, whatever it was.
+/// The colour of a light as it appears in the photographs: when the camera balanced them well it is 6504 K, whatever the real light was.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Light {
-    /// Correlated colour temperature, in kelvins.
+    /// Correlated colour temperature in kelvins.
     pub kelvin: f64,
-    /// By how much it is greener than daylight, or a black body, of that temperature: 3000 times the distance in CIE 1960 uv. The picture gets as much
-    /// more magenta.
+    /// How much greener the light is than daylight or a black body of that temperature: 3000 times the distance in CIE 1960 uv. The picture becomes more
+    /// magenta by as much.
     pub tint: f64,
 }
 
-/// The temperatures that there are, in kelvins: a candle, and the bluest sky.
+/// Range of temperatures in kelvins: from candle light to the bluest sky.
 pub const KELVINS: (f64, f64) = (2000.0, 25000.0);
-/// The tints that there are, as in raw converters: a distance of 0.05, beyond which there is no temperature to speak of.
+/// Range of tints, as in raw converters: a distance of 0.05 in uv, beyond which the correlated colour temperature is not meaningful.
 pub const TINTS: (f64, f64) = (-150.0, 150.0);
-/// Tints to a distance of 1: as in the DNG SDK, so that they are those of the raw converters built on it.
+/// Tints per unit of uv, as in the DNG SDK and the raw converters built on it.
 const TINTS_PER_UV: f64 = 3000.0;
-/// The white of displays.
+/// The white point of displays.
 pub(super) const D65: Light = Light { kelvin: 6504.0, tint: 0.0 };
-/// The same, as the standard of sRGB rounds it.
+/// The same, as rounded by the sRGB standard.
 const D65_XY: [f64; 2] = [0.3127, 0.3290];
 
 impl Light {
-    /// Whether it is that which displays show as white, so that nothing is to be done.
+    /// Whether this is the white point of displays, so that nothing has to be balanced.
     pub fn is_white(self) -> bool {
         self == D65
     }
 
-    /// The same in numbers that are easy to type: whole kelvins, tenths of a tint. Nobody sees the difference.
+    /// Rounds to numbers that are easy to type: whole kelvins, tenths of a tint. The difference is not visible.
     pub(super) fn rounded(self) -> Light {
         Light { kelvin: self.kelvin.round(), tint: (10.0 * self.tint).round() / 10.0 }
     }
 
-    /// The CIE 1931 xy, beside a white of D65.
+    /// The CIE 1931 xy chromaticity, relative to D65.
     pub fn xy(self) -> [f64; 2] {
         xy(self.uv())
     }
 
-    /// The CIE 1960 uv.
+    /// The CIE 1960 uv chromaticity.
     fn uv(self) -> [f64; 2] {
         let ([u, v], [du, dv]) = (locus(self.kelvin), green(self.kelvin));
-        // The formula of daylight misses the standard's white by 1e-5.
+        // The daylight formula differs from the standard's white by 1e-5.
         let ([u65, v65], at65) = (uv(D65_XY), locus(D65.kelvin));
         let by = self.tint / TINTS_PER_UV;
         [u + by * du + (u65 - at65[0]), v + by * dv + (v65 - at65[1])]
     }
 
-    /// The light that has this xy: the nearest of all temperatures, and how far it is. None where it is of no temperature to speak of.
+    /// The light with this xy chromaticity, by the nearest temperature; `None` when it is too far from the locus.
     pub fn of_xy(chromaticity: [f64; 2]) -> Option<Light> {
         let [u, v] = uv(chromaticity);
-        // In reciprocal temperatures steps look alike.
+        // Equal steps of reciprocal temperature look alike.
         let ends = (1e6 / KELVINS.1, 1e6 / KELVINS.0);
         let away = |mired: f64| {
             let at = Light { kelvin: 1e6 / mired, tint: 0.0 }.uv();
@@ -93,38 +93,34 @@ impl Light {
         let ([du, dv], at) = (green(kelvin), Light { kelvin, tint: 0.0 }.uv());
         let tint = TINTS_PER_UV * ((u - at[0]) * du + (v - at[1]) * dv);
         let beside = TINTS_PER_UV * ((u - at[0]) * dv - (v - at[1]) * du).abs();
-        // Beyond the ends of the temperatures the nearest is not straight across.
+        // Beyond the ends of the range, the direction to the nearest temperature is not perpendicular to the locus.
         ((TINTS.0..=TINTS.1).contains(&tint) && beside < BESIDE).then_some(Light { kelvin, tint })
     }
 
-    /// Whether there is such a light.
-    fn is_one(self) -> bool {
-        (KELVINS.0..=KELVINS.1).contains(&self.kelvin) && (TINTS.0..=TINTS.1).contains(&self.tint)
-    }
-
-    /// Checks that there is such a light.
+    /// Checks that temperature and tint are in range.
     ///
     /// # Errors
-    /// [`Error::Option`] where it is out of its range.
+    /// [`Error::Option`] when one of them is not.
     pub(super) fn validate(self) -> Result<()> {
-        let refused = |reason| Err(Error::Option { option: OPTION, reason });
+        self.out_of_range().map_or(Ok(()), |reason| Err(Error::Option { option: OPTION, reason }))
+    }
+
+    /// Why temperature or tint is not usable; `None` when both are in range.
+    fn out_of_range(self) -> Option<String> {
         if !(KELVINS.0..=KELVINS.1).contains(&self.kelvin) {
-            let reason = format!("{} K is outside of {} to {} K; {FORMS}", self.kelvin, KELVINS.0, KELVINS.1);
-            return refused(reason);
+            return Some(format!("{} K is outside of {} to {} K; {FORMS}", self.kelvin, KELVINS.0, KELVINS.1));
         }
-        if !(TINTS.0..=TINTS.1).contains(&self.tint) {
-            return refused(format!("a tint of {} is outside of {} to {}; {FORMS}", self.tint, TINTS.0, TINTS.1));
-        }
-        Ok(())
+        let is_tint = (TINTS.0..=TINTS.1).contains(&self.tint);
+        (!is_tint).then(|| format!("a tint of {} is outside of {} to {}; {FORMS}", self.tint, TINTS.0, TINTS.1))
     }
 }
 
-/// The option, as it is typed.
+/// The command line option.
 pub(super) const OPTION: &str = "--white-balance";
-/// What may be typed.
+/// The accepted forms of the option, for messages.
 const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500,10`, or a grey spot of the picture as in `1200,800` \
-                     or, where that might be a light, `spot:2100,90`";
-/// How far along the temperatures the nearest may lie from a colour, in tints: beyond the ends nothing is straight across.
+                     or, if that could also be a light, `spot:2100,90`";
+/// Largest deviation from the perpendicular to the locus, in tints; larger ones occur beyond the ends of the range.
 const BESIDE: f64 = 1.0;
 
 /// The CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
@@ -134,7 +130,7 @@ fn locus(t: f64) -> [f64; 2] {
     [a + daylight * (c - a), b + daylight * (d - b)]
 }
 
-/// Krystek's rational approximations, within 1e-4 from 1000 to 15000 K.
+/// Krystek's rational approximations, exact to 1e-4 from 1000 to 15000 K.
 fn black_body(t: f64) -> [f64; 2] {
     let u = (0.860_117_757 + t * (1.541_182_54e-4 + t * 1.286_412_12e-7))
         / (1.0 + t * (8.424_202_35e-4 + t * 7.081_451_63e-7));
@@ -153,13 +149,13 @@ fn daylight(t: f64) -> [f64; 2] {
     uv([x, x * (2.870 - 3.0 * x) - 0.275])
 }
 
-/// The direction straight across the locus at `t`, towards green, of length 1.
+/// The unit vector perpendicular to the locus at `t`, towards green.
 fn green(t: f64) -> [f64; 2] {
-    // A millionth of a reciprocal temperature to either side.
+    // Central difference of a millionth of the temperature.
     let (a, b) = (locus(t * (1.0 - 1e-6)), locus(t * (1.0 + 1e-6)));
     let (du, dv) = (b[0] - a[0], b[1] - a[1]);
     let length = libm::hypot(du, dv);
-    // It falls in u from red to blue all the way.
+    // Along the locus u decreases from red to blue.
     [dv / length, -du / length]
 }
 
@@ -182,36 +178,28 @@ impl FromStr for WhiteBalance {
             "as-shot" => return Ok(WhiteBalance::AsShot),
             _ => {}
         }
-        let wrong = || format!("{text:?} is no white; {FORMS}");
-        let numbers = |text: &str| -> Option<(f64, Option<f64>)> {
-            let number = |text: &str| text.trim().parse().ok();
-            match text.split_once(',') {
-                Some((a, b)) => Some((number(a)?, Some(number(b)?))),
-                None => Some((number(text)?, None)),
-            }
-        };
+        let wrong = || format!("{text:?} is not a white balance; {FORMS}");
         if let Some(spot) = text.strip_prefix("spot:") {
             let at = spot.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
             return at.map(|(x, y)| WhiteBalance::Spot(x, y)).ok_or_else(wrong);
         }
         let upper = text.to_uppercase();
-        let (kelvin, tint) = numbers(&upper.replacen('K', "", 1)).ok_or_else(wrong)?;
-        let is_said = upper.split(',').next().is_some_and(|first| first.trim().ends_with('K'));
-        match tint {
-            // A pixel looks just like it: what may be a light is one.
-            Some(tint) if !is_said && !(Light { kelvin, tint }).is_one() => match (kelvin, tint) {
-                (x, y) if [x, y].iter().all(|v| *v >= 0.0 && v.fract() == 0.0 && *v < 1e9) => {
-                    Ok(WhiteBalance::Spot(x as usize, y as usize))
-                }
-                _ => Err(wrong()),
-            },
-            _ if !is_said && upper.contains('K') => Err(wrong()),
-            tint => {
-                let light = Light { kelvin, tint: tint.unwrap_or(0.0) };
-                light.validate().map_err(|error| error.to_string().replacen(&format!("{OPTION}: "), "", 1))?;
-                Ok(WhiteBalance::Light(light))
-            }
+        let numbers = upper.replacen('K', "", 1);
+        let mut numbers = numbers.splitn(2, ',').map(|number| number.trim().parse::<f64>().map_err(|_| wrong()));
+        let kelvin = numbers.next().unwrap_or_else(|| Err(wrong()))?;
+        let tint = numbers.next().transpose()?;
+        let has_unit = upper.split(',').next().is_some_and(|first| first.trim().ends_with('K'));
+        let light = Light { kelvin, tint: tint.unwrap_or(0.0) };
+        let reason = light.out_of_range();
+        // Two numbers may be a light or a pixel; they are a light if they can be.
+        if let Some(y) = tint.filter(|_| !has_unit && reason.is_some()) {
+            let is_pixel = [kelvin, y].iter().all(|v| *v >= 0.0 && v.fract() == 0.0 && *v < 1e9);
+            return if is_pixel { Ok(WhiteBalance::Spot(kelvin as usize, y as usize)) } else { Err(wrong()) };
         }
+        if !has_unit && upper.contains('K') {
+            return Err(wrong());
+        }
+        reason.map_or(Ok(WhiteBalance::Light(light)), Err)
     }
 }
 
@@ -256,7 +244,7 @@ mod tests {
             let [a, b] = Light { kelvin, tint: 0.0 }.xy();
             assert!((a - x).abs() < 4e-4 && (b - y).abs() < 4e-4, "{kelvin}: {a} {b}");
         }
-        // To the place that the standard has.
+        // To the digits of the standard.
         let [x, y] = D65.xy();
         assert!((x - 0.3127).abs() < 1e-12 && (y - 0.3290).abs() < 1e-12 && D65.is_white());
     }
@@ -272,10 +260,10 @@ mod tests {
             }
             let near = Light { kelvin, tint: 20.0 };
             let found = Light::of_xy(near.xy()).unwrap();
-            // Where the mixing begins and ends the locus has a corner, from which straight across is more than one way.
+            // The locus has corners where the mixing begins and ends, with more than one perpendicular.
             assert!((found.kelvin / kelvin - 1.0).abs() < 6e-3 && (found.tint - 20.0).abs() < 0.2, "{near} {found}");
         }
-        // sRGB's red, green and blue are of no temperature.
+        // sRGB's red, green and blue have no temperature.
         for colour in [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]] {
             assert_eq!(Light::of_xy(colour), None);
         }
@@ -304,7 +292,7 @@ mod tests {
             ("3200K, -7.5", light(3200.0, -7.5)),
             ("5500,10", light(5500.0, 10.0)),
             ("spot:1200,800", WhiteBalance::Spot(1200, 800)),
-            // No temperature, or no tint.
+            // Temperature or tint out of range.
             ("1200,100", WhiteBalance::Spot(1200, 100)),
             ("2400, 800", WhiteBalance::Spot(2400, 800)),
             ("spot:2400,100", WhiteBalance::Spot(2400, 100)),
@@ -321,8 +309,8 @@ mod tests {
             ("5500K,400", "a tint of 400"),
             ("5500,10K", "spot:"),
             ("spot:-1,5", "1200,800"),
-            ("K", "no white"),
-            ("", "no white"),
+            ("K", "not a white balance"),
+            ("", "not a white balance"),
         ] {
             let error = text.parse::<WhiteBalance>().unwrap_err();
             assert!(error.contains(said), "{text}: {error}");

@@ -1,34 +1,35 @@
-//! Codes: what the light of a picture is written as.
+//! Encoding of linear light as code values.
 //!
-//! In: linear RGB, 0 to 1 of display white. Out: codes of 8 or 16 bits, rounded to nearest, by the transfer of the picture's [`Colours`]; or the light
-//! itself, where it is still to be resized. Cost: 2 ns a value; the tables are made once, 50 kB for each transfer. Source: IEC 61966-2-1:1999 (sRGB),
-//! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer; Adobe RGB (1998) Color Image Encoding, section 4.3.4.
+//! In: linear RGB, 0 to 1 of display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer function of the picture's [`Colours`];
+//! or the light itself when it is still to be resized. Cost: 2 ns a value; the tables are made once, 50 kB for each transfer function. Source:
+//! IEC 61966-2-1:1999 (sRGB),
+//! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image Encoding, section 4.3.4.
 
 use crate::bracket::colour::{Conversion, Curve, Primaries, Profile, linear_to_srgb, srgb_to_linear};
 use crate::simd::{Loops, at_most, floor32, integer32, vectorised};
 use rayon::prelude::*;
 use std::sync::LazyLock;
 
-/// The colours of a picture: primaries and transfer.
+/// Colour space of a picture: primaries and transfer function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Colours {
-    /// sRGB: shown correctly by every program and display.
+    /// sRGB, shown correctly by every program and display.
     #[default]
     Srgb,
-    /// Display P3: more saturated reds and greens, for phones and newer computers.
+    /// Display P3, with more saturated reds and greens, for phones and newer computers.
     DisplayP3,
-    /// Adobe RGB (1998): for print; .jpg has it only without a gain map.
+    /// Adobe RGB (1998), for print; in a .jpg only without a gain map.
     AdobeRgb,
 }
 
-/// The exponent of Adobe RGB.
+/// Gamma of Adobe RGB.
 const ADOBE: f64 = 563.0 / 256.0;
 
 impl Colours {
-    /// Its primaries and white.
+    /// The primaries and white point.
     pub fn primaries(self) -> Primaries {
         match self {
             Colours::Srgb => Primaries::SRGB,
@@ -37,7 +38,7 @@ impl Colours {
         }
     }
 
-    /// The light of a code, both 0 to 1.
+    /// The linear light of a code value, both 0 to 1.
     pub fn light(self, code: f64) -> f64 {
         match self {
             Colours::Srgb | Colours::DisplayP3 => srgb_to_linear(code),
@@ -45,7 +46,7 @@ impl Colours {
         }
     }
 
-    /// The inverse of [`light`](Self::light); outside 0..=1 the nearest end.
+    /// The inverse of [`light`](Self::light); light is clamped to 0..=1.
     pub fn code(self, light: f64) -> f64 {
         match self {
             Colours::Srgb | Colours::DisplayP3 => linear_to_srgb(light),
@@ -53,7 +54,7 @@ impl Colours {
         }
     }
 
-    /// The ICC profile that tells them; none for sRGB, for which most formats have a word of their own.
+    /// The ICC profile; `None` for sRGB, which most formats mark in their own way.
     pub fn profile(self) -> Option<Profile> {
         match self {
             Colours::Srgb => None,
@@ -78,7 +79,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// How many they are.
+    /// The number of bits.
     pub fn bits(self) -> u8 {
         match self {
             Depth::Eight => 8,
@@ -87,28 +88,28 @@ impl Depth {
     }
 }
 
-/// Bits of a float below which a cell of the tables ends: 256 cells to the octave, each narrower than a code of 8 bits, and so narrow that 16-bit codes
-/// are straight over it to 0.03 of one.
+/// Low bits of a float that do not select a cell of the tables. There are 256 cells per octave, each narrower than an 8-bit code value, over which 16-bit
+/// code values are linear to 0.03.
 const CELL_BITS: u32 = 15;
-/// Octaves below 1 that have cells: what is darker is code 0 even by a power of 2.2 and with 16 bits.
+/// Octaves below 1 that have cells: darker light is code value 0 even for a gamma of 2.2 and 16 bits.
 const OCTAVES: u32 = 40;
-/// The least light that has a cell of its own.
+/// The smallest light that has a cell of its own.
 const LEAST: f32 = f32::from_bits((127 - OCTAVES) << 23);
-/// The cell of that.
+/// The cell of [`LEAST`].
 const FIRST: u32 = (127 - OCTAVES) << (23 - CELL_BITS);
-/// Cells from there to 1.
+/// Number of cells from [`LEAST`] to 1.
 const CELLS: usize = (OCTAVES << (23 - CELL_BITS)) as usize;
-/// Pieces of the table from codes to light.
+/// Pieces of the table from code values to light.
 const PIECES: usize = 4096;
 
 struct Tables {
-    /// The 8-bit code at the left edge of every cell.
+    /// The 8-bit code value at the lower edge of every cell.
     base: Vec<u8>,
-    /// Where the 8-bit code after each begins: linear.
+    /// For each 8-bit code value, the linear light at which the next one begins.
     next: [f32; 256],
-    /// The 16-bit code, not rounded, at the left edge of every cell, and of one more.
+    /// The unrounded 16-bit code value at the lower edge of every cell, and of one more.
     fine: Vec<f32>,
-    /// The light at the left edge of every piece of codes, and of one more.
+    /// The light at the lower edge of every piece, and of one more.
     light: Vec<f32>,
 }
 
@@ -117,7 +118,7 @@ impl Tables {
         let mut next = [f32::INFINITY; 256];
         for (code, begin) in next.iter_mut().enumerate().take(255) {
             let exact = colours.light((code as f64 + 0.5) / 255.0);
-            // The first float at or above: so that comparing floats decides as comparing the exact numbers.
+            // The first float at or above, so that comparing floats gives the same as comparing exact numbers.
             let nearest = exact as f32;
             *begin = if f64::from(nearest) < exact { nearest.next_up() } else { nearest };
         }
@@ -132,26 +133,25 @@ impl Tables {
 static SRGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::Srgb));
 static ADOBE_RGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::AdobeRgb));
 
-/// Light to the codes of a picture's colours; outside 0..=1 the nearest end, NaN as 0.
+/// Encodes light as code values of a colour space; light is clamped to 0..=1, and NaN becomes 0.
 #[derive(Clone, Copy)]
 pub struct Encoder {
     tables: &'static Tables,
-    /// From linear sRGB; none for sRGB.
+    /// Conversion from linear sRGB; `None` for sRGB.
     gamut: Option<Conversion>,
 }
 
 impl Encoder {
-    /// That of `colours`; the first makes the tables.
+    /// The encoder of `colours`; the first call for a transfer function computes its tables.
     pub fn of(colours: Colours) -> Self {
-        let (tables, gamut) = match colours {
-            Colours::Srgb => (&SRGB, None),
-            Colours::DisplayP3 => (&SRGB, Conversion::between(&Primaries::SRGB, &colours.primaries())),
-            Colours::AdobeRgb => (&ADOBE_RGB, Conversion::between(&Primaries::SRGB, &colours.primaries())),
+        let gamut = match colours {
+            Colours::Srgb => None,
+            _ => Conversion::between(&Primaries::SRGB, &colours.primaries()),
         };
-        Encoder { tables, gamut }
+        Encoder { tables: if colours == Colours::AdobeRgb { &ADOBE_RGB } else { &SRGB }, gamut }
     }
 
-    /// Linear sRGB, beyond its gamut too, as linear light of the picture's primaries.
+    /// Converts linear sRGB, also outside its gamut, to linear light of the picture's primaries.
     #[inline(always)]
     pub fn from_srgb(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.gamut {
@@ -171,7 +171,7 @@ impl Encoder {
     }
 }
 
-/// `light` as the cells have it.
+/// `light` clamped to the range of the cells.
 #[inline(always)]
 fn within(light: f32) -> f32 {
     at_most(if light > LEAST { light } else { LEAST }, 1.0)
@@ -183,7 +183,7 @@ impl Default for Encoder {
     }
 }
 
-/// The codes of `light`.
+/// Encodes `light` to `codes`, which is resized.
 pub fn encoded<C: Code>(encoder: &Encoder, light: &[[f32; 3]], codes: &mut Vec<[C; 3]>) {
     const AT_ONCE: usize = 1 << 12;
     codes.resize(light.len(), [C::default(); 3]);
@@ -191,7 +191,7 @@ pub fn encoded<C: Code>(encoder: &Encoder, light: &[[f32; 3]], codes: &mut Vec<[
     parts.for_each(|(codes, light)| vectorised(Encoded { encoder, light, codes }));
 }
 
-/// Light that is encoded.
+/// Light to encode.
 struct Encoded<'a, C> {
     encoder: &'a Encoder,
     light: &'a [[f32; 3]],
@@ -213,12 +213,12 @@ impl<C: Code> Loops for Encoded<'_, C> {
     }
 }
 
-/// What a channel of a pixel of a picture is: a code, or the light itself.
+/// The type of a channel: a code value, or `f32` for linear light.
 pub trait Code: Copy + Default + Send + Sync + 'static {
-    /// Those of `light`.
+    /// Encodes linear light.
     fn of_light<const N: usize>(encoder: &Encoder, light: &[f32; N]) -> [Self; N];
 
-    /// That of a value that was encoded already, on the scale 0..=1.
+    /// Converts a value that is already encoded, on the scale 0..=1.
     fn of_encoded(encoder: &Encoder, encoded: f32) -> Self;
 }
 
@@ -280,7 +280,7 @@ mod tests {
 
     const ALL: [Colours; 3] = [Colours::Srgb, Colours::DisplayP3, Colours::AdobeRgb];
 
-    /// The transfers as they are printed, in doubles.
+    /// The transfer functions as printed in the standards, in doubles.
     fn textbook(colours: Colours, light: f64) -> f64 {
         match colours {
             Colours::AdobeRgb => libm::pow(light, 256.0 / 563.0),
@@ -293,8 +293,8 @@ mod tests {
         C::of_light(encoder, &[light; 3])[1]
     }
 
-    /// The standard's two branches miss each other by 3e-8 around the knee; a float nearer than 1e-6 of a code to a boundary may fall
-    /// to either side. A 16-bit code is straight over 1/256 of an octave: 0.03 of it, and floats of 24 bits round it by 0.01.
+    /// The standard's two branches differ by 3e-8 at the knee; a float nearer than 1e-6 of a code value to a boundary may fall to either side. 16-bit code
+    /// values are interpolated over 1/256 octave (0.03 of one), and floats of 24 bits round them by 0.01.
     #[test]
     fn codes_are_those_of_the_standards() {
         for colours in ALL {
@@ -334,7 +334,7 @@ mod tests {
         }
     }
 
-    /// What a reader of the profile makes of a code is the light that was encoded.
+    /// A reader of the profile recovers the light that was encoded.
     #[test]
     fn profile_tells_the_colours() {
         assert_eq!(Colours::Srgb.profile(), None);
@@ -347,7 +347,7 @@ mod tests {
                 assert!((transfer.light(1, code) - colours.light(code)).abs() < 2e-5, "{colours:?} {code}");
             }
         }
-        // Adobe RGB's green in Display P3 and the other way round are outside; white is white.
+        // White stays white, and sRGB's green is inside both gamuts.
         let [p3, adobe] = [Colours::DisplayP3, Colours::AdobeRgb].map(Encoder::of);
         for encoder in [p3, adobe] {
             assert!(encoder.from_srgb([1.0; 3]).iter().all(|c| (c - 1.0).abs() < 1e-5));

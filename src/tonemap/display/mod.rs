@@ -1,6 +1,6 @@
-//! The way to the display: linear RGB of any primaries to linear sRGB, and into a gamut by hue-keeping desaturation.
+//! Conversion to the display: linear RGB of any primaries to linear sRGB, and gamut mapping by desaturation at constant hue.
 //!
-//! In: radiance RGB, or linear RGB relative to display white. Out: the other. Cost: some nanoseconds a pixel.
+//! In: radiance RGB, or linear RGB relative to display white. Out: converted colours. Cost: some nanoseconds a pixel.
 //! Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
 
 pub mod codes;
@@ -8,7 +8,7 @@ pub(crate) mod oklab;
 
 use crate::bracket::colour::{Conversion, Primaries};
 
-/// Luminance of linear sRGB: the second row of its matrix to XYZ.
+/// Weights of red, green and blue in the luminance of linear sRGB: the second row of its matrix to XYZ.
 pub const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
 /// The luminance of a linear sRGB colour.
@@ -17,12 +17,12 @@ pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
     LUMINANCE[0] * r + LUMINANCE[1] * g + LUMINANCE[2] * b
 }
 
-/// Takes linear RGB of some primaries to linear sRGB.
+/// Converts linear RGB of some primaries to linear sRGB.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToSrgb(Option<Conversion>);
 
 impl ToSrgb {
-    /// From `primaries`; nothing is done where these are sRGB's to three places, or are no primaries at all.
+    /// Converts from `primaries`; the identity when these are sRGB's within 0.001, or degenerate.
     pub fn from(primaries: &Primaries) -> Self {
         if primaries.is_close(&Primaries::SRGB, 1e-3) {
             return ToSrgb(None);
@@ -30,14 +30,14 @@ impl ToSrgb {
         ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
-    /// The same, after which light of the chromaticity `light`, an xy beside D65, is white.
+    /// Converts from `primaries` such that light of the chromaticity `light` (CIE xy, relative to D65) becomes white.
     pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
         let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
-        // What are no primaries are taken for sRGB's, as above.
+        // Degenerate primaries are treated as sRGB, as above.
         ToSrgb(known.or_else(|| Conversion::balanced(&Primaries::SRGB, &Primaries::SRGB, light)))
     }
 
-    /// The colour in linear sRGB: components below 0 are colours that sRGB has not.
+    /// The colour in linear sRGB; colours outside its gamut have components below 0.
     #[inline(always)]
     pub fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.0 {
@@ -47,18 +47,18 @@ impl ToSrgb {
     }
 }
 
-/// From where on a colour that nears the edge of the gamut is held back, as a part of the way from grey to the edge.
+/// Fraction of the way from grey to the bright edge of the gamut above which colours are compressed.
 const KNEE: f32 = 0.75;
 
-/// `rgb`, of luminance `y` relative to display white, drawn towards the grey of that luminance until it is in 0..=1. Hue and luminance
-/// stay; towards the bright edge it is slowed from `KNEE` on, so that bright saturated parts keep their drawing and fade to white.
+/// Desaturates `rgb`, of luminance `y` relative to display white, until it is in 0..=1. Hue and luminance are kept. Towards the bright edge colours are
+/// compressed from `KNEE` on, so that bright saturated areas keep their texture and fade to white.
 #[inline(always)]
 pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     let [r, g, b] = rgb;
     let above = r.max(g).max(b) - y;
     let below = y - r.min(g).min(b);
     let room = 1.0 - y;
-    // The parts of the way to the bright and the dark edge; what comes of a division by nothing is not taken.
+    // Fractions of the way to the bright and the dark edge; results of a division by 0 are not used.
     let (bright, dark) = (above / room, below / y.max(f32::MIN_POSITIVE));
     let u = (bright - KNEE) / (1.0 - KNEE);
     let slowed = (KNEE + (1.0 - KNEE) * (u / (1.0 + u))) * room / above;
@@ -76,7 +76,7 @@ pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
 mod tests {
     use super::*;
 
-    /// Adobe RGB's green is outside sRGB: published as (-0.3983, 1, -0.0429) of linear sRGB in its second column.
+    /// Adobe RGB's green is outside sRGB: (-0.3983, 1, -0.0429) in linear sRGB, as published.
     #[test]
     fn other_primaries_are_converted_and_white_stays_white() {
         let adobe = Primaries { green: [0.21, 0.71], ..Primaries::SRGB };
@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(ToSrgb::from(&none), ToSrgb(None));
     }
 
-    /// Keeps luminance to rounding, keeps the order and proportions of the differences from grey (hue), and stays within 0..=1.
+    /// Luminance is kept to rounding, the proportions of the differences from grey (hue) are kept, and the result is within 0..=1.
     #[test]
     fn the_gamut_is_entered_at_the_same_hue_and_luminance() {
         for rgb in [[3.0, 0.2, 0.1], [0.0, 0.0, 8.0], [0.9, 0.95, 1.3], [0.5, -0.1, 0.2], [0.2, 0.3, 0.1]] {

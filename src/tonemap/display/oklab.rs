@@ -1,11 +1,10 @@
-//! Björn Ottosson's perceptual space, in which a hue stays the same on a straight line to grey.
+//! OkLab, Björn Ottosson's perceptual colour space, in which desaturation along a straight line keeps the hue.
 //!
-//! In: linear sRGB. Out: lightness, and how far the colour is from grey towards red and towards yellow; and back. Cost: 8 ns a pixel scalar, 2 on
-//! wide vectors. Source: Ottosson, "A perceptual color space for image processing" (2020), the matrices of 2021-01-25.
+//! In: linear sRGB. Out: lightness, a (green to red) and b (blue to yellow); and back. Cost: 8 ns a pixel scalar, 2 on wide vectors. Source: Ottosson, "A perceptual color space for image processing" (2020), the matrices of 2021-01-25.
 
 use crate::simd::{at_least, at_most};
 
-/// Lightness, 0..=1 for what a display shows, and the two directions of colour.
+/// Lightness, 0..=1 on a display, and the colour coordinates a and b.
 pub(crate) type Lab = [f32; 3];
 
 const TO_CONES: [[f32; 3]; 3] = [
@@ -13,7 +12,7 @@ const TO_CONES: [[f32; 3]; 3] = [
     [0.211_903_5, 0.680_699_5, 0.107_396_96],
     [0.088_302_46, 0.281_718_85, 0.629_978_7],
 ];
-/// Coefficients of L - M and S - M. Each row of Ottosson's matrix sums to 1, so M itself has the coefficient 1, and grey stays exactly grey.
+/// Coefficients of L - M and S - M. Each row of Ottosson's matrix sums to 1, so M has the coefficient 1 and grey stays exactly grey.
 const FROM_CONES: [[f32; 2]; 3] =
     [[4.076_741_7, 0.230_969_94], [-1.268_438, -0.341_319_38], [-0.004_196_086_3, 1.707_614_7]];
 const TO_LAB: [[f32; 3]; 3] = [
@@ -33,10 +32,10 @@ fn times(m: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     ]
 }
 
-/// The cube root of `value`, 0 or more, within 3e-7 of it.
+/// The cube root of `value` >= 0, with a relative error below 3e-7.
 #[inline(always)]
 fn cube_root(value: f32) -> f32 {
-    // A third of the exponent, by the bits: within 6 %. Each of Halley's steps takes the error to less than its cube.
+    // Dividing the bits by 3 divides the exponent: within 6 %. Each of Halley's steps cubes the error or better.
     let mut root = f32::from_bits(value.to_bits() / 3 + 709_921_077);
     for _ in 0..2 {
         let cube = root * root * root;
@@ -45,15 +44,15 @@ fn cube_root(value: f32) -> f32 {
     root
 }
 
-/// The colour `rgb`; of what no eye sees the nearest that one does.
+/// The colour of `rgb`; negative cone responses are clamped to 0.
 #[inline(always)]
 pub(crate) fn from_linear(rgb: [f32; 3]) -> Lab {
-    // Written out: closures over arrays are not always inlined, and what is not is not vectorised.
+    // Written out, because closures over arrays are not always inlined, and then not vectorised.
     let [l, m, s] = times(&TO_CONES, rgb);
     times(&TO_LAB, [cube_root(at_least(l, 0.0)), cube_root(at_least(m, 0.0)), cube_root(at_least(s, 0.0))])
 }
 
-/// The linear sRGB of `lab`; components below 0 or above 1 are colours that sRGB has not.
+/// The linear sRGB of `lab`; components are below 0 or above 1 outside its gamut.
 #[inline(always)]
 pub(crate) fn to_linear(lab: Lab) -> [f32; 3] {
     let [l, m, s] = times(&FROM_LAB, lab);
@@ -66,33 +65,33 @@ pub(crate) fn to_linear(lab: Lab) -> [f32; 3] {
     ]
 }
 
-/// Steps of the search for the edge of the gamut: to a part in 512 of the chroma, which is less than half a code of 8 bits.
+/// Bisection steps to find the edge of the gamut: to 1/512 of the chroma, less than half an 8-bit code value.
 const HALVINGS: usize = 9;
 
-/// What the way there and back may be off by.
+/// Tolerance for rounding errors of the conversion.
 const ROUNDING: f32 = 1e-5;
 
-/// Whether the display has `rgb`.
+/// Whether `rgb` is in the gamut.
 #[inline(always)]
 fn is_within([r, g, b]: [f32; 3]) -> bool {
     (at_least(at_least(r, g), b) <= 1.0 + ROUNDING) & (at_most(at_most(r, g), b) >= -ROUNDING)
 }
 
-/// How the colours of a scene are shown, of as many pixels as are worked out side by side.
+/// How the colours of a block of pixels are shown.
 pub(crate) struct Shown<const N: usize> {
     /// Luminance of the scene, positive.
     pub light: [f32; N],
     /// Luminance on the display, 0..=1.
     pub display: [f32; N],
-    /// The share that is shown of the chroma that the scene has at that luminance.
+    /// Factor on the chroma that the scene has at that luminance.
     pub share: [f32; N],
-    /// By how much hue is turned, in radians, from red towards yellow; it is small.
+    /// Rotation of hue in radians, from red towards yellow; small.
     pub turn: [f32; N],
 }
 
 impl<const N: usize> Shown<N> {
-    /// Takes `rgb`, linear sRGB of the scene, to the primaries of the display, in 0..=1: of the scene's hue but for the turn, and of less chroma where the
-    /// display has not so much. `to_display` takes linear sRGB there.
+    /// Converts `rgb`, linear sRGB of the scene, in place to the primaries of the display, in 0..=1. Hue is kept but for the rotation; chroma is reduced
+    /// where the gamut requires it. `to_display` converts linear sRGB to the primaries of the display.
     #[inline(always)]
     pub fn colours(&self, [red, green, blue]: &mut [[f32; N]; 3], to_display: impl Fn([f32; 3]) -> [f32; 3]) {
         for i in 0..N {
@@ -105,7 +104,7 @@ impl<const N: usize> Shown<N> {
         }
         for i in 0..N {
             let (turn, share) = (self.turn[i], self.share[i]);
-            // Of the cosine and the sine the first terms; a chroma as before to a part in 10,000.
+            // First terms of cosine and sine; they keep chroma to a part in 10,000.
             let keep = share * (1.0 - 0.5 * turn * turn);
             (a[i], b[i]) = (keep * (a[i] - turn * b[i]), keep * (b[i] + turn * a[i]));
             lightness[i] = at_most(lightness[i], 1.0);
@@ -119,7 +118,7 @@ impl<const N: usize> Shown<N> {
                 kept[i] = if is { at_least(kept[i], part[i]) } else { kept[i] };
                 part[i] = at_most(if is { part[i] + step } else { part[i] - step }, 1.0);
             }
-            // Most colours are there as they are.
+            // Most colours are in the gamut.
             if kept.iter().all(|kept| *kept == 1.0) {
                 break;
             }
@@ -137,7 +136,7 @@ impl<const N: usize> Shown<N> {
 mod tests {
     use super::*;
 
-    /// The published pairs are of XYZ; these are of sRGB's own: white, and the primaries as Ottosson's page and CSS Color 4 have them.
+    /// White and the primaries of sRGB, as given by Ottosson's page and CSS Color 4.
     #[test]
     fn known_colours_have_the_published_values_and_come_back() {
         for (rgb, lab) in [

@@ -1,54 +1,54 @@
-//! What a camera makes of light for a display: contrasty shadows, and less and less contrast towards white.
+//! The tone curve of a camera: contrasty shadows, and decreasing contrast towards white.
 //!
-//! In: how contrasty a camera's pictures are, and how much light makes them white. Out: the code of any light, the light of a code, and the colour in which
-//! a photograph shows a light. Cost: tables of 640 entries, and an interpolation for each light; 40 of them for each colour. Source: the numbers are of the response
-//! ([`Photographed`](crate::merge::Photographed)); the shape is that of fourteen photographed responses, whose slopes between codes 32 and 224 it meets to within
-//! 6 % (root mean square).
+//! In: the contrast of a camera's pictures, and the stops of light from the middle code value to white. Out: the code value of a light, the light of a
+//! code value, and the colour in which a photograph shows a light. Cost: tables of 640 entries; one interpolation for each light, 40 for each colour.
+//! Source: the parameters are those of the response ([`Photographed`](crate::merge::Photographed)); the shape was fitted to fourteen photographed
+//! responses, whose slopes between codes 32 and 224 it matches to within 6 % (root mean square).
 //!
-//! With d the luminance on the display and s the stop of the light, both logarithms to base 2, a code z has the slope
+//! With d the luminance on the display and s the light, both as logarithms to base 2, the slope at the code value z is
 //!
 //! ```text
-//! dd / ds = c (1 - k t(z)),    t = 0 up to code 64, and rises in proportion to the code to 1 at 255
+//! dd / ds = c (1 - k t(z)),    t = 0 up to code 64, rising linearly with the code to 1 at 255
 //! ```
 //!
-//! where c and k are such that contrast (the mean slope between codes 24 and 128) and the stops from code 128 to white are as asked for. A display's own curve
-//! has c = 1 and k = 0.
+//! where c and k follow from the contrast (the mean slope between codes 24 and 128) and from the stops from code 128 to white. A display's own curve has
+//! c = 1 and k = 0.
 
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
 use crate::simd::log2;
 use crate::tonemap::display::luminance;
 
-/// The curve of a camera.
+/// The tone curve of a camera.
 pub(crate) struct Photograph {
-    /// Codes by the stop of the light, 0 where the middle code is.
+    /// Code values by the light in stops; 0 is the middle code value.
     codes: Vec<f32>,
-    /// What a display makes of them, relative to white.
+    /// Display luminances of these code values, relative to white.
     shown: Vec<f32>,
-    /// The stop of the light of each of [`STEPS`] equally spaced codes, the last of them white.
+    /// The light, in stops, of each of [`STEPS`] equally spaced code values, the last of which is white.
     stops: Vec<f64>,
 }
 
-/// Equal steps of the code from 0 to white: four to each code of 8 bit.
+/// Steps from code value 0 to white: four for each 8-bit code value.
 const STEPS: usize = 1020;
-/// Up to this code the slope is the greatest: of 48, 64, 80 and 96 this and 48 meet the fourteen responses best (6.3 and 6.2 % of the slope).
+/// Code value up to which the slope is largest. Of 48, 64, 80 and 96, this and 48 match the fourteen responses best (6.3 and 6.2 % of the slope).
 const SHADOWS: f64 = 64.0;
-/// The codes between which the mean slope is the contrast, as [`Photographed`](crate::merge::Photographed) measures it.
+/// Code values between which the mean slope is the contrast, as [`Photographed`](crate::merge::Photographed) measures it.
 const CONTRAST_CODES: (usize, usize) = (24, 128);
-/// The range of k, which the stops to white decide: near 1 the slope is 0 at white, below 0 it grows.
+/// Range of k: near 1 the slope is 0 at white, below 0 it increases.
 const LOSS: (f64, f64) = (-8.0, 0.9999);
 
 impl Photograph {
-    /// Entries to a stop; the stop of the first, and of the last, from the middle code's.
+    /// Table entries per stop, and the stops of the first and last entry relative to the middle code value.
     const PER_STOP: f32 = 32.0;
     const STOPS: (f32, f32) = (-14.0, 6.0);
 
-    /// Of a camera with this contrast below the middle code and so many stops from there to white.
+    /// The curve with this contrast below the middle code value and `white_stops` from there to white.
     pub fn new(contrast: f64, white_stops: f64) -> Self {
         let (lights, stops) = curve(contrast, white_stops);
         let display = |stop: f64| {
             let above = stops.partition_point(|&s| s < stop);
             libm::exp2(match above {
-                // As steep as between the first two codes.
+                // Extrapolated with the slope between the first two code values.
                 0 => lights[0] + (lights[1] - lights[0]) / (stops[1] - stops[0]) * (stop - stops[0]),
                 STEPS => 0.0,
                 _ => {
@@ -59,14 +59,14 @@ impl Photograph {
         };
         let (first, last) = Self::STOPS;
         let count = ((last - first) * Self::PER_STOP) as usize;
-        // One more, so that every entry has a next one.
+        // One entry more, so that every entry has a successor.
         let shown: Vec<f64> =
             (0..=count + 1).map(|i| display(f64::from(first) + i as f64 / f64::from(Self::PER_STOP))).collect();
         let codes = shown.iter().map(|shown| linear_to_srgb(*shown) as f32).collect();
         Photograph { codes, shown: shown.iter().map(|shown| *shown as f32).collect(), stops }
     }
 
-    /// The code, 0..=1, of such light.
+    /// The code value, 0..=1, of light of this stop.
     pub fn code(&self, stop: f32) -> f32 {
         Self::at(&self.codes, stop)
     }
@@ -78,12 +78,12 @@ impl Photograph {
         p + (place - place.floor()) * (q - p)
     }
 
-    /// Linear light of the display where a photograph shows light of this `colour`, any multiple of it, so bright that its luminance is `display`, below 1.
+    /// The linear display colour that a photograph gives to `colour` (at any scale) when exposed such that its luminance is `display`, below 1.
     pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
         let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
         let exposed = |stop: f32| stops.map(|c| Self::at(&self.shown, c + stop));
         let (mut low, mut high) = Self::STOPS;
-        // To a hundredth of a stop, and straight between, so that what differs little is shown nearly alike.
+        // Bisection to a hundredth of a stop, then linear interpolation, so that similar colours stay similar.
         for _ in 0..11 {
             let stop = 0.5 * (low + high);
             if luminance(exposed(stop)) > display {
@@ -97,7 +97,7 @@ impl Photograph {
         std::array::from_fn(|c| below[c] + part.clamp(0.0, 1.0) * (above[c] - below[c]))
     }
 
-    /// The stop of light that has the `code`, 0..=1.
+    /// The light, in stops, of the code value `code`, 0..=1.
     pub fn stop(&self, code: f64) -> f64 {
         let place = (code * STEPS as f64 - 1.0).clamp(0.0, (STEPS - 1) as f64);
         let below = (place as usize).min(STEPS - 2);
@@ -105,14 +105,14 @@ impl Photograph {
     }
 }
 
-/// Of the [`STEPS`] codes above 0 the luminance on the display, in stops from white, and the stop of the light, 0 at the middle code.
+/// For each of the [`STEPS`] code values above 0: the display luminance in stops from white, and the light in stops from the middle code value.
 fn curve(contrast: f64, white_stops: f64) -> (Vec<f64>, Vec<f64>) {
     let lights: Vec<f64> = (1..=STEPS).map(|i| libm::log2(srgb_to_linear(i as f64 / STEPS as f64))).collect();
     let at = |code: usize| code * STEPS / 255 - 1;
     let (first, middle) = (at(CONTRAST_CODES.0), at(CONTRAST_CODES.1));
     let (mut low, mut high) = LOSS;
     let mut slopes = Vec::new();
-    // Each step halves a range of 9: to 1e-11.
+    // Bisection of a range of 9, to 1e-11.
     for _ in 0..40 {
         let k = 0.5 * (low + high);
         slopes = (1..STEPS).map(|i| 1.0 - k * past_shadows((i as f64 + 0.5) / STEPS as f64)).collect();
@@ -135,7 +135,7 @@ fn curve(contrast: f64, white_stops: f64) -> (Vec<f64>, Vec<f64>) {
     (lights, stops)
 }
 
-/// How far a code, 0..=1, is from the end of the shadows to white, 0..=1.
+/// t of the module documentation, for a code value 0..=1.
 fn past_shadows(code: f64) -> f64 {
     ((255.0 * code - SHADOWS) / (255.0 - SHADOWS)).max(0.0)
 }
@@ -150,12 +150,12 @@ mod tests {
             let photograph = Photograph::new(contrast, white_stops);
             let code = |stop: f64| f64::from(photograph.code(stop as f32));
             assert!((code(0.0) - 128.0 / 255.0).abs() < 1e-4);
-            // White lies within a piece of the table, which a straight line of up to 0.02 of a code's range crosses.
+            // White lies within a segment of the table, in which linear interpolation is off by up to 0.02 of the range of codes.
             assert!((code(white_stops) - 1.0).abs() < 6e-3 && code(white_stops + 1.0) > 0.9999);
             let light = |code: f64| libm::log2(srgb_to_linear(code / 255.0));
-            let told = (light(128.0) - light(24.0)) / (photograph.stop(128.0 / 255.0) - photograph.stop(24.0 / 255.0));
-            assert!((told - contrast).abs() < 1e-3, "{told}");
-            // It rises, and the stop of a code is where the code is.
+            let slope = (light(128.0) - light(24.0)) / (photograph.stop(128.0 / 255.0) - photograph.stop(24.0 / 255.0));
+            assert!((slope - contrast).abs() < 1e-3, "{slope}");
+            // The curve rises, and `stop` is the inverse of `code`.
             assert!((-400..600).all(|i| code(f64::from(i) / 100.0) <= code(f64::from(i + 1) / 100.0)));
             for of in [0.1, 0.4, 0.6, 0.9] {
                 assert!((code(photograph.stop(of)) - of).abs() < 2e-3, "{of}: {}", code(photograph.stop(of)));
@@ -171,7 +171,7 @@ mod tests {
         for stop in (-400..218).map(|i| f64::from(i) / 100.0) {
             let expected = linear_to_srgb(libm::exp2(stop - white));
             let found = f64::from(photograph.code(stop as f32));
-            // Straight lines of a 32nd of a stop: an eighth of the square of that, times the greatest second derivative (0.11), and the bisection's rest.
+            // Linear over 1/32 stop: an eighth of its square times the largest second derivative (0.11), and the error of the bisection.
             assert!((found - expected).abs() < 1e-4, "{stop}: {found} for {expected}");
         }
     }
@@ -190,7 +190,7 @@ mod tests {
             }
             let [r, g, b] = photograph.showing(grey, display);
             assert!((r - g).abs() < 1e-6 && (r - b).abs() < 1e-6);
-            // Red is at its end first, and green catches up before blue.
+            // Red saturates first, then green, then blue.
             let wooden = hue(photograph.showing(wood, display));
             assert!(wooden > before, "{wooden} at {display}");
             before = wooden;

@@ -38,7 +38,7 @@ fn a_factor_does_not_matter() {
     assert!(pairs.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
 }
 
-/// Room and window are both shown: neither is black or white, and in both the texture is seen.
+/// Room and window are both shown: neither is black or white, and the texture is visible in both.
 #[test]
 fn both_sides_of_an_edge_are_shown() {
     let codes = picture(&room(1.0), &Options::default());
@@ -52,7 +52,7 @@ fn both_sides_of_an_edge_are_shown() {
     }
 }
 
-/// The same room, of which the longest photograph shows the shadows three stops darker: the picture is darker too.
+/// The same room, but the longest photograph shows the shadows four stops darker: the picture is darker too.
 #[test]
 fn night_stays_night() {
     let map = room(1.0);
@@ -61,7 +61,7 @@ fn night_stays_night() {
     assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
 }
 
-/// The mean code is that of the fused photographs, and not [`BRIGHTNESS`]; where one is set, it is reached.
+/// The mean code value is that of the fused photographs and not [`BRIGHTNESS`]; a brightness that is set is reached.
 #[test]
 fn brightness_is_that_of_the_fused_photographs_unless_it_is_set() {
     let map = room(1.0);
@@ -97,7 +97,7 @@ fn settings_do_what_they_say() {
     assert!(steep(1.0) > 1.1 * steep(0.0), "{} {}", steep(1.0), steep(0.0));
 }
 
-/// Cells of 4 pixels: what is finer is raised by `detail`.
+/// Cells of 4 pixels: `detail` amplifies finer contrast.
 #[test]
 fn detail_raises_what_is_finer_than_a_cell() {
     let map = Plane::from_rows(1600, 1200, |y, row| {
@@ -113,7 +113,7 @@ fn detail_raises_what_is_finer_than_a_cell() {
     assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
 }
 
-/// Hue in OkLCh, and chroma no higher than the radiance's at that luminance: of saturated light over ten stops, to the rounding of codes.
+/// Saturated light over ten stops keeps its OkLCh hue and gains no chroma at its luminance, within the rounding of code values.
 #[test]
 fn hue_stays_and_no_colour_is_gained() {
     let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];

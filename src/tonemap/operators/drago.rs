@@ -1,6 +1,6 @@
-//! Drago's adaptive logarithmic mapping: a logarithm whose base grows with luminance, so that dark parts are lifted and bright ones held.
+//! Drago's adaptive logarithmic mapping: a logarithm whose base increases with luminance, which lifts dark parts and compresses bright ones.
 //!
-//! In: a scene. Out: its tones, by one curve for all pixels. Cost: nothing a pixel. Source: Drago, Myszkowski, Annen, Chiba, "Adaptive
+//! In: a scene. Out: its tones, one curve for all pixels. Cost: none per pixel. Source: Drago, Myszkowski, Annen, Chiba, "Adaptive
 //! Logarithmic Mapping for Displaying High Contrast Scenes" (2003), section 3, equations 1 to 4.
 
 use crate::tonemap::guide::Guide;
@@ -8,12 +8,12 @@ use crate::tonemap::overview::Scene;
 use crate::tonemap::settings::Setting;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// What may be set.
+/// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The bias b, 0.5 to 1: the smaller, the brighter the dark parts; the paper has 0.85.
+    /// The bias b, 0.5 to 1: smaller values brighten the dark parts. The paper uses 0.85.
     pub bias: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -24,24 +24,24 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("bias", (0.5, 1.0), &mut self.bias, "the smaller, the brighter the dark parts"),
+            Setting::number("bias", (0.5, 1.0), &mut self.bias, "smaller values brighten the dark parts"),
             Setting::saturation(&mut self.saturation),
         ]
     }
 }
 
-/// The pixels above which the brightest are white, as a part of all: a sun does not darken the rest.
-const BURNT: f64 = 0.001;
+/// Share of the pixels that may be clipped to white, so that a sun does not darken the rest.
+const CLIPPED: f64 = 0.001;
 
 /// The tones of `scene`.
 pub fn drago(scene: &Scene, options: &Options) -> Tones {
     let average = scene.average_within((scene.percentile(0.001), scene.percentile(0.999)));
-    // Section 3: the adaptation luminance, lowered where the bias lifts the dark.
+    // Section 3: the adaptation luminance, adjusted for the bias.
     let adaptation = average - 5.0 * libm::log2(1.0 + options.bias - 0.85);
-    let most = libm::exp2(scene.percentile(1.0 - BURNT) - adaptation);
+    let most = libm::exp2(scene.percentile(1.0 - CLIPPED) - adaptation);
     let power = libm::log(options.bias.clamp(0.5, 0.999)) / libm::log(0.5);
     // Equation 4, with L_dmax = 100 cd/m2.
     let display = |l: f64| {
@@ -60,7 +60,7 @@ mod tests {
     use crate::plane::Plane;
     use crate::tonemap::overview::Overview;
 
-    /// Equation 4 as it is printed, for the ends and the average of a ramp; a code is rounded by up to a half, and the curve's pieces are straight.
+    /// Equation 4 as printed, on a ramp. Code values are rounded, and the curve is piecewise linear.
     #[test]
     fn codes_are_those_of_the_equation() {
         let light = |x: usize| libm::exp2(x as f64 / 50.0);
@@ -78,7 +78,7 @@ mod tests {
                 let base = 2.0 + libm::pow(l / most, libm::log(bias) / libm::log(0.5)) * 8.0;
                 let display = libm::log(l + 1.0) / libm::log(base) / libm::log10(most + 1.0);
                 let code = 255.0 * crate::bracket::colour::linear_to_srgb(display);
-                // The percentiles of the scene are of whole samples: 1/50 stop.
+                // The percentiles of the scene are sampled at 1/50 stop.
                 assert!((f64::from(picture.at(x, 3)[1]) - code).abs() < 2.0, "{bias} {x}: {code}");
             }
         }

@@ -1,4 +1,4 @@
-//! Durand & Dorsey's operator: the picture split into a base and its detail, of which the base alone is compressed.
+//! Durand & Dorsey's operator: splits the picture into a base and a detail layer and compresses the base alone.
 //!
 //! In: a scene. Out: its tones. Cost: 20 ns a cell, of which there are at most [`CELLS`]. Source: Durand & Dorsey, "Fast Bilateral Filtering for
 //! the Display of High-Dynamic-Range Images" (2002), sections 4 and 6.
@@ -10,16 +10,16 @@ use crate::tonemap::settings::Setting;
 use crate::tonemap::solvers::bilateral::bilateral;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// What may be set.
+/// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Stops that are left of the base's range; the paper's "desired contrast" as a logarithm.
+    /// Range of the compressed base in stops; the paper's "desired contrast" as a logarithm.
     pub base_stops: f64,
-    /// How far the base is smoothed, as a part of the picture's longer side.
+    /// Spatial standard deviation of the filter, as a fraction of the longer side of the picture.
     pub reach: f64,
-    /// What differs by more, in stops, is an edge and not smoothed; the paper has 0.4 of log10.
+    /// Standard deviation of the filter in luminance, in stops: larger differences are edges. The paper uses 0.4 in log10.
     pub edge_stops: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -30,21 +30,26 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("base", (0.5, 10.0), &mut self.base_stops, "stops that are left of the base's range"),
-            Setting::number("reach", (0.002, 0.2), &mut self.reach, "how far the base is smoothed, of the longer side"),
-            Setting::number("edge", (0.1, 5.0), &mut self.edge_stops, "stops from which on a difference is an edge"),
+            Setting::number("base", (0.5, 10.0), &mut self.base_stops, "range of the compressed base, in stops"),
+            Setting::number(
+                "reach",
+                (0.002, 0.2),
+                &mut self.reach,
+                "smoothing radius of the base, as a fraction of the longer side",
+            ),
+            Setting::number("edge", (0.1, 5.0), &mut self.edge_stops, "differences above this many stops are edges"),
             Setting::saturation(&mut self.saturation),
         ]
     }
 }
 
-/// Cells that the base is found on.
+/// Largest number of cells that the base is computed on.
 pub const CELLS: usize = 1 << 19;
 
-/// The part of the base at either end that does not count for its range, and that of the tones that may burn out.
+/// Share of the base at either end that is ignored for its range, and share of the tones that may be clipped to white.
 const ENDS: f64 = 0.005;
 
 /// The tones of `scene`.
@@ -55,11 +60,11 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     let base = bilateral(logs, reach.max(1.0) as f32, options.edge_stops as f32);
     let ends = ends(base.as_slice());
     let range = f64::from(ends.1 - ends.0).max(1e-3);
-    // A base that fits is left as it is.
+    // A base whose range is smaller is not expanded.
     let factor = (options.base_stops / range).min(1.0) as f32;
     let cells = base.as_slice().iter().zip(logs.as_slice());
     let tones: Vec<f32> = cells.map(|(&b, &l)| factor * (b - ends.1) + (l - b)).collect();
-    // The paper clips what detail adds above the brightest base; here all but the highest fits.
+    // The paper clips detail above the brightest base; here white is set above all but the brightest tones.
     let white = self::ends(&tones).1;
     let tones = Plane::from_vec(logs.width(), logs.height(), tones);
     let guide = Guide::fitted(logs, &tones, scene.side, 1.0);
@@ -68,7 +73,7 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// The values below and above which lies a part [`ENDS`].
+/// The values below and above which a share [`ENDS`] lies.
 fn ends(values: &[f32]) -> (f32, f32) {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -83,7 +88,7 @@ mod tests {
     use crate::bracket::colour::{Primaries, srgb_to_linear};
     use crate::tonemap::overview::Overview;
 
-    /// Section 4: the range between the two halves is that which is left of the base, and the contrast of the detail is the scene's.
+    /// Section 4: the two halves differ by the range of the compressed base, and the detail has the contrast of the scene.
     #[test]
     fn the_base_is_compressed_and_detail_is_not() {
         let wave = |x: usize, y: usize| if (x / 3 + y / 3).is_multiple_of(2) { 0.15 } else { -0.15 };
@@ -97,7 +102,7 @@ mod tests {
         let scene = overview.scene().unwrap();
         let picture = durand(&scene, &Options { base_stops: 3.0, ..Options::default() }).picture(&map);
         let log = |x: usize, y: usize| libm::log2(srgb_to_linear(f64::from(picture.at(x, y)[1]) / 255.0));
-        // Codes of 90 to 255 are within 0.02 stops of what they stand for; the grid's blur is within 0.1.
+        // Code values of 90 to 255 are exact to 0.02 stops; the blur of the grid is within 0.1.
         for x in [40, 100, 300, 360] {
             assert!((log(x, 100) - log(x + 3, 100)).abs() - 0.3 < 0.06, "{x}");
         }

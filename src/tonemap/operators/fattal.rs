@@ -1,8 +1,8 @@
-//! Gradient domain compression: steep gradients are made less steep at every scale, gentle ones are left, and the picture is put together again.
+//! Gradient domain compression: attenuates steep gradients at every scale, keeps gentle ones, and integrates the result.
 //!
 //! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most `CELLS`: 0.2 s.
-//! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the way,
-//! and section 4 for the attenuation.
+//! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6
+//! (integration), and section 4 (attenuation).
 
 use crate::plane::{Plane, fold_bands};
 use crate::pyramid::burt_adelson::{expand, gaussian_pyramid};
@@ -12,22 +12,22 @@ use crate::tonemap::solvers::log_range::LogRange;
 use crate::tonemap::solvers::poisson::integrated;
 use crate::tonemap::tones::Tones;
 
-/// What may be set.
+/// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The gradient that stays as it is, as a part of the mean one of its scale: what is steeper is attenuated. The paper has 0.1,
-    /// by which most of the picture is.
+    /// The gradient that is kept, relative to the mean gradient of its scale; steeper gradients are attenuated. The paper uses 0.1, which attenuates
+    /// most of the picture.
     pub alpha: f64,
-    /// What is steeper by a factor becomes steeper by its power `beta`, at every scale; 1 leaves all. The paper has 0.8 to 0.9.
+    /// Exponent of gradients relative to alpha, at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
-    /// Gradients below this part of the mean are held to be noise: they are treated as if they were as steep as that. The paper has none, by
-    /// which the grain of skies is raised over all else.
+    /// Gradients below this share of the mean count as noise and are scaled like gradients of that size. The paper has no such limit, which amplifies
+    /// the noise of skies.
     pub noise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
     /// The mean of the picture's code values, 0 to 1.
     pub brightness: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -38,12 +38,17 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("alpha", (0.01, 3.0), &mut self.alpha, "the gradient that stays, of the mean one"),
-            Setting::number("beta", (0.6, 1.0), &mut self.beta, "the power of steeper gradients, at every scale"),
-            Setting::number("noise", (0.0, 3.0), &mut self.noise, "gradients held to be noise, of the mean one"),
+            Setting::number("alpha", (0.01, 3.0), &mut self.alpha, "gradient that is kept, relative to the mean"),
+            Setting::number("beta", (0.6, 1.0), &mut self.beta, "exponent of steeper gradients, at every scale"),
+            Setting::number(
+                "noise",
+                (0.0, 3.0),
+                &mut self.noise,
+                "gradients that count as noise, relative to the mean",
+            ),
             Setting::range(&mut self.range_stops),
             Setting::brightness(&mut self.brightness),
             Setting::saturation(&mut self.saturation),
@@ -60,7 +65,7 @@ pub fn fattal(scene: &Scene, options: &Options) -> Tones {
     range.tones(scene, |logs| compressed(logs, options))
 }
 
-/// `logs` with its gradients attenuated.
+/// Attenuates the gradients of `logs`.
 fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let kept = attenuation(logs, options);
     let (width, height) = (logs.width(), logs.height());
@@ -80,7 +85,7 @@ fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     integrated(&right, &down)
 }
 
-/// Phi of section 4: what each gradient is multiplied by, the product of what the scales say.
+/// Phi of section 4: the factor on each gradient, the product of the factors of all scales.
 fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let mut levels = 1;
     while (logs.width().min(logs.height()) >> levels) >= COARSEST {
@@ -100,8 +105,8 @@ fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     product.unwrap_or_else(|| Plane::filled(logs.width(), logs.height(), 1.0))
 }
 
-/// The length of the gradient by central differences. The paper divides by the width of a cell of the scale, which comes to nothing as
-/// gradients are compared with the mean of their scale.
+/// The length of the gradient by central differences. The paper's division by the cell width of the scale cancels, because gradients are only compared
+/// with the mean of their scale.
 fn steepness(level: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (level.width(), level.height());
     Plane::from_rows(width, height, |y, row| {
@@ -115,7 +120,7 @@ fn steepness(level: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// phi_k of section 4: (alpha / g) (g / alpha)^beta, with g no less than the noise.
+/// phi_k of section 4: (alpha / g) (g / alpha)^beta, with g at least the noise.
 fn scaling(steepness: &Plane<f32>, options: &Options) -> Plane<f32> {
     let (width, height) = (steepness.width(), steepness.height());
     let of_band = |rows| steepness.rows(rows).iter().map(|&g| f64::from(g)).sum::<f64>();
@@ -157,7 +162,7 @@ mod tests {
         Plane::from_vec(logs.width(), logs.height(), pixels.collect())
     }
 
-    /// With beta = 1 every gradient stays: the picture comes back, but for its mean, within the solver's 1e-4 of six stops.
+    /// With beta = 1 every gradient is kept, and the picture is recovered up to its mean, within the solver's 1e-4 of six stops.
     #[test]
     fn nothing_attenuated_nothing_changed() {
         let logs = logs(150, 90);
@@ -166,7 +171,7 @@ mod tests {
         assert!(logs.as_slice().iter().zip(same.as_slice()).all(|(a, b)| (a - b - shift).abs() < 0.01));
     }
 
-    /// The paper's phi, word for word, of one scale.
+    /// Compared with the paper's phi for one scale.
     #[test]
     fn gradients_are_scaled_as_the_paper_has_it() {
         let steepness = Plane::from_vec(4, 2, vec![0.01f32, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 0.0]);
@@ -179,7 +184,7 @@ mod tests {
         }
     }
 
-    /// The edge shrinks by far more than the texture does; the smaller beta, the more.
+    /// The edge shrinks far more than the texture, and the more the smaller beta is.
     #[test]
     fn edges_shrink_more_than_texture() {
         let before = logs(200, 120);

@@ -1,5 +1,4 @@
-//! Contrast processing: the contrasts between neighbours at every scale, as strong as the eye sees them, are made weaker, and the picture is found
-//! that has them.
+//! Contrast processing: attenuates the perceived contrasts between neighbours at every scale, and reconstructs the picture that has them.
 //!
 //! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s.
 //! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
@@ -12,18 +11,18 @@ use crate::tonemap::solvers::log_range::LogRange;
 use crate::tonemap::solvers::poisson::{Multigrid, conjugate_gradients, divergence};
 use crate::tonemap::tones::Tones;
 
-/// What may be set.
+/// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// What the eye's response to each contrast is times: the smaller, the more even the picture and the stronger its detail.
+    /// Factor on the eye's response to each contrast: smaller values give a more even picture with stronger detail.
     pub contrast: f64,
-    /// How far responses are made equally frequent: 0 not at all, 1 wholly. Half leaves the grain of skies below what is drawn.
+    /// Strength of the equalisation of responses: 0 none, 1 complete. At 0.5 the noise of skies stays weaker than the texture of the scene.
     pub equalise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
     /// The mean of the picture's code values, 0 to 1.
     pub brightness: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -34,11 +33,11 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("contrast", (0.02, 1.0), &mut self.contrast, "times the response to each contrast"),
-            Setting::number("equalise", (0.0, 1.0), &mut self.equalise, "how far responses are made equally frequent"),
+            Setting::number("contrast", (0.02, 1.0), &mut self.contrast, "factor on the response to each contrast"),
+            Setting::number("equalise", (0.0, 1.0), &mut self.equalise, "strength of the equalisation of responses"),
             Setting::range(&mut self.range_stops),
             Setting::brightness(&mut self.brightness),
             Setting::saturation(&mut self.saturation),
@@ -49,10 +48,10 @@ impl Options {
 /// The shorter side, in cells, of the coarsest scale.
 const COARSEST: usize = 3;
 
-/// What the error must come down to, as a part of the picture: a hundredth of a stop of ten.
+/// Relative error at which the solver stops: a hundredth of a stop of ten.
 const TOLERANCE: f64 = 1e-3;
 
-/// Steps after which it is as good as it gets; they take 15 to 30.
+/// Largest number of steps; 15 to 30 are needed.
 const MOST_STEPS: usize = 60;
 
 /// The tones of `scene`.
@@ -61,7 +60,7 @@ pub fn mantiuk06(scene: &Scene, options: &Options) -> Tones {
     range.tones(scene, |logs| processed(logs, options))
 }
 
-/// `logs`, in stops, with its contrasts mapped.
+/// Maps the contrasts of `logs`, in stops.
 fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let mut log10 = logs.clone();
     log10.as_mut_slice().iter_mut().for_each(|l| *l *= std::f32::consts::LOG10_2);
@@ -75,7 +74,7 @@ fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
 /// The contrasts of one scale: log10 of ratios.
 #[derive(Debug, Clone)]
 struct Contrasts {
-    /// To the right neighbour, 0 in the last column, and to the lower one, 0 in the last row.
+    /// Contrasts to the right neighbour, 0 in the last column, and to the lower one, 0 in the last row.
     to: [Plane<f32>; 2],
 }
 
@@ -96,8 +95,8 @@ impl Contrasts {
         Contrasts { to: [right, down] }
     }
 
-    /// Each contrast `change`d, of what is there and what `other` has there.
-    fn changed(&mut self, other: &Contrasts, change: impl Fn(f32, f32) -> f32 + Sync) {
+    /// Replaces each contrast by `change` of it and of the one in `other`.
+    fn changed(mut self, other: &Contrasts, change: impl Fn(f32, f32) -> f32 + Sync) -> Contrasts {
         for (plane, other) in self.to.iter_mut().zip(&other.to) {
             let width = plane.width();
             plane.fill_bands(|rows, band| {
@@ -106,6 +105,11 @@ impl Contrasts {
                 }
             });
         }
+        self
+    }
+
+    fn weighted(self, weights: &Contrasts) -> Contrasts {
+        self.changed(weights, |c, w| c * w)
     }
 }
 
@@ -119,7 +123,7 @@ fn contrasts(mut level: Plane<f32>) -> Vec<Contrasts> {
     pyramid
 }
 
-/// The means of two by two cells, at the right and lower end of what there is.
+/// Means of 2 x 2 cells; at the right and lower border of those that exist.
 fn halved(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -130,13 +134,13 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// The transpose of [`halved`], added to `fine`.
+/// Adds the transpose of [`halved`], applied to `coarse`, to `fine`.
 fn add_spread(fine: &mut Plane<f32>, coarse: &Plane<f32>) {
     let (width, height) = (fine.width(), fine.height());
-    let alone = |at: usize, of: usize| if at + 1 == of && of % 2 == 1 { 1.0f32 } else { 0.5 };
+    let share = |at: usize, of: usize| if at + 1 == of && of % 2 == 1 { 1.0f32 } else { 0.5 };
     fine.fill_bands(|rows, band| {
         for (y, row) in rows.zip(band.chunks_exact_mut(width)) {
-            let (part, from) = (alone(y, height), coarse.row(y / 2));
+            let (part, from) = (share(y, height), coarse.row(y / 2));
             for (pair, c) in row.chunks_mut(2).zip(from) {
                 let across = if pair.len() == 1 { 1.0 } else { 0.5 };
                 pair.iter_mut().for_each(|v| *v += part * across * c);
@@ -145,17 +149,18 @@ fn add_spread(fine: &mut Plane<f32>, coarse: &Plane<f32>) {
     });
 }
 
-/// Section 6: the responses to contrasts scaled, and before that made more equally frequent.
+/// Section 6: equalises the responses to contrasts, then scales them.
 fn map(pyramid: &mut [Contrasts], options: &Options) {
     let scale = options.contrast as f32;
     if options.equalise == 0.0 {
         for level in pyramid {
-            let same = level.clone();
-            level.changed(&same, |c, _| inverse(scale * response(c.abs())).copysign(c));
+            for c in level.to.iter_mut().flat_map(Plane::as_mut_slice) {
+                *c = inverse(scale * response(c.abs())).copysign(*c);
+            }
         }
         return;
     }
-    // Section 6.2: the response of both directions together.
+    // Section 6.2: the combined response of both directions.
     let both = |level: &Contrasts| -> Vec<f32> {
         let pairs = level.to[0].as_slice().iter().zip(level.to[1].as_slice());
         pairs.map(|(right, down)| libm::hypotf(response(right.abs()), response(down.abs()))).collect()
@@ -176,11 +181,11 @@ fn map(pyramid: &mut [Contrasts], options: &Options) {
     }
 }
 
-/// The least contrast that is seen, log10, and the one from which on the least difference that is seen is by [`least_difference`].
+/// The contrast threshold (log10), and the contrast above which the discrimination threshold follows the power law of section 4.
 const SEEN: f32 = 0.0043;
 const BEND: f32 = 0.016_777_934;
 
-/// Section 4: the least difference that is seen in a contrast is FACTOR G^POWER.
+/// Section 4: the discrimination threshold of a contrast G is FACTOR G^POWER.
 const FACTOR: f32 = 0.038_737;
 const POWER: f32 = 0.537_756;
 
@@ -188,7 +193,7 @@ fn least_difference(contrast: f32) -> f32 {
     if contrast < BEND { SEEN } else { FACTOR * libm::powf(contrast, POWER) }
 }
 
-/// Section 4: the response to a contrast, in differences that are just seen: the integral of one over the least difference.
+/// Section 4: the response to a contrast in just noticeable differences, the integral of the reciprocal of [`least_difference`].
 fn response(contrast: f32) -> f32 {
     if contrast < BEND {
         return contrast / SEEN;
@@ -197,7 +202,7 @@ fn response(contrast: f32) -> f32 {
     BEND / SEEN + rising(contrast) - rising(BEND)
 }
 
-/// The contrast of a response.
+/// The inverse of [`response`].
 fn inverse(response: f32) -> f32 {
     if response < BEND / SEEN {
         return response * SEEN;
@@ -206,28 +211,14 @@ fn inverse(response: f32) -> f32 {
     libm::powf(at_bend + (response - BEND / SEEN) * FACTOR * (1.0 - POWER), 1.0 / (1.0 - POWER))
 }
 
-/// Section 5: the picture whose contrasts at all scales differ least from those of `pyramid`, where a difference counts by how well it is seen.
+/// Section 5: the picture whose contrasts at all scales are nearest to those of `pyramid`, with differences weighted by their visibility.
 fn with_contrasts(pyramid: &[Contrasts]) -> Plane<f32> {
-    let weights: Vec<Contrasts> = pyramid
-        .iter()
-        .map(|level| {
-            let mut weights = level.clone();
-            weights.changed(level, |_, c| SEEN / least_difference(c.abs()));
-            weights
-        })
-        .collect();
-    let weighed: Vec<Contrasts> = pyramid
-        .iter()
-        .zip(&weights)
-        .map(|(level, weights)| {
-            let mut level = level.clone();
-            level.changed(weights, |c, w| c * w);
-            level
-        })
-        .collect();
+    let visibility = |level: &Contrasts| level.clone().changed(level, |_, c| SEEN / least_difference(c.abs()));
+    let weights: Vec<Contrasts> = pyramid.iter().map(visibility).collect();
+    let target: Vec<Contrasts> = pyramid.iter().zip(&weights).map(|(level, w)| level.clone().weighted(w)).collect();
     let grid = Multigrid::new((pyramid[0].to[0].width(), pyramid[0].to[0].height()));
     conjugate_gradients(
-        &gathered(&weighed),
+        &gathered(&target),
         |plane| normal(plane, &weights),
         |residual| grid.cycle(residual),
         TOLERANCE,
@@ -235,13 +226,10 @@ fn with_contrasts(pyramid: &[Contrasts]) -> Plane<f32> {
     )
 }
 
-/// The contrasts of `plane` at all scales, weighed and gathered again: the matrix of the normal equations, which is symmetric.
+/// Applies the matrix of the weighted normal equations, which is symmetric.
 fn normal(plane: &Plane<f32>, weights: &[Contrasts]) -> Plane<f32> {
-    let mut pyramid = contrasts(plane.clone());
-    for (level, weights) in pyramid.iter_mut().zip(weights) {
-        level.changed(weights, |c, w| c * w);
-    }
-    gathered(&pyramid)
+    let levels = contrasts(plane.clone()).into_iter().zip(weights);
+    gathered(&levels.map(|(level, w)| level.weighted(w)).collect::<Vec<_>>())
 }
 
 /// The transpose of [`contrasts`].
@@ -288,7 +276,7 @@ mod tests {
         a.as_slice().iter().zip(b.as_slice()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
     }
 
-    /// The slope of the response is one over the least difference, which for contrasts above the bend is the paper's, and the inverse is one.
+    /// The slope of the response is the reciprocal of the discrimination threshold, and `inverse` is its inverse.
     #[test]
     fn the_response_counts_differences_that_are_just_seen() {
         assert!((least_difference(0.999_999 * BEND) - FACTOR * BEND.powf(POWER)).abs() < 1e-7, "no step at the bend");
@@ -300,17 +288,15 @@ mod tests {
         }
     }
 
-    /// Rows of the matrix of all contrasts, by giving each cell a 1; with them the weighed normal equations in doubles, as the oracle.
+    /// The oracle: the matrix of all contrasts from unit vectors, and its weighted normal equations in doubles.
     #[test]
     fn it_is_the_weighed_least_squares_picture() {
         for (w, h) in [(13, 9), (7, 12), (2, 3)] {
             let n = w * h;
-            let mut pyramid = contrasts(logs(w, h));
-            let same = pyramid.clone();
-            for (level, same) in pyramid.iter_mut().zip(&same) {
-                // Contrasts that belong to no picture.
-                level.changed(same, |c, _| inverse(0.3 * response(c.abs())).copysign(c));
-            }
+            // Contrasts that are those of no picture.
+            let compressed =
+                |level: &Contrasts| level.clone().changed(level, |c, _| inverse(0.3 * response(c.abs())).copysign(c));
+            let pyramid: Vec<Contrasts> = contrasts(logs(w, h)).iter().map(compressed).collect();
             let flat = |p: &[Contrasts]| -> Vec<f64> {
                 p.iter().flat_map(|l| l.to.iter().flat_map(|p| p.as_slice().iter().map(|v| f64::from(*v)))).collect()
             };
@@ -336,7 +322,7 @@ mod tests {
         }
     }
 
-    /// Conjugate gradients rest on it: <C a, b> = <a, C' b>.
+    /// Conjugate gradients require it: <C a, b> = <a, C' b>.
     #[test]
     fn gathering_is_the_transpose_of_taking_contrasts() {
         let (a, b) = (logs(21, 14), logs(28, 21));
@@ -355,7 +341,7 @@ mod tests {
         assert!(logs.as_slice().iter().zip(same.as_slice()).all(|(a, b)| (a - b - shift).abs() < 0.03));
     }
 
-    /// The edge of six stops shrinks by more than the texture; equalised, by more still.
+    /// The edge of six stops shrinks more than the texture, and with equalisation still more.
     #[test]
     fn strong_contrasts_are_weakened_more() {
         let before = logs(160, 100);

@@ -1,9 +1,8 @@
-//! Display adaptive tone mapping: the tone curve by which a display shows the contrasts that the eye would see in the scene, as well as it can.
+//! Display adaptive tone mapping: the tone curve that best reproduces the visible contrasts of a scene on a given display.
 //!
-//! In: a scene, and what the display and the room are like. Out: its tones, by one curve for all pixels. Cost: 60 ns a cell, of which there
-//! are at most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping"
-//! (2008): section 3 (the problem, as a quadratic program that is solved again and again), 4 (the eye), 5 (the display), 6 (contrasts
-//! counted by luminance).
+//! In: a scene, and the properties of the display and the room. Out: its tones, one curve for all pixels. Cost: 60 ns a cell, of which there are at
+//! most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008): section 3
+//! (the problem, solved as a sequence of quadratic programs), 4 (the eye), 5 (the display), 6 (statistics of contrasts by luminance).
 
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
@@ -15,18 +14,18 @@ use crate::tonemap::solvers::eye::{response, sensitivity};
 use crate::tonemap::solvers::quadratic::minimum;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// What may be set.
+/// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The luminance of the display's white, cd/m2.
+    /// Luminance of the display's white, cd/m2.
     pub peak_cd_m2: f64,
-    /// The luminance of its black in a dark room, cd/m2.
+    /// Luminance of the display's black in a dark room, cd/m2.
     pub black_cd_m2: f64,
-    /// The light in the room, lux, a hundredth of which the screen throws back: the brighter, the brighter the dark parts.
+    /// Illuminance in the room, lux, a hundredth of which the screen reflects: higher values brighten the dark parts.
     pub ambient_lux: f64,
-    /// Times the contrast of the scene that is aimed at.
+    /// Factor on the contrast of the scene to reproduce.
     pub contrast: f64,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -38,83 +37,93 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("peak_cd_m2", (20.0, 10_000.0), &mut self.peak_cd_m2, "the white of the display"),
-            Setting::number("black_cd_m2", (0.0, 10.0), &mut self.black_cd_m2, "the black of the display"),
-            Setting::number("ambient_lux", (0.0, 50_000.0), &mut self.ambient_lux, "the light in the room"),
-            Setting::number("contrast", (0.2, 3.0), &mut self.contrast, "times the contrast of the scene"),
+            Setting::number(
+                "peak_cd_m2",
+                (20.0, 10_000.0),
+                &mut self.peak_cd_m2,
+                "luminance of the display's white, cd/m2",
+            ),
+            Setting::number(
+                "black_cd_m2",
+                (0.0, 10.0),
+                &mut self.black_cd_m2,
+                "luminance of the display's black, cd/m2",
+            ),
+            Setting::number("ambient_lux", (0.0, 50_000.0), &mut self.ambient_lux, "illuminance in the room, lux"),
+            Setting::number("contrast", (0.2, 3.0), &mut self.contrast, "factor on the contrast of the scene"),
             Setting::saturation(&mut self.saturation),
         ]
     }
 }
 
-/// Cells that contrasts are counted on. They are taken for the pixels of the display.
+/// Largest number of cells that contrasts are counted on. Cells stand for the pixels of the display.
 const CELLS: usize = 1 << 18;
 
-/// Pixels of the display to a degree: a monitor at arm's length.
+/// Pixels of the display per degree: a monitor at arm's length.
 const PIXELS_PER_DEGREE: f64 = 30.0;
 
-/// Bands, of an octave each, from 15 cycles per degree down to below 3 (section 6).
+/// Frequency bands of one octave each, from 15 cycles per degree down to below 3 (section 6).
 const BANDS: usize = 4;
 
-/// From node to node of the curve in log10, at the least; at most so many nodes.
+/// Smallest distance of the nodes of the curve, in log10, and largest number of pieces.
 const STEP: f64 = 0.1;
 const MOST_PIECES: usize = 40;
 
-/// The largest contrast that is counted, log10.
+/// Largest contrast that is counted, log10.
 const MOST_CONTRAST: f64 = 0.7;
 
-/// The least that is seen, log10: 1 %.
+/// Contrast threshold, log10: 1 %.
 const SEEN: f64 = 0.0043;
 
-/// What the eye is adapted to that looks at the scene, cd/m2: daylight.
+/// Luminance that the eye of the viewer of the scene is adapted to, cd/m2: daylight.
 const DAYLIGHT: f64 = 1000.0;
 
-/// What an empty stretch between luminances that occur counts for, as a part of all contrasts (section 6, disconnected parts).
+/// Weight of a gap between luminances that occur, as a share of all contrasts (section 6, disconnected parts).
 const BRIDGE: f64 = 0.1;
 
-/// How often the program is solved with responses taken anew, and when it has settled: log10.
+/// Largest number of rounds, each with responses linearised anew, and the change (log10) below which the curve has converged.
 const ROUNDS: usize = 60;
 const SETTLED: f64 = 5e-4;
 
 /// The display in its room (section 5).
 #[derive(Debug, Clone, Copy)]
 struct Display {
-    /// Luminances in cd/m2 of black and white, with what the screen throws back.
+    /// Luminances of black and white in cd/m2, including reflected light.
     black: f64,
     white: f64,
 }
 
 impl Display {
     fn new(options: &Options) -> Self {
-        let thrown_back = 0.01 / std::f64::consts::PI * options.ambient_lux;
-        // A display without any black could show all ranges: a ten thousandth of its white is as good as none.
-        let black = (options.black_cd_m2 + thrown_back).clamp(1e-4 * options.peak_cd_m2, 0.5 * options.peak_cd_m2);
-        Display { black, white: options.peak_cd_m2 + thrown_back }
+        let reflected = 0.01 / std::f64::consts::PI * options.ambient_lux;
+        // A black of 0 would give an infinite range; it is limited to a ten thousandth of white.
+        let black = (options.black_cd_m2 + reflected).clamp(1e-4 * options.peak_cd_m2, 0.5 * options.peak_cd_m2);
+        Display { black, white: options.peak_cd_m2 + reflected }
     }
 
-    /// What it is sent for a luminance, as linear sRGB: displays in use follow the power 2.2 of the paper, which shows the darkest codes
-    /// darker than sRGB has them, so they are sent lighter.
+    /// The linear sRGB value to send for a luminance. Real displays follow the gamma of 2.2 of the paper, which shows the darkest code values darker
+    /// than sRGB defines them, so lighter values are sent.
     fn linear(&self, cd_m2: f64) -> f64 {
         let part = ((cd_m2 - self.black) / (self.white - self.black)).clamp(0.0, 1.0);
         srgb_to_linear(libm::pow(part, 1.0 / 2.2))
     }
 
-    /// Orders of magnitude that it shows.
+    /// Dynamic range, log10.
     fn range(&self) -> f64 {
         libm::log10(self.white / self.black)
     }
 }
 
-/// Contrasts counted: between which nodes, in which band, how many.
+/// The contrasts between two nodes in one frequency band.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Contrasts {
     from: usize,
     to: usize,
     band: usize,
-    /// Of all contrasts that are seen, the part that these are.
+    /// Their share of all visible contrasts.
     share: f64,
 }
 
@@ -147,11 +156,7 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
     let contrasts = bridged(&counted(&grid.logs, &nodes), &nodes);
     let display = Display::new(options);
     let pieces = curve(&contrasts, &nodes, &display, options.contrast);
-    // From white downwards: what is left of the range is left to black.
-    let mut ends = vec![0.0f64; nodes.pieces + 1];
-    for i in (0..nodes.pieces).rev() {
-        ends[i] = ends[i + 1] - pieces[i];
-    }
+    let ends = ends(&pieces);
     let piece = |log: f64| {
         let at = (log - nodes.first) / nodes.step;
         ((at.max(0.0) as usize).min(nodes.pieces - 1), at)
@@ -162,20 +167,29 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
         let log = if at <= 0.0 { ends[0] + at * nodes.step } else { ends[i] + (at - i as f64).min(1.0) * pieces[i] };
         display.linear(display.white * libm::exp10(log))
     };
-    // Of the contrast what is left about a luminance: over nine pieces, an order of magnitude, as the curve's own corners are not to be seen
-    // in the colours.
+    // The remaining contrast around a luminance, averaged over nine pieces (an order of magnitude) so that the corners of the curve do not show in the
+    // colours.
     let slope = |v: f64| {
         let (i, _) = piece(log10_of(v));
         let about = &pieces[i.saturating_sub(4)..(i + 5).min(nodes.pieces)];
         about.iter().sum::<f64>() / (about.len() as f64 * nodes.step)
     };
     let curve = Curve::new(shown, slope, options.saturation);
-    // Tones are stops from the first node on.
+    // Tones are in stops from the first node.
     let shift = -nodes.first / std::f64::consts::LOG10_2;
     Tones::new(scene.to_srgb, Guide::shifted(shift), curve, scene.size.0)
 }
 
-/// Section 6: what differs from its surroundings, by band and by luminance of the surroundings.
+/// log10 display luminance at every node, relative to white. Unused range is left at the dark end.
+fn ends(pieces: &[f64]) -> Vec<f64> {
+    let mut ends = vec![0.0f64; pieces.len() + 1];
+    for i in (0..pieces.len()).rev() {
+        ends[i] = ends[i + 1] - pieces[i];
+    }
+    ends
+}
+
+/// Section 6: counts the contrasts to the surroundings, by band and by luminance of the surroundings.
 fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     let reach = libm::round(MOST_CONTRAST / nodes.step).max(1.0) as isize;
     let size = nodes.pieces + 1;
@@ -189,7 +203,7 @@ fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
             let contrast = f64::from(here - around) * std::f64::consts::LOG10_2;
             let at = nodes.nearest(f64::from(around) * std::f64::consts::LOG10_2);
             let most = libm::round(contrast / nodes.step) as isize;
-            // What is seen but nearer to nothing than to a step counts for a step.
+            // A visible contrast of less than half a step counts as one step.
             let steps = if most == 0 && contrast.abs() > SEEN { contrast.signum() as isize } else { most };
             let to = at as isize + steps;
             if steps != 0 && steps.abs() <= reach && (0..size as isize).contains(&to) {
@@ -208,7 +222,7 @@ fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     contrasts
 }
 
-/// With what holds parts of the curve together between which there is no contrast.
+/// Adds contrasts that connect parts of the curve without contrasts between them.
 fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     let mut is_used = vec![false; nodes.pieces];
     for c in contrasts {
@@ -225,8 +239,8 @@ fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     all
 }
 
-/// Section 3: how many orders of magnitude the display gives to each piece, so that the responses to contrasts shown differ least from those to
-/// contrasts of the scene. The responses are taken for straight about the last solution, until that stays.
+/// Section 3: the log10 range of the display that each piece gets, such that the responses to the contrasts shown are nearest to those to the contrasts
+/// of the scene. Responses are linearised around the last solution until it converges.
 fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f64) -> Vec<f64> {
     let n = nodes.pieces;
     let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);
@@ -234,7 +248,7 @@ fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f6
         .iter()
         .map(|c| response((c.to - c.from) as f64 * nodes.step * enhanced, sensitivity(frequency(c.band), DAYLIGHT)))
         .collect();
-    // The eye's sensitivity to the display: by luminance, in steps of a tenth of an order of magnitude.
+    // The eye's sensitivity for luminances of the display, in steps of 0.1 in log10.
     let grades = (display.range() / STEP).ceil() as usize + 1;
     let of_band = |band: usize| -> Vec<f64> {
         let grade = |i: usize| sensitivity(frequency(band), display.white * libm::exp10(-STEP * i as f64));
@@ -243,10 +257,7 @@ fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f6
     let sensitivities: Vec<Vec<f64>> = (0..BANDS).map(of_band).collect();
     let mut pieces = vec![display.range().min(n as f64 * nodes.step) / n as f64; n];
     for _ in 0..ROUNDS {
-        let mut ends = vec![0.0f64; n + 1];
-        for i in (0..n).rev() {
-            ends[i] = ends[i + 1] - pieces[i];
-        }
+        let ends = ends(&pieces);
         let (mut h, mut f) = (vec![vec![0.0f64; n]; n], vec![0.0f64; n]);
         for (c, aim) in contrasts.iter().zip(&aims) {
             let shown = (ends[c.to] - ends[c.from]).max(1e-3);
@@ -257,12 +268,12 @@ fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f6
                 h[i][c.from..c.to].iter_mut().for_each(|v| *v += c.share * slope * slope);
             }
         }
-        // Pieces that only come together are shared out evenly.
+        // Regularisation: pieces that only occur together get equal shares.
         let ridge = 1e-6 * (0..n).map(|i| h[i][i]).sum::<f64>() / n as f64;
         (0..n).for_each(|i| h[i][i] += ridge);
         let next = minimum(&h, &f, display.range());
         let moved = pieces.iter().zip(&next).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        // Half the way: the whole of it may swing.
+        // Half steps, because full steps may oscillate.
         pieces.iter_mut().zip(&next).for_each(|(p, n)| *p = 0.5 * (*p + n));
         if moved < SETTLED {
             break;
@@ -277,7 +288,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// A scene of `stops`, mostly of one luminance or the other, with texture and with all that is in between.
+    /// A scene with a range of `stops`: two textured areas and the ramp between them.
     fn radiance(stops: f32, factor: f32) -> Plane<[f32; 3]> {
         Plane::from_rows(300, 160, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -298,7 +309,7 @@ mod tests {
         mantiuk08(&scene(map), options).picture(map)
     }
 
-    /// The sum of squares that section 3 has least, word for word.
+    /// The sum of squares that section 3 minimises.
     fn distortion(pieces: &[f64], contrasts: &[Contrasts], nodes: &Nodes, display: &Display) -> f64 {
         let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);
         let square = |c: &Contrasts| {
@@ -311,8 +322,8 @@ mod tests {
         contrasts.iter().map(square).sum()
     }
 
-    /// No share of the range moved from a piece to another makes the eye see contrasts that differ less. The
-    /// paper's rounds, which hold the ratio of response and contrast, do not end at the very minimum: within 5 percent.
+    /// Moving range from one piece to another does not reduce the distortion. The paper's iteration, which fixes the ratio of response and contrast, ends
+    /// within 5 percent of the minimum.
     #[test]
     fn no_curve_near_by_distorts_less() {
         let scene = scene(&radiance(12.0, 1.0));
@@ -351,7 +362,7 @@ mod tests {
         assert!(codes.at(0, 0)[1] < 100 && codes.at(399, 0)[1] == 255);
     }
 
-    /// In a bright room the screen throws light back, and the dark parts are lifted out of it; a better display may leave them dark.
+    /// In a bright room the screen reflects light, and the dark parts are lifted above it; on a better display they stay darker.
     #[test]
     fn a_bright_room_lifts_the_dark() {
         let map = radiance(10.0, 1.0);
@@ -367,7 +378,7 @@ mod tests {
         assert!(mean(&better) < mean(&plain), "{}", mean(&better));
     }
 
-    /// A scene of little range: there is room for more contrast, if it is asked for.
+    /// A scene of little range leaves room for more contrast.
     #[test]
     fn contrast_is_what_is_aimed_at() {
         let map = radiance(1.0, 1.0);
@@ -379,7 +390,7 @@ mod tests {
         assert!(spread(0.6) + 10 < spread(1.0) && spread(1.0) + 10 < spread(1.6), "{} {}", spread(0.6), spread(1.0));
     }
 
-    /// Two luminances far apart, each with some texture and nothing in between: the gap is neither closed nor does it take all.
+    /// Two distant luminances with texture and nothing in between: the gap is neither closed nor takes the whole range.
     #[test]
     fn parts_without_contrast_between_them_hold_together() {
         let nodes = Nodes { first: 0.0, step: 0.1, pieces: 30 };

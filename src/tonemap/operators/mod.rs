@@ -1,6 +1,6 @@
-//! The published operators, each in the file of its first author.
+//! The published operators, one file for each first author.
 //!
-//! In: a scene, or its overview. Out: tones. None uses another.
+//! In: a scene. Out: tones. The operators do not depend on each other.
 
 pub mod drago;
 pub mod durand;

@@ -1,6 +1,6 @@
-//! Reinhard's photographic operator: one curve for all pixels or, as a photographer dodges and burns, one for each place.
+//! Reinhard's photographic operator: a global tone curve, or a local one by dodging and burning.
 //!
-//! In: a scene. Out: its tones. Cost: nothing for the global curve; 0.4 us a cell for the local one.
+//! In: a scene. Out: its tones. Cost: none per cell for the global curve; 0.4 us a cell for the local one.
 //! Source: Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1, equations 1 to 4,
 //! and 3.2, equations 5 to 9; Reinhard, "Parameter Estimation for Photographic Tone Reproduction" (2003), equations 4 and 5.
 
@@ -11,14 +11,14 @@ use crate::tonemap::overview::Scene;
 use crate::tonemap::settings::Setting;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// What may be set; by default the picture decides.
+/// Settings of the operator; by default they are estimated from the picture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The key a: the display luminance (0..1, before the shoulder) of the log-average; about 0.18. `None`: estimated.
+    /// The key a: display luminance (0..1, before the shoulder) of the log-average luminance; about 0.18. `None`: estimated.
     pub key: Option<f64>,
-    /// L_white: the smallest luminance that becomes white, in units of the scaled luminance of equation 2. `None`: estimated.
+    /// L_white: smallest luminance that maps to white, in units of the scaled luminance of equation 2. `None`: estimated.
     pub white: Option<f64>,
-    /// Times the saturation that Mantiuk's fit gives: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -29,20 +29,20 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What may be set, by name.
+    /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::estimated("key", (0.01, 2.0), &mut self.key, "display luminance of the log-average, of 1"),
-            Setting::estimated("white", (0.1, 1e6), &mut self.white, "scaled luminance that becomes white"),
+            Setting::estimated("key", (0.01, 2.0), &mut self.key, "display luminance of the log-average, 0 to 1"),
+            Setting::estimated("white", (0.1, 1e6), &mut self.white, "scaled luminance that maps to white"),
             Setting::saturation(&mut self.saturation),
         ]
     }
 }
 
-/// The curve, settled.
+/// The tone curve with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shoulder {
-    /// log2 of the key over the log-average: from log2 radiance to log2 of the scaled luminance L of equation 2.
+    /// log2 of the key over the log-average, which takes log2 radiance to log2 of the scaled luminance L of equation 2.
     shift: f64,
     /// 1 / L_white^2.
     inverse_white2: f64,
@@ -50,11 +50,12 @@ struct Shoulder {
 
 impl Shoulder {
     fn of(scene: &Scene, options: &Options) -> Self {
+        // log2 luminance: the 1st and 99th percentile, and the mean (equation 1) clamped to them.
         let ends = (scene.percentile(0.01), scene.percentile(0.99));
-        let statistics = Statistics { average: scene.average_within(ends), dark: ends.0, bright: ends.1 };
-        let key = options.key.unwrap_or_else(|| key(&statistics).clamp(KEYS.0, KEYS.1));
-        let white = options.white.unwrap_or_else(|| white(&statistics, key));
-        Shoulder { shift: libm::log2(key) - statistics.average, inverse_white2: 1.0 / (white * white) }
+        let average = scene.average_within(ends);
+        let key = options.key.unwrap_or_else(|| key(average, ends).clamp(KEYS.0, KEYS.1));
+        let white = options.white.unwrap_or_else(|| white(average, ends, key));
+        Shoulder { shift: libm::log2(key) - average, inverse_white2: 1.0 / (white * white) }
     }
 
     /// Equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
@@ -62,76 +63,64 @@ impl Shoulder {
         l * (1.0 + l * self.inverse_white2) / (1.0 + l)
     }
 
-    /// Its slope in log-log.
+    /// The slope of the curve in log-log.
     fn slope(&self, l: f64) -> f64 {
         let w = l * self.inverse_white2;
         1.0 + w / (1.0 + w) - l / (1.0 + l)
     }
 }
 
-/// What of the scene's luminances decides the curve: log2 of luminance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Statistics {
-    /// The mean of the logarithms (equation 1), those beyond the ends counted as the ends.
-    average: f64,
-    /// The end below which lies one percent.
-    dark: f64,
-    /// The end above which lies one percent.
-    bright: f64,
-}
-
-/// Estimates are kept in between: a few lamps in a plain room would otherwise have it darker than anyone remembers it, and fog brighter.
+/// Range of estimated keys: without it a few lamps would make a plain room too dark, and fog would become too bright.
 const KEYS: (f64, f64) = (0.15, 0.45);
 
 /// Reinhard 2003, equation 4: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log L_min)).
-fn key(scene: &Statistics) -> f64 {
-    let range = scene.bright - scene.dark;
-    let skew = (2.0 * scene.average - scene.dark - scene.bright) / range.max(1.0);
+fn key(average: f64, (dark, bright): (f64, f64)) -> f64 {
+    let skew = (2.0 * average - dark - bright) / (bright - dark).max(1.0);
     0.18 * libm::exp2(2.0 * skew)
 }
 
-/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is kept between the bright end as the key places
-/// it, which must not burn out, and twice that, as nothing would be white otherwise; and is at least 1.
-fn white(scene: &Statistics, key: f64) -> f64 {
-    let estimate = 1.5 * libm::exp2(scene.bright - scene.dark - 5.0);
-    let brightest = key * libm::exp2(scene.bright - scene.average);
+/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is limited to between one and two times the bright end of the scene,
+/// so that the bright end is not clipped and something is white; and is at least 1.
+fn white(average: f64, (dark, bright): (f64, f64), key: f64) -> f64 {
+    let estimate = 1.5 * libm::exp2(bright - dark - 5.0);
+    let brightest = key * libm::exp2(bright - average);
     estimate.min(2.0 * brightest).max(brightest).max(1.0)
 }
 
-/// The tones of `scene` by one curve.
+/// The tones of `scene` by one global curve.
 pub fn global(scene: &Scene, options: &Options) -> Tones {
     let shoulder = Shoulder::of(scene, options);
     let curve = Curve::new(|v| shoulder.display(libm::exp2(v)), |v| shoulder.slope(libm::exp2(v)), options.saturation);
     Tones::new(scene.to_srgb, Guide::shifted(shoulder.shift), curve, scene.size.0)
 }
 
-/// Cells of the local operator: its scales are those of the paper on pictures of about this size.
+/// Largest number of cells of the local operator, whose scales are those of the paper for pictures of about this size.
 const CELLS: usize = 1 << 19;
 
-/// Stops from the key beyond which nothing looks other than black or white, so that squares stay within floats.
+/// Luminances are clamped to this many stops from the key, so that squares do not overflow.
 const FARTHEST: f32 = 60.0;
 
-/// Section 3.2: scales, each 1.6 times the one before, the first of 1 cell; their centre's size as a part of them; the sharpening phi;
-/// and how much centre and surround may differ.
+/// Section 3.2: the number of scales and their ratio, the first being 1 cell; the size of the centre relative to the scale; the sharpening phi; and the
+/// largest difference of centre and surround.
 const SCALES: usize = 8;
 const RATIO: f64 = 1.6;
 const CENTRE: f64 = 0.353_553_390_593_273_8;
 const PHI: f64 = 8.0;
 const THRESHOLD: f32 = 0.05;
 
-/// The tones of `scene` by dodging and burning: the shoulder of each place goes by the luminance around it, as far as no edge is near.
+/// The tones of `scene` by dodging and burning: the curve of each place depends on the luminance around it, up to the nearest edge.
 pub fn local(scene: &Scene, options: &Options) -> Tones {
     let scene = scene.coarser(CELLS);
-    let key = 0.18;
-    let shoulder = Shoulder::of(&scene, &Options { key: options.key.or(Some(key)), ..options.clone() });
+    let key = options.key.unwrap_or(0.18);
+    let shoulder = Shoulder::of(&scene, &Options { key: Some(key), ..options.clone() });
     let (width, height) = (scene.logs.width(), scene.logs.height());
     let scaled = Plane::from_rows(width, height, |y, row| {
         for (l, &log) in row.iter_mut().zip(scene.logs.row(y)) {
             *l = libm::exp2f((log + shoulder.shift as f32).clamp(-FARTHEST, FARTHEST));
         }
     });
-    let around = surroundings(&scaled, options.key.unwrap_or(key));
-    // Equation 9, with the white of equation 4; as log2, so that the grid can be carried to the pixels.
+    let around = surroundings(&scaled, key);
+    // Equation 9 with the white of equation 4, as log2, which can be interpolated.
     let inverse_white2 = shoulder.inverse_white2 as f32;
     let tones = Plane::from_rows(width, height, |y, row| {
         for ((v, &l), &a) in row.iter_mut().zip(scaled.row(y)).zip(around.row(y)) {
@@ -139,16 +128,13 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
         }
     });
     let guide = Guide::fitted(&scene.logs, &tones, scene.side, 1.0);
-    // What is left of the contrast of large things, as equation 4 has it.
-    let slope = |v: f64| {
-        let display = libm::exp2(v).min(0.99);
-        1.0 - display
-    };
+    // The remaining contrast of large structures, by equation 4.
+    let slope = |v: f64| 1.0 - libm::exp2(v).min(0.99);
     let curve = Curve::new(libm::exp2, slope, options.saturation);
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// V_1 of equation 9: of every place the mean of `l` over the largest surroundings in which centre and surround are alike.
+/// V_1 of equation 9: the mean of `l` over the largest surroundings of each place in which centre and surround are similar.
 fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
     let blurred = |scale: f64| gaussian(l, CENTRE * scale / std::f64::consts::SQRT_2);
     let (width, height) = (l.width(), l.height());
@@ -212,7 +198,7 @@ mod tests {
         }
     }
 
-    /// Half a percent of suns and of black must not move the rest by more than a few codes.
+    /// Half a percent of suns and of black pixels must not change the rest by more than a few code values.
     #[test]
     fn a_few_suns_and_black_pixels_do_not_decide() {
         let plain = picture(&ramp(1.0, |_, _| None), global);
@@ -224,7 +210,7 @@ mod tests {
         }
     }
 
-    /// Texture in the bright half of an edge keeps more of its contrast by dodging and burning than by the curve: that is what it is for.
+    /// Texture in the bright half of an edge keeps more contrast by dodging and burning than by the global curve.
     #[test]
     fn local_contrast_is_kept_in_the_light() {
         let textured = |x: usize, y: usize| {
@@ -245,8 +231,8 @@ mod tests {
 
     #[test]
     fn the_key_follows_the_tone() {
-        let at = |average| key(&Statistics { average, dark: -5.0, bright: 5.0 });
-        // In the middle 0.18; at an end a factor 4 from it, by equation 4.
+        let at = |average| key(average, (-5.0, 5.0));
+        // 0.18 in the middle and a factor of 4 from it at either end, by equation 4.
         assert!((at(0.0) - 0.18).abs() < 1e-12 && (at(5.0) - 0.72).abs() < 1e-12 && (at(-5.0) - 0.045).abs() < 1e-12);
     }
 }

@@ -1,19 +1,19 @@
-//! The bilateral filter on a grid of places and luminances: smooth where luminance is, cut where it jumps.
+//! The bilateral filter on a grid over position and luminance, which smooths but keeps edges.
 //!
-//! In: log2 luminance on a grid of cells. Out: the same, smoothed but for edges. Cost: 20 ns a cell.
+//! In: log2 luminance of cells. Out: the filtered values. Cost: 20 ns a cell.
 //! Source: Tomasi & Manduchi, "Bilateral Filtering for Gray and Color Images" (1998); Paris & Durand, "A Fast Approximation of the Bilateral
 //! Filter using a Signal Processing Approach" (2006), section 5; Chen, Paris, Durand, "Real-time Edge-Aware Image Processing with the
 //! Bilateral Grid" (2007), section 3.
 
 use crate::plane::Plane;
 
-/// Weights of a Gaussian of one node's width, as far as nodes count.
+/// Weights of a Gaussian with a standard deviation of one node, cut off after two nodes.
 const KERNEL: [f32; 5] = [0.054_488_7, 0.244_201_3, 0.402_62, 0.244_201_3, 0.054_488_7];
 
-/// Nodes beyond the ends, so that nothing is blurred off the grid.
+/// Nodes added at each end, so that nothing is blurred off the grid.
 const MARGIN: usize = 2;
 
-/// Sums of luminance and of how many cells, by place and luminance; luminance is the fastest.
+/// Sums of luminance and numbers of cells, by position and luminance; luminance is the innermost index.
 struct Grid {
     size: [usize; 3],
     nodes: Vec<[f32; 2]>,
@@ -24,14 +24,14 @@ impl Grid {
         (y * self.size[0] + x) * self.size[2] + z
     }
 
-    /// The grid blurred along one axis: 0 across, 1 down, 2 luminance.
+    /// Blurs the grid along one axis: 0 is x, 1 is y, 2 is luminance.
     fn blurred(self, axis: usize) -> Grid {
         let stride = [self.size[2], self.size[0] * self.size[2], 1][axis];
         let mut nodes = vec![[0.0f32; 2]; self.nodes.len()];
         for (i, node) in nodes.iter_mut().enumerate() {
             let along = i / stride % self.size[axis];
             for (k, weight) in KERNEL.iter().enumerate() {
-                // Beyond the ends there is nothing.
+                // Nodes beyond the ends are empty.
                 if (2..self.size[axis] + 2).contains(&(along + k)) {
                     let from = self.nodes[i + k * stride - 2 * stride];
                     node[0] += weight * from[0];
@@ -43,7 +43,7 @@ impl Grid {
     }
 }
 
-/// `logs` filtered, with standard deviations of `reach` cells and `edge` stops.
+/// Filters `logs` with standard deviations of `reach` cells and `edge` stops.
 pub fn bilateral(logs: &Plane<f32>, reach: f32, edge: f32) -> Plane<f32> {
     let (width, height) = (logs.width(), logs.height());
     let (low, high) = logs.as_slice().iter().fold((f32::MAX, f32::MIN), |(a, b), &l| (a.min(l), b.max(l)));
@@ -60,7 +60,7 @@ pub fn bilateral(logs: &Plane<f32>, reach: f32, edge: f32) -> Plane<f32> {
         }
     }
     let grid = (0..3).fold(grid, Grid::blurred);
-    // A grid may also be empty around a luminance that is nobody's neighbour: then it stays.
+    // A value whose surroundings in the grid are empty is kept.
     Plane::from_rows(width, height, |y, row| {
         for (x, (to, &l)) in row.iter_mut().zip(logs.row(y)).enumerate() {
             let at = place(x, y, l);
@@ -91,8 +91,8 @@ mod tests {
         })
     }
 
-    /// The double sum of Tomasi & Manduchi. The grid samples both Gaussians once to a standard deviation: Paris & Durand find 40 dB and more
-    /// at that; of 6 stops 1 % is 0.06.
+    /// Compared with the double sum of Tomasi & Manduchi. The grid samples both Gaussians once per standard deviation, for which Paris & Durand report
+    /// 40 dB and more; 1 % of 6 stops is 0.06.
     #[test]
     fn it_is_the_double_sum_up_to_sampling() {
         let (logs, reach, edge) = (scene(), 5.0f32, 1.3f32);

@@ -1,14 +1,14 @@
-//! What the eye sees of a contrast: how sensitive it is at a frequency and in a light, and how a contrast that is seen grows on it.
+//! Models of human vision: the contrast sensitivity function and the response to contrast above the threshold.
 //!
 //! In: frequencies, luminances, contrasts. Out: sensitivities and responses. Cost: a few powers.
 //! Source: Daly, "The Visible Differences Predictor" (1993), section 3.2 (sensitivity); Wilson, "A Transducer Function for Threshold and
-//! Suprathreshold Human Vision" (1980) as Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008), section 4 and appendix, have both.
+//! Suprathreshold Human Vision" (1980); both as given by Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008), section 4 and appendix.
 
-/// One over the least contrast that is seen, at `frequency` cycles per degree by an eye adapted to `cd_m2`, for a picture of one square
-/// degree half a metre away.
+/// The contrast sensitivity (1 / threshold) at `frequency` cycles per degree for an eye adapted to `cd_m2`, for a picture of one square degree at a
+/// distance of half a metre.
 pub(crate) fn sensitivity(frequency: f64, cd_m2: f64) -> f64 {
     const PEAK: f64 = 250.0;
-    // Accommodation at half a metre; along the axes, in the middle of the eye.
+    // Accommodation at half a metre; horizontal or vertical orientation, no eccentricity.
     let nearer = 0.856 * libm::pow(0.5, 0.14);
     PEAK * daly(frequency, cd_m2).min(daly(frequency / nearer, cd_m2))
 }
@@ -21,19 +21,19 @@ fn daly(frequency: f64, cd_m2: f64) -> f64 {
     libm::pow(size + 1.0, -0.2) * a * 0.9 * frequency * libm::exp(-b) * (1.0 + 0.06 * libm::exp(b)).sqrt()
 }
 
-/// The response, in steps that are just seen, to a `contrast` in log10 by an eye of that sensitivity.
+/// The response, in just noticeable differences, to a `contrast` in log10 by an eye of this sensitivity.
 pub(crate) fn response(contrast: f64, sensitivity: f64) -> f64 {
-    let seen = sensitivity * (libm::exp10(contrast) - 1.0);
-    let rising = libm::cbrt(1.0 + seen * seen * seen) - 1.0;
-    3.291 * rising / (0.2599 * libm::pow(3.433 + seen, 0.8))
+    let scaled = sensitivity * (libm::exp10(contrast) - 1.0);
+    let rising = libm::cbrt(1.0 + scaled * scaled * scaled) - 1.0;
+    3.291 * rising / (0.2599 * libm::pow(3.433 + scaled, 0.8))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// In daylight the eye is most sensitive at 2 to 6 cycles per degree, where it sees half a percent; in the dark it is less so, and
-    /// mostly for fine things.
+    /// In daylight sensitivity peaks at 2 to 6 cycles per degree with a threshold of about half a percent; in the dark it is lower, most of all at high
+    /// frequencies.
     #[test]
     fn sensitivity_is_that_of_an_eye() {
         let best = (1..300)
@@ -45,7 +45,7 @@ mod tests {
         assert!(loss(1.0) > 1.1 && loss(15.0) > 3.0 * loss(1.0), "{} {}", loss(1.0), loss(15.0));
     }
 
-    /// What is just seen has a response of about 1, and above it the response rises by Weber's law or slower.
+    /// The response at the threshold is about 1, and above it the response rises as by Weber's law or more slowly.
     #[test]
     fn response_is_one_at_the_threshold_and_then_slows() {
         for s in [20.0, 150.0] {

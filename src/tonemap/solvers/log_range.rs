@@ -1,8 +1,8 @@
-//! The range of a display filled: tones in stops, whose ends an operator leaves open, become black and white.
+//! Fills the range of a display: scales tones in stops, whose ends an operator leaves open, from black to white.
 //!
 //! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns a cell.
 //! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section 6.1:
-//! luminance is scaled in the logarithm so that percentiles meet black and white.
+//! log luminance is scaled such that percentiles map to black and white.
 
 use crate::plane::Plane;
 use crate::tonemap::guide::Guide;
@@ -10,31 +10,31 @@ use crate::tonemap::overview::Scene;
 use crate::tonemap::solvers::brightness;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// Cells that tones are made of.
+/// Largest number of cells.
 pub(crate) const CELLS: usize = 1 << 18;
 
-/// The part of the tones at the dark and the bright end that may be black or white.
-const BURNT: (f64, f64) = (0.01, 0.004);
+/// Shares of the tones that are clipped to black and to white.
+const CLIPPED: (f64, f64) = (0.01, 0.004);
 
-/// The range shown is not more than this times that of the scene: fog stays fog, a grey card grey.
+/// Largest ratio of the range shown to that of the scene, so that fog stays fog and a grey card stays grey.
 const MOST_SPREAD: f64 = 1.5;
 
-/// How the range is filled.
+/// Parameters of the scaling.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LogRange {
     /// Stops from black to white.
     pub stops: f64,
-    /// The mean code, of 1, that is aimed at.
+    /// Target of the mean code value, 0 to 1.
     pub brightness: f64,
-    /// Times the saturation that Mantiuk's fit gives.
+    /// Factor on the saturation of Mantiuk's fit.
     pub saturation: f64,
 }
 
-/// How far brightness may be brought to what is aimed at, as a power of luminance.
+/// Smallest and largest exponent used to reach the brightness.
 const POWERS: (f64, f64) = (0.8, 1.6);
 
 impl LogRange {
-    /// The tones of `scene`, whose [lit](Scene::lit) cells become what `change` makes of them.
+    /// The tones of `scene`; `change` maps its [lit](Scene::lit) cells to the tones to scale.
     pub fn tones(&self, scene: &Scene, change: impl FnOnce(&Plane<f32>) -> Plane<f32>) -> Tones {
         let mut grid = scene.coarser(CELLS);
         grid.logs = grid.lit();
@@ -42,19 +42,19 @@ impl LogRange {
         self.filled(scene, &grid, tones)
     }
 
-    /// The tones on the display of `scene`, for which `tones` are those of the cells of `grid`.
+    /// The tones of `scene`, where `tones` are those of the cells of `grid`, before scaling.
     fn filled(&self, scene: &Scene, grid: &Scene, mut tones: Plane<f32>) -> Tones {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
         let last = sorted.len() - 1;
-        // The nearest: whole parts of the tones burn out, and `quantile` would keep a value from each end.
+        // Nearest rank: a share of the tones is clipped, while `quantile` would keep one value at each end.
         let at = |p: f64| sorted[((last as f64 * p).round() as usize).min(last)];
-        let (black, white) = (at(BURNT.0), at(1.0 - BURNT.1));
-        let range = scene.percentile(1.0 - BURNT.1) - scene.percentile(BURNT.0);
+        let (black, white) = (at(CLIPPED.0), at(1.0 - CLIPPED.1));
+        let range = scene.percentile(1.0 - CLIPPED.1) - scene.percentile(CLIPPED.0);
         let shown = self.stops.min(MOST_SPREAD * range);
         let spread = shown / f64::from(white - black).max(1e-3);
         tones.as_mut_slice().iter_mut().for_each(|v| *v -= white);
-        // Black is at its end of the range, as far as the range is filled.
+        // The lower end of the display's range maps to black.
         let floor = libm::exp2(-self.stops);
         let display = |v: f64| ((libm::exp2(spread * v) - floor) / (1.0 - floor)).max(0.0);
         let step = (sorted.len() / 4096).max(1);
@@ -73,7 +73,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// A ramp of so many stops, and what becomes of it.
+    /// The code values of a ramp of so many stops.
     fn filled(stops: f64, range: &LogRange) -> Vec<f64> {
         let map = Plane::from_rows(500, 8, |_, row| {
             row.iter_mut().enumerate().for_each(|(x, p)| *p = [libm::exp2(stops * x as f64 / 499.0) as f32; 3])
@@ -87,7 +87,7 @@ mod tests {
 
     const PLAIN: LogRange = LogRange { stops: 6.0, brightness: 0.45, saturation: 1.0 };
 
-    /// The ends of the ramp are black and white, its mean code is what was asked for, and what is narrow is not spread to fill the range.
+    /// The ends of the ramp are black and white, its mean code value is the target, and a narrow range is not stretched to fill the display.
     #[test]
     fn the_range_is_filled_and_fog_stays_fog() {
         for stops in [6.0, 12.0] {
@@ -96,7 +96,7 @@ mod tests {
                 codes[0] < 3.0 && codes[4] < 9.0 && codes[499] == 255.0 && codes[497] == 255.0,
                 "{stops}: {codes:?}"
             );
-            assert!(codes[12] > 2.0 && codes[490] < 254.0, "no more than that is burnt: {codes:?}");
+            assert!(codes[12] > 2.0 && codes[490] < 254.0, "no more than that is clipped: {codes:?}");
             let mean = codes.iter().sum::<f64>() / 500.0;
             assert!((mean - 0.45 * 255.0).abs() < 2.0, "{stops}: {mean}");
         }

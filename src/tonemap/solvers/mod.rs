@@ -1,6 +1,6 @@
-//! What operators compute with: the equations of Poisson and of quadratic forms, the bilateral grid, and how the eye responds to light.
+//! Solvers shared by the operators: Poisson equation, quadratic program, bilateral grid, models of human vision.
 //!
-//! In and out: see each; none has options of its own.
+//! In and out: see each module. None has settings of its own.
 
 pub(crate) mod bilateral;
 pub(crate) mod brightness;

@@ -1,21 +1,21 @@
-//! From gradients back to a picture: the one whose differences from cell to cell are nearest to those asked for.
+//! Integrates gradients: finds the picture whose differences from cell to cell are nearest to given ones (Poisson equation).
 //!
-//! In: differences along rows and columns, which need not belong to any picture. Out: the picture, its mean 0. At the borders nothing is
-//! asked for (Neumann). Cost: about 10 steps of 0.05 us a cell and core, on any size of grid.
+//! In: differences along rows and columns, which need not be those of any picture. Out: the picture, with mean 0, with Neumann boundary
+//! conditions. Cost: about 10 steps of 0.05 us a cell and core, on any size of grid.
 //! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the problem;
 //! Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapters 2 and 3, for the cycle; Tatebe, "The Multigrid Preconditioned Conjugate
 //! Gradient Method" (1993), for the steps.
 
 use crate::plane::{Plane, fold_bands};
 
-/// What the error must come down to, in the norm of the operator, as a part of the picture: a thousandth of a stop of ten.
+/// Relative error, in the norm of the operator, at which the solver stops: a thousandth of a stop of ten.
 const TOLERANCE: f64 = 1e-4;
 
-/// Steps after which it is as good as it gets; they take about ten.
+/// Largest number of steps; about ten are needed.
 const MOST_STEPS: usize = 40;
 
-/// The picture whose differences to the right neighbours are nearest to `right` and to the lower ones nearest to `down`, in the sum of
-/// squares. The last column of `right` and the last row of `down` have no neighbours and do not count.
+/// The picture whose differences to the right neighbours are nearest to `right`, and to the lower neighbours nearest to `down`, by least squares. The
+/// last column of `right` and the last row of `down` are ignored.
 pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let divergence = divergence(right, down);
     let grid = Multigrid::new((right.width(), right.height()));
@@ -26,12 +26,13 @@ pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
         TOLERANCE,
         MOST_STEPS,
     );
-    let mean = sum(&picture, |v| v.into()) / picture.as_slice().len().max(1) as f64;
+    let mean = sum(&picture) / picture.as_slice().len().max(1) as f64;
     let centred = picture.as_slice().iter().map(|v| v - mean as f32).collect();
     Plane::from_vec(picture.width(), picture.height(), centred)
 }
 
-/// What flows into each cell less what flows out: the transpose of taking differences.
+/// The transpose of taking differences (negative divergence): for each cell the differences from its left and upper neighbours less those to its right and
+/// lower neighbours.
 pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (right.width(), right.height());
     Plane::from_rows(width, height, |y, row| {
@@ -47,8 +48,10 @@ pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// The x of `apply`(x) = `right`, for a symmetric `apply` without negative squares, by conjugate gradients; `precondition` is a symmetric guess
-/// at the inverse. Ends when the error, as `precondition` sees it, is below `tolerance` of what it was, or after `most` steps.
+/// Solves `apply`(x) = `right` by preconditioned conjugate gradients.
+///
+/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops when the residual, in the norm of
+/// `precondition`, is below `tolerance` times that at the start, or after `most` steps.
 pub fn conjugate_gradients(
     right: &Plane<f32>,
     apply: impl Fn(&Plane<f32>) -> Plane<f32>,
@@ -82,7 +85,7 @@ pub fn conjugate_gradients(
     x
 }
 
-/// `to` plus `factor` times `plane`.
+/// Adds `factor` times `plane` to `to`.
 fn add(to: &mut Plane<f32>, factor: f32, plane: &Plane<f32>) {
     for (t, p) in to.as_mut_slice().iter_mut().zip(plane.as_slice()) {
         *t += factor * p;
@@ -97,18 +100,19 @@ fn dot(a: &Plane<f32>, b: &Plane<f32>) -> f64 {
     fold_bands(a.height(), of_band, 0.0, |sum, s| sum + s)
 }
 
-fn sum(plane: &Plane<f32>, of: impl Fn(f32) -> f64 + Sync) -> f64 {
-    fold_bands(plane.height(), |rows| plane.rows(rows).iter().map(|&v| of(v)).sum::<f64>(), 0.0, |sum, s| sum + s)
+fn sum(plane: &Plane<f32>) -> f64 {
+    let of_band = |rows| plane.rows(rows).iter().map(|&v| f64::from(v)).sum::<f64>();
+    fold_bands(plane.height(), of_band, 0.0, |sum, s| sum + s)
 }
 
-/// One direction of a grid: cells, the last of which may be narrower than the others.
+/// One axis of a grid of cells, the last of which may be narrower than the others.
 #[derive(Debug, Clone)]
 struct Axis {
-    /// How wide each cell is, in cells of the finest grid.
+    /// Width of each cell, in cells of the finest grid.
     widths: Vec<f32>,
-    /// Before each cell, and after the last, one over the distance of the centres on either side; 0 at the ends.
+    /// Before each cell and after the last: the reciprocal of the distance between the adjacent centres; 0 at the ends.
     links: Vec<f32>,
-    /// For each cell, besides the cell of half its number on the next coarser grid, the other one nearest to it and what that counts for.
+    /// For each cell, its second neighbour on the next coarser grid and its weight; the first neighbour is the cell of half the index.
     others: Vec<(usize, f32)>,
 }
 
@@ -136,14 +140,10 @@ impl Axis {
         widths.chunks(2).map(|pair| pair.iter().sum()).collect()
     }
 
-    fn len(&self) -> usize {
-        self.widths.len()
-    }
-
-    /// The cells that the coarse cell `at` is made of, with what each counts for: the transpose of interpolation.
+    /// The fine cells that contribute to the coarse cell `at`, with their weights: the transpose of interpolation.
     fn children(&self, at: usize) -> impl Iterator<Item = (usize, f32)> {
         let first = (2 * at).saturating_sub(1);
-        (first..(2 * at + 3).min(self.len())).filter_map(move |i| {
+        (first..(2 * at + 3).min(self.widths.len())).filter_map(move |i| {
             let (other, weight) = self.others[i];
             if i / 2 == at {
                 Some((i, 1.0 - if other == at { 0.0 } else { weight }))
@@ -154,7 +154,7 @@ impl Axis {
     }
 }
 
-/// Where the middles of cells lie.
+/// The positions of the centres of cells.
 fn centres(widths: &[f32]) -> Vec<f32> {
     let mut end = 0.0;
     let centre = |&w: &f32| {
@@ -164,28 +164,28 @@ fn centres(widths: &[f32]) -> Vec<f32> {
     widths.iter().map(centre).collect()
 }
 
-/// One grid of those that are ever coarser.
+/// One grid of the multigrid hierarchy.
 #[derive(Debug, Clone)]
 struct Level {
     columns: Axis,
     rows: Axis,
 }
 
-/// A grid and its coarser ones, on which large things are settled.
+/// A grid and ever coarser ones, from fine to coarse.
 #[derive(Debug, Clone)]
 pub struct Multigrid {
     levels: Vec<Level>,
 }
 
-/// The part of a Jacobi step that is taken: the best against what alternates from cell to cell.
+/// Damping of the Jacobi steps: the best factor against errors that alternate from cell to cell.
 const DAMPING: f32 = 0.8;
 
 impl Multigrid {
-    /// Over `width` x `height` cells.
+    /// Builds the grids over `width` x `height` cells.
     pub fn new((width, height): (usize, usize)) -> Self {
         let mut levels = vec![Level { columns: Axis::new(vec![1.0; width]), rows: Axis::new(vec![1.0; height]) }];
         while let Some(last) = levels.last()
-            && last.columns.len().max(last.rows.len()) > 1
+            && last.columns.widths.len().max(last.rows.widths.len()) > 1
         {
             let coarser = |axis: &Axis| Axis::new(Axis::halved(&axis.widths));
             let next = Level { columns: coarser(&last.columns), rows: coarser(&last.rows) };
@@ -194,21 +194,21 @@ impl Multigrid {
         Multigrid { levels }
     }
 
-    /// Four times each cell less its four neighbours, at the borders less those that there are.
+    /// The negative Laplacian: for each cell the sum of its differences from its (up to four) neighbours.
     pub fn laplacian(&self, plane: &Plane<f32>) -> Plane<f32> {
         self.levels[0].combined(plane, |laplacian, _, _| laplacian)
     }
 
-    /// A guess at the plane of which `right` is the Laplacian, by one cycle through all grids: symmetric, and off by a tenth or so.
+    /// Approximately inverts [`laplacian`](Self::laplacian) by one V-cycle: symmetric, with an error of about a tenth.
     pub fn cycle(&self, right: &Plane<f32>) -> Plane<f32> {
         cycle(&self.levels, right)
     }
 }
 
-/// A V-cycle over `levels` from nothing: two steps before and two after the coarser grids.
+/// One V-cycle over `levels`, starting from 0, with two smoothing steps before and two after the coarser grids.
 fn cycle(levels: &[Level], right: &Plane<f32>) -> Plane<f32> {
     let ([level, coarser @ ..], true) = (levels, levels.len() > 1) else {
-        // A single cell differs from nothing.
+        // A single cell has no differences.
         return Plane::filled(right.width(), right.height(), 0.0);
     };
     let mut x = level.first_step(right);
@@ -221,7 +221,7 @@ fn cycle(levels: &[Level], right: &Plane<f32>) -> Plane<f32> {
 }
 
 impl Level {
-    /// `combine`(Laplacian, diagonal, cell's number) of every cell of `plane`.
+    /// Computes `combine`(Laplacian, diagonal, index) for every cell of `plane`.
     fn combined(&self, plane: &Plane<f32>, combine: impl Fn(f32, f32, usize) -> f32 + Sync) -> Plane<f32> {
         let (width, height) = (plane.width(), plane.height());
         let links = &self.columns.links;
@@ -251,7 +251,7 @@ impl Level {
             + rows.widths[y] * (columns.links[x] + columns.links[x + 1])
     }
 
-    /// A damped Jacobi step from nothing.
+    /// A damped Jacobi step from 0.
     fn first_step(&self, right: &Plane<f32>) -> Plane<f32> {
         Plane::from_rows(right.width(), right.height(), |y, row| {
             for (x, (v, r)) in row.iter_mut().zip(right.row(y)).enumerate() {
@@ -271,7 +271,7 @@ impl Level {
         self.combined(x, |laplacian, _, i| right[i] - laplacian)
     }
 
-    /// What lies on each cell of the next coarser grid: the transpose of interpolation.
+    /// Restricts `fine` to the next coarser grid by the transpose of interpolation.
     fn restricted(&self, fine: &Plane<f32>) -> Plane<f32> {
         let width = fine.width();
         Plane::from_rows(width.div_ceil(2), fine.height().div_ceil(2), |y, row| {
@@ -285,7 +285,7 @@ impl Level {
         })
     }
 
-    /// Adds to `fine` what the next coarser grid has, interpolated between its centres.
+    /// Adds `coarse`, interpolated between its centres, to `fine`.
     fn add_interpolated(&self, fine: &mut Plane<f32>, coarse: &Plane<f32>) {
         let width = fine.width();
         fine.fill_bands(|rows, band| {
@@ -341,7 +341,7 @@ mod tests {
         matrix.cholesky().unwrap().solve(&vector).iter().copied().collect()
     }
 
-    /// Gradients that belong to no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few units.
+    /// Gradients that are those of no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few units.
     #[test]
     fn it_is_the_least_squares_picture() {
         for (w, h) in [(1, 1), (2, 3), (1, 17), (16, 16), (21, 13), (3, 30), (25, 24)] {
@@ -353,7 +353,7 @@ mod tests {
         }
     }
 
-    /// Differences of a picture give it back, on a grid too large for the dense oracle, whatever its sides.
+    /// The differences of a picture give that picture, on grids too large for the dense oracle.
     #[test]
     fn the_differences_of_a_picture_are_that_picture() {
         for (w, h) in [(257, 190), (300, 2), (511, 333)] {
@@ -362,7 +362,7 @@ mod tests {
                     *v = if x > w / 3 { 5.0 } else { 0.0 } + (0.05 * y as f32).sin() + 0.01 * x as f32;
                 }
             });
-            let mean = sum(&picture, |v| v.into()) / (w * h) as f64;
+            let mean = sum(&picture) / (w * h) as f64;
             let at = |x: usize, y: usize| picture.at(x.min(w - 1), y.min(h - 1));
             let right = Plane::from_rows(w, h, |y, row| {
                 row.iter_mut().enumerate().for_each(|(x, v)| *v = at(x + 1, y) - at(x, y))
@@ -377,7 +377,7 @@ mod tests {
         }
     }
 
-    /// Interpolation and restriction are each other's transpose, and the cycle is symmetric: conjugate gradients rest on it.
+    /// The cycle is symmetric, as conjugate gradients require.
     #[test]
     fn the_cycle_is_symmetric_and_most_of_the_inverse() {
         for size in [(37, 22), (8, 5), (64, 64)] {
@@ -386,7 +386,7 @@ mod tests {
             let (ab, ba) = (dot(&a, &grid.cycle(&b)), dot(&b, &grid.cycle(&a)));
             // Values up to some tens, of 4000 products, in single precision.
             assert!((ab - ba).abs() < 1e-3 * dot(&a, &grid.cycle(&a)), "{ab} {ba}");
-            // One cycle leaves a fifth at the most, in the norm of the operator.
+            // One cycle leaves at most a fifth of the error, in the norm of the operator.
             let right = grid.laplacian(&a);
             let mut error = grid.cycle(&right);
             error.as_mut_slice().iter_mut().zip(a.as_slice()).for_each(|(e, a)| *e = a - *e);

@@ -1,20 +1,20 @@
-//! A small quadratic program: the numbers, none below 0 and together no more than there is, of which a square form is least.
+//! A small quadratic program: minimises a quadratic form over non-negative numbers with a bounded sum.
 //!
-//! In: a positive definite matrix, a vector, a bound. Out: the minimum. Cost: some n steps of n^3 / 6.
+//! In: a positive definite matrix, a vector, a bound. Out: the minimum. Cost: about n steps of n^3 / 6.
 //! Source: Nocedal & Wright, "Numerical Optimization" (2006), section 16.5, algorithm 16.3 (active sets).
 
-/// The x >= 0 with sum x <= `most` of which x' H x / 2 - f' x is least; `h` is symmetric and positive definite, by rows.
+/// The x >= 0 with sum x <= `most` that minimises x' H x / 2 - f' x; `h` is symmetric and positive definite, by rows.
 pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     let n = f.len();
     let mut x = vec![0.0f64; n];
     let mut is_free = vec![false; n];
     let mut is_full = false;
     let scale = f.iter().fold(1e-300f64, |a, v| a.max(v.abs()));
-    // Each step frees or binds one; more than a few times n means that rounding has it go in circles.
+    // Each step frees or binds one variable; the limit stops cycling caused by rounding.
     for _ in 0..20 * n + 20 {
         let free: Vec<usize> = (0..n).filter(|&i| is_free[i]).collect();
         let Some((target, multiplier)) = on_free(h, f, &free, is_full.then_some(most)) else { break };
-        // The way there, as far as nothing is in it.
+        // Move towards the target until a variable reaches 0.
         let (mut part, mut bound) = (1.0, None);
         for (&i, &t) in free.iter().zip(&target) {
             if t < 0.0 {
@@ -39,7 +39,7 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
         } else if is_full && multiplier < -1e-12 * scale {
             is_full = false;
         } else {
-            // What at 0 would rather be more, the most eager first.
+            // Free the bound variable with the steepest descent.
             let slope = |i: usize| h[i].iter().zip(&x).map(|(a, x)| a * x).sum::<f64>() - f[i] + multiplier;
             let bound = (0..n).filter(|&i| !is_free[i]).map(|i| (slope(i), i));
             match bound.min_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -51,7 +51,7 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     x
 }
 
-/// The minimum over the numbers `free`, the others being 0 and the sum being `sum` if there is one, and the multiplier of the sum.
+/// The minimum over the variables `free` with the others 0 and, if given, the sum `sum`; and the Lagrange multiplier of the sum.
 fn on_free(h: &[Vec<f64>], f: &[f64], free: &[usize], sum: Option<f64>) -> Option<(Vec<f64>, f64)> {
     let factor = cholesky(&free.iter().map(|&i| free.iter().map(|&j| h[i][j]).collect()).collect::<Vec<Vec<f64>>>())?;
     let mut x = solved(&factor, &free.iter().map(|&i| f[i]).collect::<Vec<f64>>());
@@ -62,7 +62,7 @@ fn on_free(h: &[Vec<f64>], f: &[f64], free: &[usize], sum: Option<f64>) -> Optio
     Some((x, multiplier))
 }
 
-/// The lower triangle L of `a` = L L'; `None` where `a` is not positive definite.
+/// The lower triangle L of `a` = L L'; `None` when `a` is not positive definite.
 fn cholesky(a: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     let mut l: Vec<Vec<f64>> = Vec::new();
     for (i, row) in a.iter().enumerate() {
@@ -81,7 +81,7 @@ fn cholesky(a: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     Some(l)
 }
 
-/// The x of L L' x = `right`.
+/// Solves L L' x = `right`.
 fn solved(l: &[Vec<f64>], right: &[f64]) -> Vec<f64> {
     let mut x = right.to_vec();
     for i in 0..x.len() {
@@ -99,7 +99,7 @@ fn solved(l: &[Vec<f64>], right: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Random programs: of the minimum the conditions of Karush, Kuhn and Tucker hold, which for a convex program are enough.
+    /// Random programs: the minimum meets the Karush-Kuhn-Tucker conditions, which are sufficient for a convex program.
     #[test]
     fn the_conditions_of_a_minimum_hold() {
         let mut state = 7u32;
@@ -133,8 +133,8 @@ mod tests {
             assert!(multiplier >= -1e-8);
             for i in 0..n {
                 let reduced = slope[i] + multiplier;
-                assert!(reduced > -1e-7, "{trial}: {i} would rather be more, {reduced}");
-                assert!(x[i] < 1e-9 || reduced < 1e-7, "{trial}: {i} would rather be less, {reduced}");
+                assert!(reduced > -1e-7, "{trial}: {i} should be larger, {reduced}");
+                assert!(x[i] < 1e-9 || reduced < 1e-7, "{trial}: {i} should be smaller, {reduced}");
             }
             full += usize::from(is_full);
             bound += x.iter().filter(|x| **x == 0.0).count();

@@ -8,7 +8,11 @@ fn one_tone(colours: [[u8; 3]; 3]) -> Merged {
     let frames = colours.map(flat);
     let names = exposed(&folder, &[(&frames[0], 2), (&frames[1], 3), (&frames[2], 4)]);
     let merged = merged(&folder, &names);
-    assert!(merged.warns(true, &["show anything to align by", "one tone", "as they lie"]), "{:?}", merged.warnings());
+    assert!(
+        merged.warns(true, &["enough detail to be aligned", "one tone", "without alignment"]),
+        "{:?}",
+        merged.warnings()
+    );
     for file in ["f1.jpg", "f3.jpg"] {
         assert_eq!((merged.status(file), merged.confidence(file)), ("unmoved", 0.0), "{file}");
     }
@@ -91,7 +95,7 @@ fn noise_that_stays_is_a_still_picture() {
 fn noise_that_changes_is_no_bracket() {
     let folder = Folder::empty();
     let names = lossless(&folder, &[&noise(1), &noise(2), &noise(3)]);
-    refused(&folder, &format!("{names} -e=-2,0,2"), &["no other photograph could be aligned", "--align none"]);
+    refused(&folder, &format!("{names} -e=-2,0,2"), &["no other frame could be aligned", "--align none"]);
 }
 
 fn checkerboard(side: u32, most: u8) -> RgbImage {
@@ -117,7 +121,7 @@ fn a_checkerboard_stays_where_it_is() {
 fn a_checkerboard_of_pixels_is_refused_and_merged_where_it_is_said_to_lie() {
     let folder = Folder::empty();
     let names = lossless(&folder, &[&checkerboard(1, 100), &checkerboard(1, 200)]);
-    refused(&folder, &format!("{names} -e=-2,0"), &["no other photograph could be aligned", "--align none"]);
+    refused(&folder, &format!("{names} -e=-2,0"), &["no other frame could be aligned", "--align none"]);
     let merged = merged(&folder, &format!("{names} -e=-2,0 --align none"));
     assert_ne!(merged.radiance[0], merged.radiance[1]);
 }

@@ -69,7 +69,7 @@ fn a_frame_turned_by_90_degrees_is_left_out_or_of_another_size() {
 
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&imageops::rotate90(&frame(4)), 4)]);
-    refused(&folder, &names, &["f3.jpg", "200x300", "f1.jpg", "300x200", "one size"]);
+    refused(&folder, &names, &["f3.jpg", "200x300", "f1.jpg", "300x200", "the same size"]);
 }
 
 /// All of different scenes: nothing can be merged, and the choice of the reference does not help.
@@ -78,9 +78,9 @@ fn frames_of_different_scenes_are_refused() {
     let folder = Folder::empty();
     let other = imageops::rotate180(&elsewhere(3));
     let names = exposed(&folder, &[(&frame(2), 2), (&other, 3), (&elsewhere(4), 4)]);
-    refused(&folder, &names, &["no other photograph could be aligned", "choose another with --reference"]);
+    refused(&folder, &names, &["no other frame could be aligned", "choose another reference with --reference"]);
     let two = "f1.jpg f3.jpg";
-    refused(&folder, two, &["no other photograph could be aligned"]);
+    refused(&folder, two, &["no other frame could be aligned"]);
 }
 
 /// Two of five are of another scene, and one of them sees the most: the three are merged.
@@ -102,7 +102,7 @@ fn the_scene_of_most_frames_is_merged() {
 fn the_users_reference_is_not_exchanged() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(4), 4)]);
-    refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other photograph could be aligned to it"]);
+    refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other frame could be aligned to it"]);
 }
 
 /// The middle of the picture is another in each frame: the rest says how it moved.

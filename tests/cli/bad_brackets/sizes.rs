@@ -21,7 +21,7 @@ fn the_smallest_pictures_are_merged_as_they_lie() {
         let placed = ["f1.jpg", "f2.jpg"].map(|file| merged.status(file).to_owned());
         assert!(placed.iter().all(|status| status != "rejected"), "{width}x{height}: {placed:?}");
         if merged.confidence("f1.jpg").min(merged.confidence("f2.jpg")) < 0.5 {
-            let told = merged.warns(true, &["show anything to align by"]) || merged.warns(true, &["low confidence"]);
+            let told = merged.warns(true, &["enough detail to be aligned"]) || merged.warns(true, &["low confidence"]);
             assert!(told, "{width}x{height}: {:?}", merged.warnings());
         }
     }
@@ -47,7 +47,7 @@ fn strips_as_long_as_can_be_are_merged() {
         let line = format!("{names} -e=0,1 -o b.hdr -o b.tif");
         let merged = merged(&folder, &line);
         assert_eq!((merged.picture.width(), merged.picture.height()), (width, height));
-        assert!(merged.warns(true, &["show anything to align by", "too few"]), "{:?}", merged.warnings());
+        assert!(merged.warns(true, &["enough detail to be aligned", "too few"]), "{:?}", merged.warnings());
         for name in ["b.hdr", "b.tif"] {
             let (map, _) = read::read(&folder.at(name)).unwrap_or_else(|e| panic!("{e}"));
             assert_eq!((map.pixels.width(), map.pixels.height()), (width as usize, height as usize), "{name}");

@@ -45,7 +45,7 @@ fn the_median_gives_way_where_it_is_burnt_out_or_black() {
     for crowded in [&burnt, &black] {
         let own = own_percentile(crowded, 4);
         assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
-        // Of a pair both must have something to say, in either order.
+        // Both frames of a pair must have structure, in either order.
         let common = common_percentile(&normal, crowded, 4);
         assert!(common != Percentile::MEDIAN && parts(crowded, common), "{common:?}");
         assert_eq!(common_percentile(crowded, &normal, 4), common);
@@ -70,7 +70,7 @@ fn finds_shift_and_rotation_between_exposures() {
     for transform in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
         let Transform::Rigid { dx, dy, angle } = transform else { unreachable!() };
         let motion = found((768, 512), &transform);
-        // 0.01 deg move the rim at 256 px by 0.045 px. An edge pixel in 100 has some tenths of a pixel to say: 4000 of them 0.01 px.
+        // 0.01 deg move the rim at 256 px by 0.045 px. An edge pixel in 100 measures to some tenths of a pixel: 4000 of them to 0.01 px.
         assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {transform:?}");
         assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {transform:?}");
     }

@@ -1,45 +1,40 @@
-//! The surroundings of a keypoint in 4 x 4 histograms of 8 directions (Lowe 2004, section 6.1).
+//! Descriptors: 4 x 4 histograms of 8 gradient directions around a keypoint (Lowe 2004, section 6.1).
 
 use super::extrema::Extremum;
-use super::gradient::{Gradients, weights};
+use super::gradient::{Gradients, Surroundings};
 use crate::align::features::Descriptor;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use std::f32::consts::PI;
 use std::ops::Range;
 
-/// Histograms along each side.
+/// Cells (histograms) along each side.
 const CELLS: usize = 4;
-/// Directions in each.
+/// Directions per cell.
 const BINS: usize = 8;
-/// Numbers of a cell while it is filled: one direction more, which is the first again.
+/// Bins of a cell during accumulation: the additional last one is the first again.
 const CELL_BINS: usize = BINS + 1;
-/// Numbers of a row of cells while it is filled: one cell more at either end.
+/// Bins of a row of cells during accumulation, with an additional cell at each end.
 const ROW: usize = (CELLS + 2) * CELL_BINS;
 /// Width of a cell, in units of the keypoint's scale.
 const CELL: f64 = 3.0;
-/// No entry of the normalised descriptor exceeds this: large gradients may be a matter of light.
+/// Largest entry of the normalised descriptor: large gradients may be due to the illumination.
 const CLAMP: f32 = 0.2;
-/// Length of the descriptor as stored.
+/// Length of the stored descriptor.
 const LENGTH: f32 = 512.0;
 
-/// The descriptor of `extremum` seen along `angle`.
+/// The descriptor of `extremum` relative to the direction `angle`.
 pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> Descriptor {
     let cell = CELL * extremum.sigma;
     let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
-    // The outermost cells are filled by samples up to half a cell beyond them, at the corners sqrt(2) times as far.
-    let reach = libm::ceil(cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5) as isize;
-    let (cx, cy) = ((extremum.x + 0.5).floor() as isize, (extremum.y + 0.5).floor() as isize);
+    // The outermost cells receive samples up to half a cell beyond them, sqrt(2) times as far at the corners.
+    let reach = cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5;
     let half = CELLS as f32 / 2.0;
-    let within =
-        |c: isize, n: usize| (c - reach).max(1) as usize..((c + reach).min(n as isize - 2) + 1).max(1) as usize;
-    let (columns, rows) = (within(cx, level.width()), within(cy, level.height()));
-    // The window's Gaussian has half the descriptor's width, 2 cells, and is round: a product of one along each axis.
+    // The Gaussian window has a standard deviation of half the descriptor's width, 2 cells.
     let falloff = (0.5 / (f64::from(half) * f64::from(half) * cell * cell)) as f32;
-    let (weights_x, weights_y) =
-        (weights(columns.clone(), extremum.x, falloff), weights(rows.clone(), extremum.y, falloff));
+    let Surroundings { columns, rows, weights_x, weights_y } = Surroundings::new(level, extremum, reach, falloff);
     let (mut gradients, mut samples) = (Gradients::default(), Samples::default());
-    // One cell more on each side and one direction more, so that the spreading below needs no test.
+    // The additional cells and directions make tests in `Samples::accumulate` unnecessary.
     let mut histogram = [0.0f32; (CELLS + 2) * ROW];
     for (y, weight_y) in rows.zip(weights_y) {
         let dy = (y as f64 - extremum.y) as f32;
@@ -51,9 +46,9 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
         gradients.fill(level, y, first..end);
         let weights_x = &weights_x[first - columns.start..];
         samples.resize(end - first);
-        let from = From { x: extremum.x, dy, sin, cos, angle, weight_y };
-        vectorised(Placing { from, first, gradients: &gradients, weights_x, samples: &mut samples });
-        samples.spread(&mut histogram);
+        let (x, gradients) = (extremum.x, &gradients);
+        vectorised(SampleRow { x, dy, sin, cos, angle, first, weight_y, weights_x, gradients, samples: &mut samples });
+        samples.accumulate(&mut histogram);
     }
     let mut vector = [0.0f32; CELLS * CELLS * BINS];
     for (i, v) in vector.iter_mut().enumerate() {
@@ -66,14 +61,16 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> D
     vector.map(|v| (v * LENGTH + 0.5) as u8)
 }
 
-/// Samples of a row, each with its place among the histograms: the first number that it adds to, how far it is on the
-/// way to the next cell to the right, the next below and the next direction, and what it weighs. Used again for the
-/// next row.
+/// Samples of a row and their positions among the histograms; the buffers are reused for the next row.
 #[derive(Default)]
 struct Samples {
+    /// Index of the first bin that the sample adds to.
     at: Vec<i32>,
+    /// Interpolation towards the next cell to the right, 0..1.
     right: Vec<f32>,
+    /// Interpolation towards the next cell below, 0..1.
     down: Vec<f32>,
+    /// Interpolation towards the next direction, 0..1.
     turned: Vec<f32>,
     weight: Vec<f32>,
 }
@@ -86,8 +83,8 @@ impl Samples {
         }
     }
 
-    /// Adds every sample to two rows, two cells and two directions: the last lies ROW + CELL_BINS + 1 after the first.
-    fn spread(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
+    /// Adds every sample to two rows, two cells and two directions; the last bin is ROW + CELL_BINS + 1 after the first.
+    fn accumulate(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
         let places = self.at.iter().zip(&self.right).zip(&self.down).zip(&self.turned).zip(&self.weight);
         for ((((at, fc), fr), fo), weight) in places {
             let at = *at as usize;
@@ -108,59 +105,59 @@ impl Samples {
     }
 }
 
-/// From where a row of samples is seen: the centre's column, how far below it the row lies, the sine and cosine of the
-/// direction over the width of a cell, the direction, and what the row weighs.
-struct From {
+/// Computes the positions of a row of samples among the histograms.
+struct SampleRow<'a> {
+    /// Column of the keypoint.
     x: f64,
+    /// Distance of the row below the keypoint, in pixels.
     dy: f32,
+    /// Sine and cosine of the keypoint's direction, divided by the width of a cell.
     sin: f32,
     cos: f32,
+    /// Direction of the keypoint.
     angle: f32,
-    weight_y: f32,
-}
-
-/// The places of the samples of a row that begins at column `first`.
-struct Placing<'a> {
-    from: From,
+    /// Column of the first sample.
     first: usize,
-    gradients: &'a Gradients,
+    weight_y: f32,
     weights_x: &'a [f32],
+    gradients: &'a Gradients,
     samples: &'a mut Samples,
 }
 
-impl Loops for Placing<'_> {
+impl Loops for SampleRow<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let From { x, dy, sin, cos, angle, weight_y } = self.from;
-        let Samples { at, right, down, turned, weight } = self.samples;
+        let SampleRow { x, dy, sin, cos, angle, first, weight_y, weights_x, gradients, samples } = self;
+        let Samples { at, right, down, turned, weight } = samples;
         let n = at.len();
-        let (length, direction) = (&self.gradients.length[..n], &self.gradients.direction[..n]);
-        let weights_x = &self.weights_x[..n];
+        let (length, direction) = (&gradients.length[..n], &gradients.direction[..n]);
+        let weights_x = &weights_x[..n];
         let (right, down) = (&mut right[..n], &mut down[..n]);
         let (turned, weight) = (&mut turned[..n], &mut weight[..n]);
         let (half, last) = (CELLS as f32 / 2.0, CELLS as f32 + 1.0);
-        let first = self.first as i32;
+        let first = first as i32;
         for i in 0..n {
             let dx = (f64::from(first + i as i32) - x) as f32;
-            // In cells along the keypoint's direction and across it, from one cell before the first.
+            // Position in cells along and across the keypoint's direction; 0 is one cell before the first.
             let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
             let is_inside = !((column <= 0.0) | (row <= 0.0) | (column >= last) | (row >= last));
             let turn = (direction[i] - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
-            // All three are positive: what is cut off is what floor would cut off.
+            // For samples inside all three are positive, so the conversion rounds down.
             let (c, r, o) = (column as i32, row as i32, turn as i32);
             (right[i], down[i], turned[i]) = (column - c as f32, row - r as f32, turn - o as f32);
-            // What is outside adds nothing to the first numbers.
+            // Samples outside add 0 to the first bins.
             at[i] = if is_inside { r * ROW as i32 + c * CELL_BINS as i32 + o % BINS as i32 } else { 0 };
             weight[i] = if is_inside { length[i] * (weights_x[i] * weight_y) } else { 0.0 };
         }
     }
 }
 
-/// The columns, and one more at either end, in which the row `dy` below a centre at column `x` crosses the turned
-/// square of which no side is farther from the centre than `side`; sine and cosine are divided by the length of which
-/// the side is counted.
+/// The columns of a row inside the rotated square of half side `side`, and one more at each end.
+///
+/// The centre of the square is at column `x`, `dy` pixels above the row. `side` is in the unit by which sine and cosine
+/// are divided.
 fn crossing(x: f64, dy: f32, (sin, cos): (f32, f32), side: f32) -> Range<usize> {
     let (mut low, mut high) = (f32::NEG_INFINITY, f32::INFINITY);
     // |cos dx + sin dy| < side, and |cos dy - sin dx| < side.
@@ -202,7 +199,7 @@ mod tests {
                 };
                 let inside: Vec<usize> = (0..61).filter(|&x| is_inside(x)).collect();
                 assert!(inside.iter().all(|x| found.contains(x)), "{k} {dy}: {found:?} lacks {inside:?}");
-                // One more at either end, and what rounding may add.
+                // One more at each end, and one for rounding.
                 assert!(found.len() <= inside.len() + 4, "{k} {dy}: {found:?} for {inside:?}");
             }
         }

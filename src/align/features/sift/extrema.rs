@@ -1,10 +1,10 @@
-//! Extrema of the differences of Gaussians, placed between the samples (Lowe 2004, sections 3.1 and 4).
+//! Extrema of the differences of Gaussians, with subpixel positions (Lowe 2004, sections 3.1 and 4).
 
 use super::SiftOptions;
 use super::scale_space::{Octave, ScaleSpace};
 use crate::align::features::Keypoint;
 use crate::plane::{Plane, map_bands};
-use crate::simd::{Loops, vectorised};
+use crate::simd::{Loops, at_least, at_most, vectorised};
 use nalgebra::{Matrix3, Vector3};
 
 /// An extremum of D, in pixels of its octave.
@@ -17,17 +17,17 @@ pub(super) struct Extremum {
     pub(super) sigma: f64,
     /// |D| at the extremum.
     pub(super) response: f32,
-    /// Whether D is negative there: the difference is of the smoother to the sharper.
+    /// Whether it is bright: D, the smoother minus the sharper image, is negative there.
     pub(super) bright: bool,
 }
 
 impl Extremum {
-    /// The picture in which its surroundings are looked at: the Gaussian of its scale.
+    /// The Gaussian at its scale, from which its orientation and descriptor are computed.
     pub(super) fn level<'a>(&self, space: &'a ScaleSpace) -> &'a Plane<f32> {
         &space.octaves[self.octave].gaussians[self.interval]
     }
 
-    /// The extremum as a point of the picture.
+    /// The extremum as a keypoint of the image.
     pub(super) fn keypoint(&self, space: &ScaleSpace, angle: f32) -> Keypoint {
         let step = space.step(self.octave);
         Keypoint {
@@ -41,27 +41,34 @@ impl Extremum {
     }
 }
 
-/// Samples nearest the border that are not looked at.
+/// Width of the border that is not searched, in samples.
 const BORDER: usize = 5;
-/// Moves to a neighbouring sample before a fit is given up.
+/// Largest number of fits, each at the sample nearest to the previous result.
 const MOST_MOVES: usize = 5;
 
-/// All extrema that are strong enough and no edges, by octave, interval, row, column.
+/// All extrema that have enough contrast and are no edges, by octave, interval, row, column.
 pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
+    // The fit adds at most about half of a sample's value to it: weaker samples cannot reach the required contrast.
+    let least = (0.5 * options.contrast) as f32;
     let mut found = Vec::new();
     for (index, octave) in space.octaves.iter().enumerate() {
         for interval in 1..=options.intervals {
-            let height = octave.gaussians[interval].height();
+            let (width, height) = (octave.gaussians[interval].width(), octave.gaussians[interval].height());
             let bands = map_bands(height, |rows| {
                 let mut band = Vec::new();
                 let rows = rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER));
-                let mut window = Window::new(octave, interval);
-                for y in rows {
-                    window.go_to(y);
-                    // The fit adds at most about half of its value to a sample, so that a weaker one cannot reach the
-                    // contrast.
-                    window.mark((0.5 * options.contrast) as f32);
-                    find_in_row(space, index, interval, y, options, &window.candidates, &mut band);
+                // Three rows of D, and the candidates in the middle one.
+                let mut window: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width]);
+                let mut candidates = vec![false; width];
+                for y in rows.clone() {
+                    window.rotate_left(1);
+                    let missing = if y == rows.start { 0 } else { 2 };
+                    for (k, row) in window.iter_mut().enumerate().skip(missing) {
+                        octave.difference_row(interval, y + k - 1, row);
+                    }
+                    let [up, here, down] = &window;
+                    vectorised(Candidates { up, here, down, least, candidates: &mut candidates });
+                    find_in_row(space, index, interval, y, options, &candidates, &mut band);
                 }
                 band
             });
@@ -71,49 +78,9 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     found
 }
 
-/// Three rows of D, and where the middle one may have an extremum.
-struct Window<'a> {
-    octave: &'a Octave,
-    interval: usize,
-    /// The row below the middle one, and what D is there, above it and in it.
-    next: Option<usize>,
-    up: Vec<f32>,
-    here: Vec<f32>,
-    down: Vec<f32>,
-    candidates: Vec<bool>,
-}
-
-impl<'a> Window<'a> {
-    fn new(octave: &'a Octave, interval: usize) -> Self {
-        let row = || vec![0.0; octave.gaussians[interval].width()];
-        let candidates = vec![false; octave.gaussians[interval].width()];
-        Window { octave, interval, next: None, up: row(), here: row(), down: row(), candidates }
-    }
-
-    /// Makes `y`, not the first or the last row, the middle one.
-    fn go_to(&mut self, y: usize) {
-        let row = |y: usize, out: &mut [f32]| self.octave.difference_row(self.interval, y, out);
-        if self.next == Some(y) {
-            std::mem::swap(&mut self.up, &mut self.here);
-            std::mem::swap(&mut self.here, &mut self.down);
-        } else {
-            row(y - 1, &mut self.up);
-            row(y, &mut self.here);
-        }
-        row(y + 1, &mut self.down);
-        self.next = Some(y + 1);
-    }
-
-    /// Marks where D is larger than `least` and no smaller than its four neighbours in the plane, or the same below
-    /// zero: few samples are left for closer looks.
-    fn mark(&mut self, least: f32) {
-        let Window { up, here, down, candidates, .. } = self;
-        vectorised(Marks { up, here, down, least, candidates });
-    }
-}
-
-/// See [`Window::mark`].
-struct Marks<'a> {
+/// Marks where D is at least `least` and no smaller than its four neighbours in the row and column, or the same below
+/// zero: only these few samples are compared with all their neighbours.
+struct Candidates<'a> {
     up: &'a [f32],
     here: &'a [f32],
     down: &'a [f32],
@@ -121,10 +88,10 @@ struct Marks<'a> {
     candidates: &'a mut [bool],
 }
 
-impl Loops for Marks<'_> {
+impl Loops for Candidates<'_> {
     type Output = ();
 
-    // Side by side and without a branch, so that the compiler takes as many at a time as it can.
+    // Without branches, so that the compiler can vectorise the loop.
     #[inline(always)]
     fn run(self) {
         let least = self.least;
@@ -134,25 +101,14 @@ impl Loops for Marks<'_> {
         let out = &mut self.candidates[1..][..n];
         for i in 0..n {
             let v = here[i];
-            let high = larger(larger(left[i], right[i]), larger(larger(up[i], down[i]), least));
-            let low = smaller(smaller(left[i], right[i]), smaller(smaller(up[i], down[i]), -least));
+            let high = at_least(at_least(left[i], right[i]), at_least(at_least(up[i], down[i]), least));
+            let low = at_most(at_most(left[i], right[i]), at_most(at_most(up[i], down[i]), -least));
             out[i] = (v >= high) | (v <= low);
         }
     }
 }
 
-/// The larger, in one instruction.
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-/// The smaller, in one instruction.
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
+/// Adds the extrema among the `candidates` of row `y` to `found`.
 fn find_in_row(
     space: &ScaleSpace,
     index: usize,
@@ -185,8 +141,9 @@ fn find_in_row(
     }
 }
 
-/// Fits D with a quadratic and moves to the sample nearest its extremum (section 4, eq. 2 and 3): interval, x, y,
-/// offset, D there.
+/// Fits a quadratic to D and moves to the sample nearest to its extremum (section 4, eq. 2 and 3).
+///
+/// Returns the interval, x, y, the offset from them and D at the extremum.
 fn localise(
     octave: &Octave,
     mut interval: usize,
@@ -235,7 +192,7 @@ fn localise(
     None
 }
 
-/// Whether the principal curvatures differ by more than r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
+/// Whether the ratio of the principal curvatures is at least r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
 fn is_edge(octave: &Octave, interval: usize, x: usize, y: usize, r: f64) -> bool {
     let d = |dx: isize, dy: isize| -> f64 {
         octave.difference(interval, x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)).into()

@@ -1,12 +1,13 @@
-//! Gradients as length and direction, and the Gaussian that weighs them, without the platform's functions.
+//! Gradients as length and direction, and their Gaussian weights, without functions of the platform's math library.
 
+use super::extrema::Extremum;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 use std::sync::LazyLock;
 
-/// The gradients of a stretch of one row; used again for the next.
+/// Gradients of a range of one row; the buffers are reused for the next row.
 #[derive(Debug, Default)]
 pub(super) struct Gradients {
     /// Lengths.
@@ -16,7 +17,7 @@ pub(super) struct Gradients {
 }
 
 impl Gradients {
-    /// Computes those at columns `columns` of row `y`, none of which may be on the border.
+    /// Computes the gradients at `columns` of row `y`, none of which may be on the border.
     pub(super) fn fill(&mut self, level: &Plane<f32>, y: usize, columns: Range<usize>) {
         let n = columns.len();
         self.length.resize(n, 0.0);
@@ -25,25 +26,25 @@ impl Gradients {
         let (left, right) = (&here[columns.start - 1..][..n], &here[columns.start + 1..][..n]);
         let (up, down) = (&up[columns.clone()], &down[columns]);
         let (length, direction) = (&mut self.length[..n], &mut self.direction[..n]);
-        vectorised(Stretch { sides: [left, right, up, down], length, direction });
+        vectorised(RowGradients { neighbours: [left, right, up, down], length, direction });
     }
 }
 
-/// A stretch of a row: what lies left, right, above and below of each sample, and where its gradient goes.
-struct Stretch<'a> {
-    sides: [&'a [f32]; 4],
+/// The neighbours of each sample (left, right, above, below), and the output.
+struct RowGradients<'a> {
+    neighbours: [&'a [f32]; 4],
     length: &'a mut [f32],
     direction: &'a mut [f32],
 }
 
-impl Loops for Stretch<'_> {
+impl Loops for RowGradients<'_> {
     type Output = ();
 
-    // Side by side and without a branch, so that the compiler takes as many at a time as it can.
+    // Without branches, so that the compiler can vectorise the loop.
     #[inline(always)]
     fn run(self) {
         let n = self.length.len();
-        let [left, right, up, down] = self.sides.map(|side| &side[..n]);
+        let [left, right, up, down] = self.neighbours.map(|values| &values[..n]);
         let (length, direction) = (&mut self.length[..n], &mut self.direction[..n]);
         for i in 0..n {
             let (dx, dy) = (right[i] - left[i], down[i] - up[i]);
@@ -53,40 +54,56 @@ impl Loops for Stretch<'_> {
     }
 }
 
-/// atan2 to within 2e-4 rad, a hundredth of a degree: a thousandth of a histogram's bin.
+/// atan2 with an error of at most 2e-4 rad (0.01 degrees), a thousandth of a histogram bin.
 #[inline(always)]
 pub(super) fn atan2(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
     let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
-    // The least normal number makes 0 / 0 a 0 and changes nothing else.
+    // The least normal number avoids 0 / 0 and changes nothing else.
     let a = low / if high > f32::MIN_POSITIVE { high } else { f32::MIN_POSITIVE };
     let s = a * a;
-    // Minimax polynomial of atan on 0..=1 in odd powers.
+    // Odd minimax polynomial of atan on 0..=1.
     let r = ((-0.046_496_473 * s + 0.159_314_22) * s - 0.327_622_76) * s * a + a;
     let r = if ay > ax { FRAC_PI_2 - r } else { r };
     let r = if x < 0.0 { PI - r } else { r };
     if y < 0.0 { -r } else { r }
 }
 
-/// The Gaussian's weights, 1 at its centre, at whole places `places` for a centre at `centre`, -d^2 `falloff` being the
-/// exponent.
-pub(super) fn weights(places: Range<usize>, centre: f64, falloff: f32) -> Vec<f32> {
-    places
-        .map(|p| {
-            let d = (p as f64 - centre) as f32;
-            exp_minus(&EXP, d * d * falloff)
-        })
-        .collect()
+/// The samples around an extremum that have neighbours on all sides, and the Gaussian weights of their columns and rows.
+pub(super) struct Surroundings {
+    pub(super) columns: Range<usize>,
+    pub(super) rows: Range<usize>,
+    pub(super) weights_x: Vec<f32>,
+    pub(super) weights_y: Vec<f32>,
 }
 
-/// Steps of the table of exp(-t) for each unit of t.
+impl Surroundings {
+    /// The samples up to `reach` pixels from the extremum, rounded up, with weights exp(-d^2 `falloff`) along each axis.
+    pub(super) fn new(level: &Plane<f32>, extremum: &Extremum, reach: f64, falloff: f32) -> Self {
+        let reach = libm::ceil(reach) as isize;
+        let within = |centre: f64, n: usize| {
+            let c = (centre + 0.5).floor() as isize;
+            (c - reach).max(1) as usize..((c + reach).min(n as isize - 2) + 1).max(1) as usize
+        };
+        let (columns, rows) = (within(extremum.x, level.width()), within(extremum.y, level.height()));
+        let weight = |position: usize, centre: f64| {
+            let d = (position as f64 - centre) as f32;
+            exp_minus(d * d * falloff)
+        };
+        let weights_x = columns.clone().map(|x| weight(x, extremum.x)).collect();
+        let weights_y = rows.clone().map(|y| weight(y, extremum.y)).collect();
+        Surroundings { columns, rows, weights_x, weights_y }
+    }
+}
+
+/// Table entries of exp(-t) per unit of t.
 const STEPS: f32 = 256.0;
 static EXP: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=(16.0 * STEPS) as usize).map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32).collect());
 
-/// exp(-t) for t >= 0 to within 1/512 of itself; 0 from 16 on.
-fn exp_minus(table: &[f32], t: f32) -> f32 {
-    table.get((t * STEPS + 0.5) as usize).copied().unwrap_or(0.0)
+/// exp(-t) for t >= 0 with a relative error of at most 1/512; 0 for t >= 16.
+fn exp_minus(t: f32) -> f32 {
+    EXP.get((t * STEPS + 0.5) as usize).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -127,8 +144,8 @@ mod tests {
     fn the_exponential_is_that_of_the_platform() {
         for i in 0..1000 {
             let t = i as f32 * 0.0159;
-            assert!((exp_minus(&EXP, t) / (-t).exp() - 1.0).abs() < 1.0 / 500.0);
+            assert!((exp_minus(t) / (-t).exp() - 1.0).abs() < 1.0 / 500.0);
         }
-        assert_eq!(exp_minus(&EXP, 1e9), 0.0);
+        assert_eq!(exp_minus(1e9), 0.0);
     }
 }

@@ -1,8 +1,8 @@
-//! SIFT: keypoints that survive scale, rotation and, up to a point, exposure.
+//! SIFT: keypoints invariant to scale and rotation and, within limits, to exposure.
 //!
-//! In: a grey picture. Out: its [`Features`]. Cost: five Gaussians an octave over the picture (four thirds of it in
-//! all, 16/3 where it is doubled first), then some thousand operations a keypoint. Source: Lowe, "Distinctive Image
-//! Features from Scale-Invariant Keypoints", IJCV 60(2), 2004; each child is one of its sections.
+//! In: a grey image. Out: its [`Features`]. Cost: five Gaussians per octave (4/3 of the pixels in all, 16/3 if the
+//! image is doubled first), then some thousand operations per keypoint. Source: Lowe, "Distinctive Image Features from
+//! Scale-Invariant Keypoints", IJCV 60(2), 2004; each submodule is one of its sections.
 
 mod descriptor;
 mod extrema;
@@ -10,25 +10,26 @@ mod gradient;
 mod orientation;
 mod scale_space;
 
-use crate::align::features::{Features, Keypoint};
+use crate::align::features::{Descriptor, Features, Keypoint};
 use crate::plane::Plane;
+use extrema::Extremum;
 use rayon::prelude::*;
 use scale_space::ScaleSpace;
 
 /// Settings of the detector; the defaults are the paper's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SiftOptions {
-    /// s: intervals of scale in an octave (section 3.3).
+    /// s: scale intervals per octave (section 3.3).
     pub intervals: usize,
-    /// The Gaussian's standard deviation at the first scale of an octave, in pixels (section 3.3).
+    /// Standard deviation of the Gaussian at the first scale of an octave, in pixels (section 3.3).
     pub sigma: f64,
-    /// Whether the picture is doubled first, for the features of smallest scale (section 3.3).
+    /// Whether to double the image first, for features of the smallest scale (section 3.3).
     pub double: bool,
-    /// Least |D| at an extremum, grey values being 0..=1 (section 4).
+    /// Least |D| at an extremum, for grey values 0..=1 (section 4).
     pub contrast: f64,
     /// r: largest ratio of the principal curvatures (section 4.1).
     pub edge_ratio: f64,
-    /// At most so many keypoints, spread evenly over the picture.
+    /// Largest number of extrema kept, spread over the image; one may become several keypoints.
     pub max_keypoints: usize,
 }
 
@@ -38,18 +39,14 @@ impl Default for SiftOptions {
     }
 }
 
-/// The features of `grey`, sorted by place. The options are within the ranges of
-/// [`AlignOptions::validate`](crate::align::AlignOptions::validate).
+/// The features of `grey`, sorted by position.
+///
+/// The options must be within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
-    let base = Plane::from_rows(grey.width(), grey.height(), |y, row| {
-        for (v, g) in row.iter_mut().zip(grey.row(y)) {
-            *v = f32::from(*g) / 255.0;
-        }
-    });
-    let space = ScaleSpace::new(&base, options);
+    let space = ScaleSpace::new(grey.map(|v| f32::from(v) / 255.0), options);
     let mut found = extrema::find(&space, options);
-    spread(&mut found, grey.width(), grey.height(), options.max_keypoints, |e| e.keypoint(&space, 0.0));
-    let described: Vec<Vec<(Keypoint, crate::align::features::Descriptor)>> = found
+    limit(&mut found, &space, (grey.width(), grey.height()), options.max_keypoints);
+    let described: Vec<Vec<(Keypoint, Descriptor)>> = found
         .par_iter()
         .map(|extremum| {
             let level = extremum.level(&space);
@@ -70,12 +67,13 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     Features { keypoints, descriptors }
 }
 
-/// Cells along the long side in which keypoints are rationed.
+/// Number of cells along the long side of the image for [`limit`].
 const CELLS: usize = 12;
 
-/// Keeps at most `most` of `found`: in each of the picture's cells the strongest, with what poor cells leave given to
-/// the rich ones.
-fn spread<T>(found: &mut Vec<T>, width: usize, height: usize, most: usize, keypoint: impl Fn(&T) -> Keypoint) {
+/// Keeps at most `most` of `found`: the strongest of each cell of the image, so that all of it is covered.
+///
+/// What cells with few extrema do not use, the others do.
+fn limit(found: &mut Vec<Extremum>, space: &ScaleSpace, (width, height): (usize, usize), most: usize) {
     if found.len() <= most {
         return;
     }
@@ -83,13 +81,13 @@ fn spread<T>(found: &mut Vec<T>, width: usize, height: usize, most: usize, keypo
     let columns = (width as f32 / cell) as usize + 1;
     let rows = (height as f32 / cell) as usize + 1;
     let mut cells: Vec<Vec<(f32, usize)>> = vec![Vec::new(); columns * rows];
-    for (i, item) in found.iter().enumerate() {
-        let k = keypoint(item);
+    for (i, extremum) in found.iter().enumerate() {
+        let k = extremum.keypoint(space, 0.0);
         let at = ((k.y.max(0.0) / cell) as usize).min(rows - 1) * columns
             + ((k.x.max(0.0) / cell) as usize).min(columns - 1);
         cells[at].push((k.response, i));
     }
-    // All the cells' strongest first, then all the cells' second strongest, and so on.
+    // First the strongest of every cell, then the second strongest of every cell, and so on.
     let mut order: Vec<(usize, f32, usize)> = Vec::with_capacity(found.len());
     for cell in &mut cells {
         cell.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));

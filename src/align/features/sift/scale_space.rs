@@ -1,22 +1,24 @@
-//! The scale space: octaves of ever smoother pictures, and the differences between neighbours (Lowe 2004, section 3).
+//! The scale space: octaves of increasingly smooth images, and the differences between them (Lowe 2004, section 3).
 
 use super::SiftOptions;
 use crate::plane::Plane;
 use crate::pyramid::{double, every_second, gaussian};
 
-/// Blur that the camera's picture is taken to have, in its own pixels (section 3.3).
+/// Assumed blur of the input image: standard deviation in its pixels (section 3.3).
 const CAMERA_SIGMA: f64 = 0.5;
-/// Short side under which an octave holds no more extrema worth having, in pixels.
+/// Least short side of an octave, in pixels: smaller ones have no useful extrema.
 const LEAST_SIDE: usize = 16;
 
-/// One octave: s + 3 Gaussians L. The s + 2 differences D between them are taken where they are looked at: to keep them
-/// would take as much memory again, and more time than to subtract.
+/// One octave: s + 3 Gaussians L.
+///
+/// The s + 2 differences D between them are computed on access. Storing them would double the memory and take more time
+/// than the subtraction.
 pub(super) struct Octave {
     pub(super) gaussians: Vec<Plane<f32>>,
 }
 
 impl Octave {
-    /// D at column `x` of row `y`, the difference of L at `interval + 1` and at `interval`.
+    /// D at column `x` of row `y`: L at `interval + 1` minus L at `interval`.
     #[inline]
     pub(super) fn difference(&self, interval: usize, x: usize, y: usize) -> f32 {
         self.gaussians[interval + 1].at(x, y) - self.gaussians[interval].at(x, y)
@@ -31,20 +33,21 @@ impl Octave {
     }
 }
 
-/// All octaves of a picture.
+/// All octaves of an image.
 pub(super) struct ScaleSpace {
     pub(super) octaves: Vec<Octave>,
     intervals: usize,
     sigma: f64,
-    /// Pixels of the picture for a pixel of the first octave: 1/2 where it was doubled.
+    /// Size of a pixel of the first octave in pixels of the image: 1/2 if it was doubled.
     first_step: f64,
 }
 
 impl ScaleSpace {
-    pub(super) fn new(picture: &Plane<f32>, options: &SiftOptions) -> Self {
+    /// The scale space of `image`, whose grey values are 0..=1.
+    pub(super) fn new(image: Plane<f32>, options: &SiftOptions) -> Self {
         let (s, sigma) = (options.intervals, options.sigma);
         let (mut base, blur) =
-            if options.double { (double(picture), 2.0 * CAMERA_SIGMA) } else { (picture.clone(), CAMERA_SIGMA) };
+            if options.double { (double(&image), 2.0 * CAMERA_SIGMA) } else { (image, CAMERA_SIGMA) };
         base = gaussian(&base, (sigma * sigma - blur * blur).max(0.01).sqrt());
         let k = libm::exp2(1.0 / s as f64);
         let mut octaves = Vec::new();
@@ -63,12 +66,12 @@ impl ScaleSpace {
         ScaleSpace { octaves, intervals: s, sigma, first_step: if options.double { 0.5 } else { 1.0 } }
     }
 
-    /// Pixels of the picture for a pixel of octave `octave`.
+    /// Size of a pixel of octave `octave` in pixels of the image.
     pub(super) fn step(&self, octave: usize) -> f64 {
         self.first_step * (1u64 << octave) as f64
     }
 
-    /// sigma at a fractional interval, in pixels of its octave.
+    /// Standard deviation of the Gaussian at a fractional interval, in pixels of its octave.
     pub(super) fn sigma_at(&self, interval: f64) -> f64 {
         self.sigma * libm::exp2(interval / self.intervals as f64)
     }

@@ -1,4 +1,4 @@
-//! The detector against pictures whose features are known.
+//! Tests of the detector on images with known features.
 
 use super::*;
 use crate::align::features::match_mutual;
@@ -39,7 +39,7 @@ fn faint_blobs_and_edges_are_not_features() {
     assert!(detect(&Plane::filled(5, 7, 9), &SiftOptions::default()).is_empty());
 }
 
-/// Irregular texture with detail at all scales, seen through a rotation about the centre and a change of scale.
+/// Irregular texture with detail at all scales, rotated about the centre and scaled.
 fn texture(width: usize, height: usize, turn: f64, zoom: f64) -> Plane<u8> {
     let mut state = 17u32;
     let mut random = || {
@@ -87,7 +87,7 @@ fn features_survive_rotation_scale_and_contrast() {
 fn a_limit_keeps_the_picture_covered() {
     let picture = texture(300, 260, 0.0, 1.0);
     let options = SiftOptions { contrast: 0.005, ..SiftOptions::default() };
-    // A round blob has many directions and is then several keypoints at one place.
+    // A round blob has several directions and is then several keypoints at one position.
     let places = |options: &SiftOptions| {
         let mut places: Vec<(f32, f32)> = detect(&picture, options).keypoints.iter().map(|k| (k.x, k.y)).collect();
         places.dedup();

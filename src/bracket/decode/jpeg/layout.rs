@@ -1,15 +1,15 @@
-//! The layout of a JPEG: its markers, up to the end of its first image.
+//! Parses the markers of a JPEG up to the end of its first image.
 //!
-//! In: the file. Out: where its parts are, and what its frame and scan headers say. Cost: one look for 0xFF through the file. Source: ITU-T
-//! T.81, annex B.
+//! In: the file. Out: the positions of its parts, and the values of its frame and scan headers. Cost: one search for 0xFF through the file.
+//! Source: ITU-T T.81, annex B.
 
 use super::Reason;
 use std::ops::Range;
 
-/// The code of JPEG-LS's own start of a frame (ITU-T T.87, annex C).
+/// Start-of-frame marker code of JPEG-LS (ITU-T T.87, annex C).
 pub(super) const JPEG_LS: u8 = 0xF7;
 
-/// What the walk through the markers of the first image finds.
+/// Segments and headers of the first image.
 #[derive(Default)]
 pub(super) struct Layout {
     pub exif: Option<Range<usize>>,
@@ -19,9 +19,9 @@ pub(super) struct Layout {
     /// The sampling factors of each component, across and down.
     pub sampling: Vec<[u8; 2]>,
     pub progressive: bool,
-    /// Bytes between segments that belong to none.
+    /// Bytes between segments.
     pub junk: Vec<Range<usize>>,
-    /// By component identifier and coefficient: the bit down to which it was sent, plus one; 0 is "not at all".
+    /// For each component identifier and coefficient: the lowest bit sent, plus one; 0 where none was sent.
     sent: Vec<(u8, [u8; 64])>,
     /// Just past the entropy-coded data of each scan.
     pub scan_ends: Vec<usize>,
@@ -54,7 +54,7 @@ impl Layout {
                         Ok(layout)
                     };
                 }
-                // TEM: it stands alone and says nothing, but decoders look for its length.
+                // TEM has no content and no length, but decoders expect a length.
                 0x01 => layout.junk.push(first_ff..at),
                 0xD0..=0xD8 => continue,
                 code => {
@@ -66,7 +66,7 @@ impl Layout {
                     layout.segment(code, content, body)?;
                     if code == 0xDA {
                         at = scan_end(bytes, at).ok_or_else(truncated)?;
-                        // Before a marker there may be more of 0xFF.
+                        // More 0xFF bytes may precede a marker.
                         let fill = bytes[..at].iter().rev().take_while(|&&b| b == 0xFF).count();
                         layout.scan_ends.push(at - fill);
                     }
@@ -84,7 +84,7 @@ impl Layout {
             0xC0..=0xC2 => {
                 let depth = content.first().copied().unwrap_or(0);
                 if depth != 8 {
-                    return Err(format!("its samples are of {depth} bit, which is not supported; save it with 8 bit"));
+                    return Err(format!("its samples have {depth} bits, which is not supported; save it with 8 bits"));
                 }
                 self.progressive = code == 0xC2;
                 let number = |at: usize| Some(u16::from_be_bytes([*content.get(at)?, *content.get(at + 1)?]).into());
@@ -122,8 +122,7 @@ impl Layout {
         self.sampling.iter().map(|own| own[axis]).max().unwrap_or(1)
     }
 
-    /// Refuses sampling factors by which some component is no whole number of times as coarse as the finest, and 3 across, which zune-jpeg
-    /// does not read.
+    /// Rejects sampling factors that do not divide the largest one, and a horizontal factor of 3, which zune-jpeg does not support.
     fn check_sampling(&self) -> Result<(), Reason> {
         let is_fraction =
             |own: &[u8; 2]| (0..2).any(|axis| own[axis] > 0 && !self.finest(axis).is_multiple_of(own[axis]));
@@ -152,19 +151,19 @@ impl Layout {
             || (0..2).any(is_mixed_with_padding)
     }
 
-    /// Whether every component was sent, and in a progressive file every coefficient to its last bit.
+    /// Checks that every component was sent and, in a progressive file, every coefficient down to bit 0.
     pub fn check_complete(&self) -> Result<(), Reason> {
         let whole = |sent: &[u8; 64]| {
             if self.progressive { sent.iter().all(|&c| c == 1) } else { sent[0] > 0 }
         };
         if self.sent.is_empty() || !self.sent.iter().all(|(_, sent)| whole(sent)) {
-            return Err("scans are missing, it was cut off; copy the file again".into());
+            return Err("scans are missing (truncated); copy the file again".into());
         }
         Ok(())
     }
 }
 
-/// The index of the next marker's code, at or after `at`; `None` where the file ends before.
+/// Returns the index of the code of the next marker at or after `at`; `None` where there is none.
 fn next_marker(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
         at += first_ff(bytes.get(at..)?)?;
@@ -176,7 +175,7 @@ fn next_marker(bytes: &[u8], mut at: usize) -> Option<usize> {
     }
 }
 
-/// The index of the first 0xFF: there is one in some 200 bytes of entropy-coded data, and none of the others need be looked at by itself.
+/// Returns the index of the first 0xFF. Searches 32 bytes at a time, since entropy-coded data has one in about 200 bytes.
 fn first_ff(bytes: &[u8]) -> Option<usize> {
     let (groups, _) = bytes.as_chunks::<32>();
     let holds_one = |group: &[u8; 32]| group.iter().fold(false, |any, &b| any | (b == 0xFF));
@@ -184,7 +183,7 @@ fn first_ff(bytes: &[u8]) -> Option<usize> {
     bytes[skipped..].iter().position(|&b| b == 0xFF).map(|i| skipped + i)
 }
 
-/// The index of the 0xFF of the marker that ends the entropy-coded data at `at`; restart markers belong to the data.
+/// Returns the index of the 0xFF of the marker that ends the entropy-coded data at `at`; restart markers belong to the data.
 fn scan_end(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
         let code = next_marker(bytes, at)?;

@@ -1,16 +1,16 @@
-//! What the codes of a PNG mean, by its chunks: code points, a profile, or primaries and an exponent.
+//! Colour profile of a PNG from its chunks: code points, an ICC profile, or primaries and an exponent.
 //!
-//! In: the header's chunks. Out: an ICC profile, or none for sRGB. Cost: nothing to speak of.
+//! In: the chunks of the header. Out: an ICC profile, or none for sRGB. Cost: negligible.
 //! Source: W3C, Portable Network Graphics (third edition), section 12.1: cICP comes before iCCP, that before sRGB, that before cHRM and
 //! gAMA; ITU-T H.273, tables 2 and 3, for the numbers of cICP.
 
 use crate::bracket::colour::{Curve, Primaries, Profile};
 use png::{CodingIndependentCodePoints, Info};
 
-/// The exponent 1/2.2 that gAMA has beside sRGB's curve, and what it may be off by to be that: writers say 0.45455, 0.4545 and 0.45.
+/// The gAMA value 1/2.2 that stands for the sRGB curve, and its tolerance: writers use 0.45455, 0.4545 and 0.45.
 const SRGB_GAMMA: (f64, f64) = (1.0 / 2.2, 0.005);
 
-/// The profile, where there is more to say than sRGB: `embedded` is that of iCCP. What is not understood is noted, and counts nothing.
+/// Returns the profile where it is not sRGB; `embedded` is that of iCCP. Unsupported values are ignored and added to `notes`.
 pub(super) fn profile(info: &Info, embedded: Option<Vec<u8>>, notes: &mut Vec<String>) -> Option<Vec<u8>> {
     if let Some(points) = &info.coding_independent_code_points {
         if let Some((primaries, curve)) = of_code_points(points) {
@@ -28,14 +28,14 @@ pub(super) fn profile(info: &Info, embedded: Option<Vec<u8>>, notes: &mut Vec<St
         let xy = |(x, y): (png::ScaledFloat, png::ScaledFloat)| [x, y].map(|v| f64::from(v.into_scaled()) / 1e5);
         Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) }
     });
-    // Of 0 there is no curve; the crate passes over it.
+    // An exponent of 0 is invalid.
     let gamma = info.gama_chunk.map(|v| f64::from(v.into_scaled()) / 1e5).filter(|gamma| *gamma > 0.0);
     let is_of_srgb = |gamma: f64| is_srgb(&primaries) && (gamma - SRGB_GAMMA.0).abs() <= SRGB_GAMMA.1;
     let curve = gamma.filter(|gamma| !is_of_srgb(*gamma)).map_or(Curve::Srgb, |gamma| Curve::Power(1.0 / gamma));
     made(primaries, curve, notes)
 }
 
-/// H.273's numbers of what photographs are in; none for others, and for video's range of codes.
+/// Returns the primaries and curve for the H.273 code points used by photographs; `None` for others and for limited range.
 fn of_code_points(points: &CodingIndependentCodePoints) -> Option<(Primaries, Curve)> {
     let primaries = match points.color_primaries {
         1 => Primaries::SRGB,

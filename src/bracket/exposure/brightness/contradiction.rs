@@ -1,24 +1,24 @@
-//! Exposures that were written down, compared with the pixels.
+//! Compares exposures from EXIF or the user with the pixels.
 //!
-//! In: exposures in EV, and the histograms of their frames. Out: why they cannot be right; and of which frames. Cost: that of a step for each
-//! pair that are neighbours in any set of frames that is tried.
+//! In: exposures in EV, and the brightness of their frames. Out: why they are impossible, and for which frames. Cost: one step for each
+//! pair of neighbours in any set of frames that is tried.
 
 use super::{Brightness, CAMERAS, STEP, by_brightness, spread, step};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-/// Exposures that are written down and differ by no more, in EV, are one.
+/// Written exposures that differ by no more than this, in EV, count as equal.
 const ALIKE: f64 = 0.05;
-/// A step that is off by this, in EV, is off by no weather: a slip of the pen, or a tag that counts otherwise.
+/// An error of a step, in EV, too large to be caused by changing light: a typing error, or a tag with another unit.
 const FAR_OFF: f64 = 3.0;
-/// Of more frames than these only one is looked for that contradicts the others.
+/// Above this number of frames, only single contradicting frames are searched for.
 const MANY: usize = 12;
 
-/// Why `written`, the exposures in EV that the files give, cannot be those of `frames`; `None` where they may well be.
+/// Returns why `written`, exposures in EV, cannot be those of `frames`; `None` where they are possible.
 ///
-/// Plain contradictions only, since the estimate is rough and light may change between frames: all written alike although the pictures
+/// Reports only clear contradictions, since the estimate is rough and light may change between frames: all equal although the frames
 /// differ by more than 0.6 EV; a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more; or a step
-/// that is at least twice, and at least 3 EV more, or as much less, than the pictures have.
+/// that is at least twice, and at least 3 EV more, or as much less, than measured.
 pub fn contradiction(written: &[f64], frames: &[&Brightness]) -> Option<String> {
     let all: Vec<usize> = (0..frames.len()).collect();
     among(&all, written, &Pairs::of(frames))
@@ -39,7 +39,7 @@ impl<'a> Pairs<'a> {
         *self.steps.borrow_mut().entry((from, to)).or_insert_with(|| step(self.frames[from], self.frames[to]))
     }
 
-    /// How far apart the darkest and the brightest of `which` are, in EV.
+    /// Difference between the darkest and the brightest of the frames `which`, in EV.
     fn spread(&self, which: &[usize]) -> Option<f64> {
         let frames: Vec<&Brightness> = which.iter().map(|&i| self.frames[i]).collect();
         let order = by_brightness(&frames);
@@ -47,7 +47,7 @@ impl<'a> Pairs<'a> {
     }
 }
 
-/// The same of the frames `which`.
+/// Same as [`contradiction`], for the frames `which`.
 fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     let order = by_written(which, written);
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
@@ -71,16 +71,15 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     })
 }
 
-/// The frames `which`, that first which should be the darkest.
+/// The frames `which`, sorted by rising written exposure.
 fn by_written(which: &[usize], written: &[f64]) -> Vec<usize> {
     let mut order = which.to_vec();
     order.sort_by(|&a, &b| written[a].total_cmp(&written[b]));
     order
 }
 
-/// Which of `frames` contradict the others where most agree with what was `written`: the fewest, and fewer than half, without which there is no
-/// [`contradiction`] and all steps can be seen. Of as many, those without which the steps are nearest to those written. `None` where there
-/// are no such.
+/// Returns the smallest set of `frames`, fewer than half, without which there is no [`contradiction`] and all steps can be measured. Of
+/// sets of equal size, returns the one without which the steps are nearest to those written. `None` where there is no such set.
 pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     let (count, pairs) = (frames.len(), Pairs::of(frames));
     let most = if count <= MANY { (count.max(1) - 1) / 2 } else { 1 };
@@ -103,8 +102,8 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     })
 }
 
-/// How far the steps of the frames but those of `odd` are from those written, at most, 1 being what the contrasts of cameras leave open;
-/// `None` where they contradict each other, or one cannot be seen.
+/// Returns the largest deviation of the measured from the written steps without the frames `odd`, where 1 is the uncertainty of camera
+/// curves. `None` where the frames contradict each other, or a step cannot be measured.
 fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let rest: Vec<usize> = (0..written.len()).filter(|i| !odd.contains(i)).collect();
     let order = by_written(&rest, written);
@@ -115,7 +114,7 @@ fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
         misfit = misfit.max((said - seen).abs() / (STEP + 2.0 * CAMERAS * said));
     }
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
-    // That all say the same is no agreement where they are not as alike.
+    // Equal written exposures do not agree with frames of different brightness.
     let is_open = among(&rest, written, pairs).is_some() || (spread(&all) <= ALIKE && misfit > 1.0);
     (!is_open).then_some(misfit)
 }

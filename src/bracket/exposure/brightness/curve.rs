@@ -1,20 +1,20 @@
-//! The curve of the camera, as far as pairs of frames and what is known of cameras tell it; and the steps under it.
+//! Fits camera curves to pairs of frames, and computes the steps under them.
 //!
-//! In: for each pair of frames the codes that match. Out: for each kind of curve how likely it is, the steps under the best of it, and how far
-//! they are open. Cost: some ten sums over the matches of all pairs for each kind.
+//! In: the matched pixel values of each pair of frames. Out: for each kind of curve its likelihood, and the steps under the best curve with
+//! their uncertainties. Cost: some ten sums over the matches of all pairs for each kind.
 //!
 //! A curve is the log2 of the exposure as a function of the code. Its slope is that of sRGB's times exp(p), p being a cubic of the code (in
-//! Legendre polynomials over the codes). Matches leave the constant term of p open, whatever they are: it multiplies all steps (Grossberg
-//! and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003). So it comes from the others by what
-//! curves are like: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively reweighted
-//! Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the room that the matches leave about them (Laplace's
+//! Legendre polynomials over the codes). Matches never determine the constant term of p: it multiplies all steps (Grossberg
+//! and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003). So it is inferred from the other terms by
+//! priors: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively reweighted
+//! Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the volume that the matches leave around them (Laplace's
 //! approximation).
 
 use crate::bracket::colour::srgb_to_linear;
 use nalgebra::{Matrix4, Vector4};
 use std::sync::LazyLock;
 
-/// A code of the darker frame and that of the same rank in the brighter.
+/// A pixel value of the darker frame and the one of the same rank in the brighter.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Match {
     pub(super) from: f64,
@@ -22,22 +22,22 @@ pub(super) struct Match {
     pub(super) weight: f64,
 }
 
-/// Two frames.
+/// The matches of two frames.
 pub(super) struct Pair {
     pub(super) matches: Vec<Match>,
-    /// The share of pixels whose codes match.
+    /// Share of pixels with matched values.
     pub(super) share: f64,
 }
 
-/// Curves that are alike: the share of photographs, the mean of the terms, and the lower triangle of their covariance.
+/// A class of curves: its share of photographs, the mean of the terms, and the lower triangle of their covariance.
 struct Kind {
     share: f64,
     mean: [f64; 4],
     covariance: [f64; 10],
 }
 
-/// The distributions were fitted to curves that were measured or computed, in codes 16 to 248; 0.04 to 0.08 was added to the standard deviations
-/// of each term, as they are few. The shares are a guess: twice as many renderings or films change the mean error of rendered and of
+/// The distributions were fitted to curves that were measured or computed, in codes 16 to 248; 0.04 to 0.08 was added to the standard deviation
+/// of each term because there are few curves. The shares are estimates: twice as many renderings or films change the mean error of rendered and of
 /// photographed brackets by less than 1 %.
 const KINDS: [Kind; 5] = [
     // sRGB's itself: renderings.
@@ -67,18 +67,18 @@ const KINDS: [Kind; 5] = [
         covariance: [0.0416, 0.0145, 0.0486, -0.0044, 0.0254, 0.0353, 0.0065, 0.0153, 0.0093, 0.0212],
     },
 ];
-/// Any of them, under which it is seen how well codes match.
+/// A broad distribution, used to estimate how well pixel values match.
 const ANY: Kind = Kind {
     share: 1.0,
     mean: [-0.1, 0.3, 0.25, 0.0],
     covariance: [0.09, 0.0, 0.16, 0.0, 0.0, 0.09, 0.0, 0.0, 0.0, 0.04],
 };
-/// Standard deviation of a match, in codes, before it is known; and at least: the rounding of both codes.
+/// Standard deviation of a match in pixel values: the initial estimate, and the minimum due to rounding.
 const USUAL: f64 = 1.5;
 const ROUNDING: f64 = 0.6;
 /// Matches that are off by this many standard deviations have a quarter of their weight (Geman and McClure's function).
 const OFF: f64 = 3.0;
-/// As many neighbouring codes are off alike, so that they count as one. A guess: 8 and 14 change the mean error of rendered brackets by less than 1 %.
+/// Number of neighbouring values with correlated errors, which count as one. An estimate: 8 and 14 change the mean error of rendered brackets by less than 1 %.
 const ALIKE: f64 = 12.0;
 /// Gauss-Newton steps, and how far one may go, so that a slope changes by no more than twice.
 const ROUNDS: usize = 8;
@@ -88,7 +88,7 @@ const STRIDE: f64 = 0.7;
 static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     let stops = |code: usize| libm::log2(srgb_to_linear(code as f64 / 255.0));
     let rise = |k: usize| {
-        // From black on it has no end; any will do.
+        // The rise from black is infinite; any value will do.
         let k = k.max(1);
         let t = 2.0 * (k as f64 + 0.5) / 255.0 - 1.0;
         let polynomials = [1.0, t, (3.0 * t * t - 1.0) / 2.0, (5.0 * t * t - 3.0) * t / 2.0];
@@ -97,7 +97,7 @@ static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     (0..255).map(rise).collect()
 });
 
-/// A curve: of each code the exposure in stops, and the change of that with each term.
+/// A curve: the exposure in stops for each pixel value, and its derivative by each term.
 struct Curve {
     stops: Vec<f64>,
     change: Vec<Vector4<f64>>,
@@ -108,7 +108,7 @@ struct Curve {
 struct Ratio {
     stops: f64,
     change: Vector4<f64>,
-    /// What an error of a code in both is in stops, and the relative change of that with each term.
+    /// Error in stops for an error of one unit in both pixel values, and its relative derivative by each term.
     code: f64,
     code_change: Vector4<f64>,
 }
@@ -147,26 +147,26 @@ impl Curve {
 /// Steps under the best curve of a kind.
 #[derive(Debug, Clone)]
 pub(super) struct Fit {
-    /// Log of the likelihood, up to a term common to all kinds.
+    /// Log likelihood, up to a term common to all kinds.
     pub(super) likelihood: f64,
     /// In EV, of each pair.
     pub(super) steps: Vec<f64>,
     /// Variances of them, under this curve.
     pub(super) variances: Vec<f64>,
-    /// Standard deviation of the log of what multiplies all of them.
+    /// Standard deviation of the log of the common factor of the steps.
     pub(super) scale: f64,
     /// Standard deviation of a match of each pair, in codes.
     codes: Vec<f64>,
 }
 
-/// The steps of `pairs` under the curves of each kind that allows for any.
+/// Fits the curves of each kind to `pairs`; kinds without a finite result are left out.
 pub(super) fn fits(pairs: &[Pair]) -> Vec<Fit> {
     let Some(any) = fit(pairs, &ANY, &vec![USUAL; pairs.len()]) else { return Vec::new() };
     let codes: Vec<f64> = any.codes.iter().map(|code| code.max(ROUNDING)).collect();
     KINDS.iter().filter_map(|kind| fit(pairs, kind, &codes)).collect()
 }
 
-/// What a pair adds to the normal equations of the terms.
+/// Contribution of a pair to the normal equations of the terms.
 struct Share {
     normal: Matrix4<f64>,
     gradient: Vector4<f64>,
@@ -186,15 +186,15 @@ fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
     let mut by_code: Vec<(f64, f64)> =
         ratios.iter().zip(&weights).map(|(ratio, weight)| (ratio.stops, weight / ratio.code)).collect();
     let mut step = weighted_median(&mut by_code);
-    let trust = |off: f64| 1.0 / (1.0 + off * off / (OFF * OFF));
+    let robust = |off: f64| 1.0 / (1.0 + off * off / (OFF * OFF));
     let mut precision = 0.0;
     for _ in 0..4 {
         let mut sum = 0.0;
         precision = 0.0;
         for (ratio, weight) in ratios.iter().zip(&weights) {
             let unit = ratio.code * code;
-            let trust = trust((ratio.stops - step) / unit);
-            let weight = weight * trust * trust / (unit * unit);
+            let robust = robust((ratio.stops - step) / unit);
+            let weight = weight * robust * robust / (unit * unit);
             sum += weight * ratio.stops;
             precision += weight;
         }
@@ -203,27 +203,27 @@ fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
     let mut change = Vector4::zeros();
     for (ratio, weight) in ratios.iter().zip(&weights) {
         let unit = ratio.code * code;
-        let trust = trust((ratio.stops - step) / unit);
-        change += ratio.change * (weight * trust * trust / (unit * unit * precision));
+        let robust = robust((ratio.stops - step) / unit);
+        change += ratio.change * (weight * robust * robust / (unit * unit * precision));
     }
     let (mut normal, mut gradient, mut cost) = (Matrix4::zeros(), Vector4::zeros(), 0.0);
     for (ratio, weight) in ratios.iter().zip(&weights) {
         let unit = ratio.code * code;
         let off = (ratio.stops - step) / unit;
-        let trust = trust(off);
+        let robust = robust(off);
         let slope = (ratio.change - change) / unit - ratio.code_change * off;
-        normal += slope * slope.transpose() * (weight * trust * trust);
-        gradient -= slope * (weight * trust * trust * off);
-        cost += weight * off * off * trust / 2.0;
+        normal += slope * slope.transpose() * (weight * robust * robust);
+        gradient -= slope * (weight * robust * robust * off);
+        cost += weight * off * off * robust / 2.0;
     }
     let mut off: Vec<(f64, f64)> =
         ratios.iter().zip(&weights).map(|(ratio, weight)| ((ratio.stops - step).abs() / ratio.code, *weight)).collect();
-    // Of normal errors, 0.6745 standard deviations are exceeded by half.
+    // The median of absolute normal errors is 0.6745 standard deviations.
     let code = weighted_median(&mut off) / 0.6745;
     Share { normal, gradient, cost, step, variance: 1.0 / precision, change, code }
 }
 
-/// The best curve of `kind` for `pairs`, and the steps; `None` where they allow for no number.
+/// Fits the best curve of `kind` to `pairs`; `None` where the result is not finite.
 fn fit(pairs: &[Pair], kind: &Kind, codes: &[f64]) -> Option<Fit> {
     let (mean, covariance) = (Vector4::from(kind.mean), symmetric(&kind.covariance));
     let prior = covariance.cholesky()?.inverse();

@@ -1,27 +1,28 @@
-//! How many pixels of a frame have each code, and which codes of two frames are of one radiance.
+//! Histograms of frames, and matches between the pixel values of two frames.
 //!
-//! In: code values. Out: matches of codes. Cost: one pass over a quarter of the pixels, then 256-entry tables.
+//! In: pixel values. Out: pairs of pixel values of equal radiance. Cost: one pass over a quarter of the pixels, then 256-entry tables.
 
 use super::curve::{Match, Pair};
 use crate::bracket::Samples;
 
-/// Codes between which a code is neither clipped nor lost in the noise and flare of shadows. Lower ones of a scan are of no exposure.
+/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. Lower values of a scan do not depend on
+/// the exposure.
 const EXPOSED: (usize, usize) = (24, 250);
-/// The same where the former leaves nothing to compare.
+/// Fallback range where [`EXPOSED`] leaves too few matches.
 const BARELY_EXPOSED: (usize, usize) = (2, 252);
-/// Fewer pixels than these beyond a code say nothing about it.
+/// Minimum number of pixels on either side of a pixel value for it to be matched.
 const TAIL: u64 = 32;
 
-/// The histogram of a green channel, at 8 bit.
+/// Histogram of the green channel, at 8 bits.
 #[derive(Debug, Clone)]
 pub(super) struct Histogram {
     pub(super) counts: [u64; 256],
-    /// `below[k]`: how many are below code `k`; one entry more than codes.
+    /// `below[k]`: number of values below `k`.
     below: [u64; 257],
 }
 
 impl Histogram {
-    /// Counts every other pixel of every other row of a picture `width` pixels wide; all of them in a small one.
+    /// Counts every other pixel of every other row of an image `width` pixels wide, or all pixels of a small image.
     pub(super) fn of(samples: &Samples, width: usize) -> Self {
         let stride = if samples.len() < 3 << 16 { 1 } else { 2 };
         let mut counts = [0u64; 256];
@@ -32,7 +33,7 @@ impl Histogram {
         Histogram::from(counts)
     }
 
-    /// The mean code, 0..=255.
+    /// Mean pixel value, 0..=255.
     pub(super) fn mean(&self) -> f64 {
         let sum: u64 = self.counts.iter().zip(0u64..).map(|(n, code)| n * code).sum();
         sum as f64 / self.total().max(1) as f64
@@ -42,14 +43,14 @@ impl Histogram {
         self.below[256]
     }
 
-    /// The code below which `rank` values lie, each code's values spread evenly over one unit about it.
+    /// Pixel value below which `rank` values lie, where the values of each bin are spread evenly over one unit.
     fn code_at(&self, rank: f64) -> f64 {
         let k = self.below[1..].partition_point(|&n| (n as f64) < rank).min(255);
         let within = (rank - self.below[k] as f64) / self.counts[k].max(1) as f64;
         k as f64 - 0.5 + within.clamp(0.0, 1.0)
     }
 
-    /// How many values lie at about code `k`.
+    /// Number of values from `k` - 1 to `k` + 2.
     fn about(&self, k: usize) -> u64 {
         self.below[(k + 3).min(256)] - self.below[k.saturating_sub(1)]
     }
@@ -66,7 +67,7 @@ impl From<[u64; 256]> for Histogram {
 }
 
 fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, counts: &mut [u64; 256]) {
-    // By turns into two: neighbours that are alike would wait for each other.
+    // Two alternating tables, because increments of the same bin wait for each other.
     let mut others = [0u64; 256];
     for row in v.chunks_exact(3 * width).step_by(stride) {
         if stride == 2 {
@@ -88,7 +89,7 @@ fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, co
     counts.iter_mut().zip(others).for_each(|(count, other)| *count += other);
 }
 
-/// The codes that are exposed in both, well if there are such; `None` where there are too few.
+/// Matches the pixel values that are well exposed in both, else barely exposed; `None` where there are too few.
 pub(super) fn matches(dark: &Histogram, bright: &Histogram) -> Option<Pair> {
     matches_within(dark, bright, EXPOSED).or_else(|| matches_within(dark, bright, BARELY_EXPOSED))
 }
@@ -108,7 +109,7 @@ fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usi
             tones += usize::from(dark.counts[k] > 0);
         }
     }
-    // Fewer codes than these are a chance match. A drawing of two tones is all gap: between them rank says nothing.
+    // Fewer matches may be chance. An image of two tones has no ranks between them.
     if matches.len() < 8 || tones < 4 {
         return None;
     }

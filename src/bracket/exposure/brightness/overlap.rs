@@ -1,21 +1,21 @@
-//! What two frames of a hand-held bracket both show.
+//! Overlap of two frames of a hand-held bracket.
 //!
-//! In: a coarse picture of each frame. Out: the histograms of the parts that both show, as far as a shift tells. Cost: sums of absolute
-//! differences of ranks over coarse pictures, as in a pyramid search.
+//! In: a coarse image of each frame. Out: the histograms of the overlapping parts under the best shift. Cost: sums of absolute
+//! differences of ranks over coarse images, as in a pyramid search.
 //!
-//! What enters at one border and leaves at the other is as much as a tenth of a picture, and if it is bright it moves the ranks of all others.
-//! Ranks of codes do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
-//! a rank against one half). What is white or black in one frame has no order there, and so is given none in the
-//! other. A point is taken as it is and not averaged: means of codes are those of no radiance.
+//! The parts outside the overlap may be a tenth of an image, and where they are bright they change the ranks of all other points.
+//! Ranks of pixel values do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
+//! a rank against one half). Clipped and black points of one frame have no order there, so they get equal
+//! ranks in the other as well. Points are sampled and not averaged, because the mean of pixel values does not match a radiance.
 
 /// Points along the longer side.
 const LENGTH: usize = 384;
-/// Along the longer side of the coarsest picture of the search; and the largest shift there: a sixth.
+/// Points along the longer side of the coarsest image of the search; the largest shift there is a sixth of it.
 const COARSEST: usize = 24;
-/// Codes from and up to which a point is neither black nor white.
+/// Lowest and highest pixel value that is neither black nor clipped.
 const SHOWN: (u8, u8) = (2, 250);
 
-/// Every so many points of a frame's green channel, at 8 bit.
+/// A subsampled green channel, at 8 bits.
 #[derive(Debug, Clone)]
 pub(super) struct View {
     width: usize,
@@ -23,10 +23,10 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Of a picture of this size, by the code of the pixel in a row and a column.
+    /// Samples an image of this size; `code` returns the pixel value at a row and a column.
     pub(super) fn of(width: usize, height: usize, code: impl Fn(usize, usize) -> u8) -> Self {
         let stride = width.max(height).div_ceil(LENGTH).max(1);
-        // One at least of a strip that is narrower than the stride.
+        // At least one row or column where the image is narrower than the stride.
         let middles = |length: usize| ((stride / 2).min(length / 2)..length).step_by(stride);
         let codes =
             middles(height).flat_map(|y| middles(width).map(move |x| (y, x))).map(|(y, x)| code(y, x)).collect();
@@ -46,7 +46,7 @@ impl View {
         counts
     }
 
-    /// The shares of points that are below what is white, and that are black.
+    /// Shares of points that are not clipped, and that are black.
     fn ends(&self) -> (f32, f32) {
         let share = |is: &dyn Fn(u8) -> bool| {
             self.codes.iter().filter(|&&code| is(code)).count() as f32 / self.codes.len().max(1) as f32
@@ -54,7 +54,7 @@ impl View {
         (share(&|code| code <= SHOWN.1), share(&|code| code < SHOWN.0))
     }
 
-    /// The share of points that are darker, half of those that are alike counted; those of the part `black` are alike, and those above the part `white`.
+    /// Rank of each point: the share of darker points plus half of the equal ones. Ranks below `black` become equal, as do those above `white`.
     fn ranks(&self, (white, black): (f32, f32)) -> Ranks {
         let counts = self.counts(0..self.height(), 0..self.width);
         let mut below = 0;
@@ -89,7 +89,7 @@ fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<us
     (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))
 }
 
-/// Where in `a`, seen from `b`, the same is: to the right and down, in points, to the nearest two.
+/// Finds the shift between `a` and `b`, to the right and down, in points, to the nearest two.
 fn shift(a: &View, b: &View) -> (isize, isize) {
     let (of_a, of_b) = (a.ends(), b.ends());
     let ends = (of_a.0.min(of_b.0), of_a.1.max(of_b.1));
@@ -108,7 +108,7 @@ fn shift(a: &View, b: &View) -> (isize, isize) {
     (2 * found.0, 2 * found.1)
 }
 
-/// The shift within `farthest` of `start` at which the ranks differ least; of equals the smallest.
+/// Finds the shift within `farthest` of `start` with the smallest mean rank difference; of equals, the smallest shift.
 fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
     let mut best = (f64::INFINITY, 0, start);
     for down in start.1 - farthest..=start.1 + farthest {
@@ -147,7 +147,7 @@ impl Ranks {
         self.width.max(self.height())
     }
 
-    /// Means of two by two; what is left over is dropped, but not the last row or column.
+    /// Halves the size by means of two by two. An odd row or column is dropped unless it is the only one.
     fn halved(&self) -> Ranks {
         let (width, height) = ((self.width / 2).max(1), (self.height() / 2).max(1));
         let at = |y: usize, x: usize| self.values[y.min(self.height() - 1) * self.width + x.min(self.width - 1)];

@@ -1,11 +1,11 @@
-//! The steps of a bracket, from those under each kind of curve and from how cameras bracket.
+//! Combines the steps under each kind of curve with a prior of the steps that cameras are set to.
 //!
-//! In: the steps that each kind of curve gives, and how far they are open. Out: their means and covariances. Cost: a table of some hundred
+//! In: the steps for each kind of curve, with uncertainties. Out: their means and covariances. Cost: a table of some hundred
 //! factors and twenty steps, for each pair and kind.
 //!
-//! What all steps are multiplied by is open by several percent, but photographers set thirds of an EV, mostly whole ones, and mostly the same
-//! between all frames. So each factor is weighed by how many steps it brings to such numbers. Densities are those of the log of a step:
-//! they are the same whichever kind of curve it comes from.
+//! The common factor of all steps is uncertain by several percent, but photographers set thirds of an EV, mostly whole ones, and mostly the
+//! same between all frames. So each factor is weighted by how well it brings the steps to such numbers. Densities are those of the log of a
+//! step, so that they do not depend on the kind of curve.
 
 use super::curve::{self, Fit, Pair};
 use std::f64::consts::PI;
@@ -26,41 +26,40 @@ impl Steps {
     }
 }
 
-/// Steps that are set on a camera: thirds of an EV, up to 6 EV.
+/// Number of steps that can be set on a camera: thirds of an EV, up to 6 EV.
 const THIRDS: usize = 18;
-/// The chance of a step to be a whole number of EV, another third, or any other, as they are set by hand and by programs. Guesses: with 0.2,
-/// 0.4, 0.4 or 0.6, 0.1, 0.3 the mean error of fourteen brackets of cameras is 4 % or 3 %, and 3 % with these.
+/// Prior probability of a step being a whole number of EV, another third, or any other value. Estimated: with 0.2, 0.4, 0.4 or 0.6, 0.1, 0.3
+/// the mean error of fourteen camera brackets is 4 % or 3 %, and 3 % with these.
 const WHOLE: f64 = 0.45;
 const THIRD: f64 = 0.15;
 const OTHER: f64 = 0.4;
-/// Density of other steps, by the log: alike from 0.2 to 6 EV.
+/// Density of other steps, by the log: uniform from 0.2 to 6 EV.
 const ANY: f64 = 0.3;
-/// The chance of a bracket of three frames or more to have even steps, and then of a step to be another one. Guesses: 0.3 and 0.8,
-/// and 0.1, are as good.
+/// Prior probability of a bracket of three or more frames having equal steps, and of a step of such a bracket being different. Estimated:
+/// 0.3 and 0.8, and 0.1, are as good.
 const EVEN: f64 = 0.6;
 const ODD: f64 = 0.2;
-/// A step under the true curve is off by a share, one standard deviation, as shutters are; and by some EV, the more the fewer pixels show it:
-/// what flickers or moves counts. Half of the pixels give the latter divided by 0.7; and no more than `MOST_OFF` it is. Measured on brackets of
-/// cameras whose exposures are known.
+/// Standard deviation of a step under the true curve: a relative part for the shutter, and a part in EV for flicker and motion. The latter is
+/// divided by the square root of the share of matched pixels, and is at most `MOST_OFF`. Measured on camera brackets with known exposures.
 const SHARE_OFF: f64 = 0.02;
 const EV_OFF: f64 = 0.04;
 const MOST_OFF: f64 = 0.2;
-/// Below this a step, in EV, tells nothing of what all are multiplied by.
+/// Steps below this, in EV, are not used to determine the common factor.
 const NO_STEP: f64 = 0.15;
-/// Factors that are tried, as logs.
+/// Number of factors tried on either side of 1, and their spacing, as logs.
 const FACTORS: i32 = 100;
 const FACTOR: f64 = 0.005;
-/// Logs of chances beneath the best at which one counts no more.
+/// Log likelihood below the best at which a hypothesis is dropped.
 const NEVER: f64 = 14.0;
 
-/// One way that the steps may be.
+/// A hypothesis for the steps.
 struct Way {
     log: f64,
     means: Vec<f64>,
     variances: Vec<f64>,
 }
 
-/// The steps of `pairs` of frames of one camera, by all kinds of curves together.
+/// Estimates the steps of `pairs` of frames of one camera over all kinds of curves.
 pub(super) fn of(pairs: &[Pair]) -> Option<Steps> {
     let fits = curve::fits(pairs);
     let off: Vec<f64> = pairs.iter().map(|pair| (EV_OFF / pair.share.sqrt()).min(MOST_OFF)).collect();
@@ -99,12 +98,12 @@ pub(super) fn of(pairs: &[Pair]) -> Option<Steps> {
     Some(Steps { means, covariances })
 }
 
-/// Adds what the steps of `fit` may be if all are multiplied by `factor`: each any or one that is set, or all the same.
+/// Adds the hypotheses for the steps of `fit` multiplied by `factor`: independent steps, and all steps equal.
 /// `off`: standard deviations of the steps themselves.
 fn add_ways(log: f64, fit: &Fit, off: &[f64], factor: f64, ways: &mut Vec<Way>) {
     let nominal = |third: usize| third as f64 / 3.0;
     let chance = |third: usize| if third.is_multiple_of(3) { WHOLE / 6.0 } else { THIRD / 12.0 };
-    // Of each step its value, its variance, and the densities at the steps that are set; none of what is no step.
+    // Value and variance of each step, and its densities at the steps that can be set; none for a step below NO_STEP.
     let seen: Vec<(f64, f64, Vec<f64>)> = fit
         .steps
         .iter()
