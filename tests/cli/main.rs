@@ -6,6 +6,7 @@ mod support;
 mod adjust;
 mod bad_brackets;
 mod batch;
+mod book;
 mod cards;
 mod child;
 mod colours;
