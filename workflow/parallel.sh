@@ -6,7 +6,7 @@
 #
 # To go on after whatever stopped it, give the same command again: a step that is done exits at once. That holds by content, where
 # parallel's own --resume counts lines of a joblog and would pass over the wrong steps once the plan has changed.
-# Exit code 0: all done; 1: nothing; 3: something was not, and batch.json says what. docs/parallel.md says more.
+# Exit code 0: all done; 1: nothing; 3: something was not, and batch.json says what. See docs/guides/parallel.md.
 set -uo pipefail
 (($#)) || { echo "usage: parallel.sh PLAN.jsonl [options of parallel]" >&2; exit 2; }
 [[ -r $1 ]] || { echo "$1: the plan cannot be read; write one with: hdralign batch --plan FOLDER -d OUT > $1" >&2; exit 2; }

@@ -1,4 +1,4 @@
-//! Brackets that are none, or hardly: what becomes of each is stated in `docs/robustness.md`, and held here.
+//! Invalid and degenerate brackets: the outcomes that `docs/reference/bad-input.md` states.
 
 use crate::support::{FRAMES, Folder, jpeg, jpeg_with, ratio, small};
 use exif::Tag;

@@ -1,4 +1,4 @@
-//! Every crate that the program is built from, and on what terms: docs/licences.md says so, and this holds it to the truth.
+//! Every crate that the program is built from, and on what terms: docs/reference/licences.md says so, and this holds it to the truth.
 //!
 //! `HDRALIGN_BLESS=1 cargo test --test library licences` writes the page anew.
 
@@ -13,7 +13,7 @@ use std::process::Command;
 /// Terms that ask for no more than to name the authors. deny.toml has the same list.
 const FINE: [&str; 7] = ["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "Zlib", "Unicode-3.0", "IJG"];
 
-const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/licences.md");
+const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/licences.md");
 
 const BEGIN: &str = "\
 # The crates in the program, and their licences
@@ -23,7 +23,7 @@ What `cargo build --release --locked` compiles into `hdralign` on 64-bit Linux, 
 `HDRALIGN_BLESS=1 cargo test --test library licences`, which otherwise fails when it is out of date, or when a licence is not one of those in deny.toml.
 
 The program also holds a part of the font DejaVu Sans Condensed 2.37, for the text of drawings: its licence (Bitstream Vera) is in
-[src/draw/font/README.md](../src/draw/font/README.md).
+[src/draw/font/README.md](../../src/draw/font/README.md).
 
 | crate | version | licence |
 |---|---|---|
@@ -72,11 +72,17 @@ fn all_crates_are_listed_with_their_licences_and_none_asks_for_more_than_we_allo
         writeln!(page, "| {name} | {version} | {licence} |").expect("a string");
     }
     if std::env::var_os("HDRALIGN_BLESS").is_some_and(|v| v == "1") {
-        fs::write(PAGE, &page).expect("docs/licences.md");
+        fs::write(PAGE, &page).expect("docs/reference/licences.md");
     }
-    let there =
-        if Path::new(PAGE).exists() { fs::read_to_string(PAGE).expect("docs/licences.md") } else { String::new() };
-    assert!(there == page, "docs/licences.md is out of date: HDRALIGN_BLESS=1 cargo test --test library licences");
+    let there = if Path::new(PAGE).exists() {
+        fs::read_to_string(PAGE).expect("docs/reference/licences.md")
+    } else {
+        String::new()
+    };
+    assert!(
+        there == page,
+        "docs/reference/licences.md is out of date: HDRALIGN_BLESS=1 cargo test --test library licences"
+    );
 }
 
 #[test]

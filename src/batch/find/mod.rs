@@ -5,7 +5,7 @@
 //! some 50 us to place it.
 //!
 //! Photographs are taken apart into streams, in which a bracket's frames follow each other (`streams`), and each stream is divided where
-//! that costs least (`segment`). docs/batch.md says it to those who use it.
+//! that costs least (`segment`). See docs/reference/bracket-detection.md for users.
 
 mod rhythm;
 mod segment;

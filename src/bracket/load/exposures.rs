@@ -77,11 +77,8 @@ pub(super) fn settle(
         let odd = with_exif.iter().filter(|&i| !accepted.is_empty() && !accepted.contains(i));
         let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
         let odd = if odd.is_empty() { String::new() } else { format!("; that of {} is ignored", odd.join(", ")) };
-        let detail = format!(
-            "{what}{odd}; the estimates are {} EV, ± {:.0} %",
-            listed.join(", "),
-            100.0 * uncertainty.abs()
-        );
+        let detail =
+            format!("{what}{odd}; the estimates are {} EV, ± {:.0} %", listed.join(", "), 100.0 * uncertainty.abs());
         warnings.push(match contradiction {
             Some(_) => Warning::ExposureContradicted { detail },
             None => Warning::ExposureEstimated { detail },

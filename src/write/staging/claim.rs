@@ -17,7 +17,7 @@ const LOCK: &str = ".lock";
 /// Letters and digits of an ID: 62^12 of them.
 const ID_LENGTH: usize = 12;
 
-/// What a lock file holds.
+/// Content of a lock file. Lock files of older versions have the same text, so it must not change, not even the path.
 const SIGNATURE: &[u8] = b"hdralign: temporary files are written here; see docs/faults.md\n";
 
 /// How often another lock file is made in place of one that was swept before it was locked.

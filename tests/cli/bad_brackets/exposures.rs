@@ -145,11 +145,7 @@ fn one_frame_that_is_at_odds_does_not_spoil_the_others() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(1), 5)]);
     let merged = merged(&folder, &names);
-    assert!(
-        merged.warns(true, &["contradict the pixels", "that of f3.jpg is ignored"]),
-        "{:?}",
-        merged.warnings()
-    );
+    assert!(merged.warns(true, &["contradict the pixels", "that of f3.jpg is ignored"]), "{:?}", merged.warnings());
     assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg"]), ["exif", "exif", "estimated"]);
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 1e-6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
     assert_eq!(merged.status("f3.jpg"), "rejected");

@@ -1,5 +1,5 @@
 //! Faults of the machine, one after the other, through the binary: a clear message, the right exit code, nothing half under a final name,
-//! no temporary file left. docs/faults.md is the table of them, and names these tests.
+//! no temporary file left. docs/reference/faults.md is the table of them, and names these tests.
 
 #![cfg(unix)]
 

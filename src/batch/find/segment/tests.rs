@@ -104,7 +104,7 @@ const MANUAL: Habit = Habit {
 };
 
 /// Each with the least share of brackets to be found exactly, in percent: what was reached when this was written, rounded down; with
-/// 60 cards a habit instead of 8 it is what docs/batch.md says. (Brackets of
+/// 60 cards a habit instead of 8 it is the table in docs/reference/bracket-detection.md. (Brackets of
 /// which frames were deleted cannot all be found: two frames a third of a stop apart are none.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
