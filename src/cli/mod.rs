@@ -1,6 +1,6 @@
 //! The command line: arguments to library options, progress, printing, exit codes.
 //!
-//! stdout carries results alone: the paths written, or JSON with `--json`. Everything else goes to stderr.
+//! stdout carries results only: the paths written, or JSON with `--json`. Everything else goes to stderr.
 
 mod arguments;
 mod commands;
@@ -10,7 +10,7 @@ mod summary;
 mod terminal;
 mod usage;
 
-use arguments::input::Common;
+use arguments::input::Results;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use hdralign::error::Error;
 use hdralign::report::Report;
@@ -21,6 +21,7 @@ use terminal::Terminal;
 
 /// Groups of options in `--help`.
 mod heading {
+    pub const MODE: &str = "Mode";
     pub const INPUT: &str = "Input";
     pub const ALIGNMENT: &str = "Alignment";
     pub const MERGE: &str = "Response and merge";
@@ -29,7 +30,7 @@ mod heading {
     pub const RESOURCES: &str = "Resources";
 }
 
-/// Aligns a bracket of exposures, recovers the camera's response, merges to linear radiance, and tone-maps.
+/// Merge a bracket of differently exposed photographs to linear radiance and a tone-mapped picture.
 #[derive(Debug, Parser)]
 #[command(version, about, max_term_width = 100, after_help = AFTER_HELP)]
 pub struct Cli {
@@ -39,23 +40,23 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Align, calibrate, merge, tone-map and write
+    /// Align and merge a bracket; write radiance and a picture
     Merge(Box<commands::merge::Args>),
-    /// Find the brackets in folders, and merge them all
+    /// Find the brackets in folders and merge them all
     Batch(Box<commands::batch::Args>),
-    /// Align only: transforms as JSON, aligned frames as TIFF
+    /// Align a bracket; write transforms and aligned frames
     Align(commands::align::Args),
-    /// Recover a camera's response from one or many brackets, save and draw it
+    /// Recover the response of a camera from one or more brackets
     Response(commands::response::Args),
-    /// Tables and drawings of what the alignment rests on: look before, or find out why
+    /// Draw how a bracket was aligned: bitmaps, keypoints, matches, edges
     Inspect(commands::inspect::Args),
-    /// Tone-map a radiance map again, without merging again
+    /// Tone-map a radiance map, or convert it
     Tonemap(commands::tonemap::Args),
-    /// Are two radiance maps, or two pictures, the same within a tolerance? The exit code says
+    /// Compare two radiance maps or two pictures, within a tolerance
     Compare(commands::compare::Args),
-    /// Print what a shell needs to complete commands and options
+    /// Print the completion script of a shell
     Completions(commands::completions::Args),
-    /// Print the man page, or write those of all commands
+    /// Print the man page, or write the man pages of all commands
     Man(commands::man::Args),
 }
 
@@ -64,9 +65,9 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but a frame was left out, assumed or doubtful, the frames overlap by
-     less than half, or an exposure or the response was guessed
-  compare: 0 the same, 1 they differ, 2 trouble
+  3  with --strict: written, but degraded: a frame was rejected, assumed or uncertain, the frames
+     overlap by less than half, or an exposure or the response was estimated
+  compare: 0 same, 1 different, 2 error
   batch: 0 all brackets done, 1 none, 3 some
 
 Examples:
@@ -75,12 +76,12 @@ Examples:
   hdralign batch /media/card -d merged
   hdralign align *.jpg --save-aligned aligned_
   hdralign response *.jpg -o camera.json --plot camera.svg
-  hdralign inspect *.jpg -d look
+  hdralign inspect *.jpg -d inspection
   hdralign tonemap room.exr -o room.png
   hdralign compare golden/room.exr room.exr";
 
 impl Command {
-    /// As it is typed.
+    /// The name on the command line.
     fn name(&self) -> &'static str {
         match self {
             Command::Merge(_) => "merge",
@@ -131,13 +132,13 @@ fn run_command() -> ExitCode {
     ended(name, outcome)
 }
 
-/// The exit code of the command `name`; what failed is told.
+/// The exit code of the command `name`; an error is printed.
 fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
             process::interrupt::give_way();
-            // The library knows of no commands.
+            // The library does not know the commands.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
@@ -146,13 +147,13 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
             for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
                 say(format_args!("{}{line}", if i == 0 { "hdralign: " } else { "          " }));
             }
-            // 1 is the answer of `compare` that files differ: trouble is something else.
+            // In `compare`, 1 means that the files differ.
             ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
     }
 }
 
-/// Help and the version, which are results, or what is wrong with the arguments.
+/// Prints the help or the version on stdout, or an error of the arguments on stderr.
 fn answer(asked: &clap::Error) -> ExitCode {
     let told = asked.print().and_then(|()| std::io::stdout().flush());
     match told.map_or_else(lost, Ok) {
@@ -164,44 +165,44 @@ fn answer(asked: &clap::Error) -> ExitCode {
     }
 }
 
-/// Tells what was done, and gives the exit code.
-fn finish(report: &Report, common: &Common) -> Result<ExitCode, Error> {
-    if !common.aligned.work.quiet {
-        summary::print(report, common.verbose);
+/// Prints the summary and the results, and returns the exit code.
+fn finish(report: &Report, options: &Results) -> Result<ExitCode, Error> {
+    if !options.work.quiet {
+        summary::print(report, options.verbose);
     }
     let mut results = String::new();
-    if common.json {
+    if options.json {
         results = report.to_json();
     } else {
-        let own = common.report().map(|path| path.to_string_lossy().into_owned());
+        let own = options.report().map(|path| path.to_string_lossy().into_owned());
         results.extend(report.outputs.iter().cloned().chain(own).map(|path| path + "\n"));
     }
     tell(&results)?;
-    Ok(exit_code(common.aligned.work.strict && report.is_degraded()))
+    Ok(exit_code(options.work.strict && report.is_degraded()))
 }
 
-/// 3 where the result is less than what was asked for and that matters.
+/// 3 if `degraded`, else 0.
 fn exit_code(degraded: bool) -> ExitCode {
     if degraded { ExitCode::from(3) } else { ExitCode::SUCCESS }
 }
 
-/// Puts results on stdout.
+/// Prints results on stdout.
 fn tell(results: &str) -> Result<(), Error> {
     let mut stdout = std::io::stdout().lock();
     stdout.write_all(results.as_bytes()).and_then(|()| stdout.flush()).or_else(lost)
 }
 
-/// What it means that stdout took no more: a reader that has heard enough is no failure, for files are written.
+/// Handles a failed write to stdout. A closed pipe is not an error, because the files are written.
 fn lost(source: std::io::Error) -> Result<(), Error> {
     if source.kind() == std::io::ErrorKind::BrokenPipe {
         return Ok(());
     }
-    let words = format!("{source}; send it elsewhere (files that were to be written are, and are whole)");
+    let words = format!("{source}; redirect it to another place (the result files are complete)");
     let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, words);
     Err(Error::Write { path: "standard output".into(), source })
 }
 
-/// Puts a line on stderr. Where nobody can have it, as on a full disk or by a pipe whose reader is gone, the work goes on all the same.
+/// Prints a line on stderr. Failures are ignored: a full disk or a closed pipe must not stop the run.
 fn say(line: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

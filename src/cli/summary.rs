@@ -1,4 +1,4 @@
-//! What was done, in words for people, on stderr: six lines, one more where something moved and where white is balanced, and the warnings before them.
+//! The summary on stderr: warnings, then six lines, and one more each if something moved and if the white balance was changed.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
@@ -7,10 +7,10 @@ use hdralign::report::{FrameReport, Report, WarningReport};
 use hdralign::tonemap::adjust::Light;
 use std::path::Path;
 
-/// Columns of the labels.
+/// Width of the labels, in columns.
 const LABEL: usize = 11;
-/// Under this confidence a place is doubtful.
-const DOUBTFUL: f64 = 0.5;
+/// Frames with a lower confidence are reported as uncertain.
+const UNCERTAIN: f64 = 0.5;
 
 /// Prints the warnings and a summary of `report`; with `verbose`, a line for each frame and the time of each stage.
 pub fn print(report: &Report, verbose: bool) {
@@ -25,7 +25,7 @@ pub fn print(report: &Report, verbose: bool) {
     lines(report, &terminal).iter().for_each(say);
 }
 
-/// Prints warnings, each in as many lines as the terminal needs.
+/// Prints warnings, wrapped to the width of the terminal.
 pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
     for warning in warnings {
         let label = "warning:";
@@ -54,14 +54,14 @@ fn times(report: &Report) -> String {
     spent.join(", ")
 }
 
-/// The lines: what was merged, how it was aligned, what moved, what is missing, the range, the files, the time.
+/// The lines: size, alignment, movement, white balance, frames used, range, files, time.
 fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let merged = if report.radiance.is_some() { "merged" } else { "read" };
-    let doubts = doubts(report, terminal.room(LABEL));
-    let left_out = if doubts.is_empty() {
-        terminal.good("nothing left out, nothing doubtful")
+    let problems = problems(report, terminal.room(LABEL));
+    let frames = if problems.is_empty() {
+        terminal.good(&format!("all {} used", report.frames.len()))
     } else {
-        terminal.doubtful(&doubts)
+        terminal.doubtful(&problems)
     };
     let row = |label: &str, text: &str| {
         let label = terminal.strong(&format!("{label:LABEL$}"));
@@ -72,7 +72,7 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
         Some(row("aligned", &aligned(report, terminal.room(LABEL)))),
         movement(report).map(|moved| row("movement", &moved)),
         report.white_balance.map(|light| row("white", &white(light))),
-        Some(format!("{}{left_out}", terminal.strong(&format!("{:LABEL$}", "doubts")))),
+        Some(format!("{}{frames}", terminal.strong(&format!("{:LABEL$}", "frames")))),
         Some(row("range", &range(report))),
         Some(row("files", &files(&report.outputs, terminal.room(LABEL)))),
         Some(row("time", &duration(report.time_s.total))),
@@ -80,12 +80,12 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     all.into_iter().flatten().collect()
 }
 
-/// The light that the picture shows as white, as it is typed.
+/// The white balance of the picture, as an option.
 pub fn white(light: Light) -> String {
-    format!("the light of --white-balance {light}")
+    format!("--white-balance {light}")
 }
 
-/// How much moved, and where most; none where nothing did or it was not sought.
+/// How much moved, and where most of it is. `None` if nothing moved or deghosting is off.
 fn movement(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let place = ghosts.place((report.crop.width_px, report.crop.height_px))?;
@@ -96,18 +96,18 @@ fn movement(report: &Report) -> Option<String> {
     Some(format!("{percent} % of the picture, most of it {place}; removed"))
 }
 
-/// Photographs, and the size of what came of them.
+/// The number of frames merged, and the size of the result.
 fn size(report: &Report) -> String {
     let (width, height) = (report.crop.width_px, report.crop.height_px);
     let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none()).count();
     let all = report.frames.len();
-    let count = if merged == all { format!("{all} photographs") } else { format!("{merged} of {all} photographs") };
+    let count = if merged == all { format!("{all} frames") } else { format!("{merged} of {all} frames") };
     let megapixels = (width * height) as f64 / 1e6;
     let megapixels = if megapixels >= 1.5 { format!(" ({megapixels:.0} megapixels)") } else { String::new() };
     format!("{count}, {width} x {height} pixels{megapixels}")
 }
 
-/// How far photographs moved, in `room` columns.
+/// How far the frames moved, in at most `room` columns.
 fn aligned(report: &Report, room: usize) -> String {
     let with = |status| report.frames.iter().filter(move |f| f.alignment.status == status);
     let (moved, unmoved) = (with(Status::Aligned).count(), with(Status::Unmoved).count());
@@ -115,7 +115,7 @@ fn aligned(report: &Report, room: usize) -> String {
         |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
     let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
     let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
-    // The estimate is no better than that.
+    // The estimate is not more accurate than this.
     let error = largest(&|f| f.alignment.error_px).max(0.1);
     let mut words = Vec::new();
     if moved > 0 {
@@ -123,68 +123,68 @@ fn aligned(report: &Report, room: usize) -> String {
         words.push(format!("{moved} moved by up to {shift:.1} px{turn}, to within {error:.1} px"));
     }
     if unmoved > 0 {
-        words.push(format!("{unmoved} as {} lay", if unmoved == 1 { "it" } else { "they" }));
+        words.push(format!("{unmoved} unmoved"));
     }
     let assumed = with(Status::Assumed).count();
     if assumed > 0 {
-        words.push(format!("{assumed} assumed, too dark or bright to align"));
+        words.push(format!("{assumed} assumed (too dark or too bright to align)"));
     }
     if let Some(path) = &report.transforms_from {
-        words.push(format!("places taken from {}", name(path)));
+        words.push(format!("transforms from {}", name(path)));
     }
-    // What comes last is what matters least.
+    // The last part matters least.
     while words.len() > 1 && words.join("; ").chars().count() > room {
         words.pop();
     }
-    if words.is_empty() { "nothing to the reference".into() } else { words.join("; ") }
+    if words.is_empty() { "only the reference frame".into() } else { words.join("; ") }
 }
 
-/// What is missing or guessed, in `room` columns; empty where nothing is.
-fn doubts(report: &Report, room: usize) -> String {
+/// Frames that are not used or uncertain, and what was estimated, in at most `room` columns. Empty if there are none.
+fn problems(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
     let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
-    // Where nothing else moved there is no doubt in them.
+    // If the camera did not move in the other frames, assumed frames are certain.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
-    let doubtful = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < DOUBTFUL);
+    let uncertain = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < UNCERTAIN);
     let flash = which(&|f| f.alignment.status == Status::Flash);
     let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
-    let named = rejected.len() + flash.len() + assumed.len() + doubtful.len() + usize::from(is_local);
+    let named = rejected.len() + flash.len() + assumed.len() + uncertain.len() + usize::from(is_local);
     let is_guessed = report.warnings.iter().filter(|w| w.degrades).count() > named;
-    let told = |most: usize| {
+    let listed = |most: usize| {
         let some = |label: &str, frames: &[&FrameReport]| {
             let names: Vec<&str> = frames.iter().take(most).map(|f| name(&f.path)).collect();
             let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
-        let guessed = is_guessed.then(|| "something was guessed: see the warnings".to_owned());
-        let local = is_local.then(|| "frames locally processed by the camera".to_owned());
+        let guessed = is_guessed.then(|| "some values are estimates, see the warnings".to_owned());
+        let local = is_local.then(|| "frames tone-mapped locally by the camera".to_owned());
         let parts = [
-            some(" left out", &rejected),
+            some(" rejected", &rejected),
             some(" excluded", &excluded),
             some(" assumed", &assumed),
-            some(" doubtful", &doubtful),
+            some(" uncertain", &uncertain),
             local,
             guessed,
         ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
-    // By name as far as there is room.
-    let full = [8, 1].map(told).into_iter().find(|words| words.chars().count() <= room);
-    full.unwrap_or_else(|| shortened(&told(0), room))
+    // With names if they fit.
+    let full = [8, 1].map(listed).into_iter().find(|words| words.chars().count() <= room);
+    full.unwrap_or_else(|| shortened(&listed(0), room))
 }
 
-/// What the exposures span, and what the result holds.
+/// The range of the exposures and of the result.
 fn range(report: &Report) -> String {
     let evs = || {
         let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none());
         merged.map(|f| f.relative_exposure.log2())
     };
     let span = evs().fold(f64::NEG_INFINITY, f64::max) - evs().fold(f64::INFINITY, f64::min);
-    let mut words = vec![format!("exposures {:.1} stops apart", span.max(0.0))];
+    let mut words = vec![format!("exposures span {:.1} stops", span.max(0.0))];
     if let Some(merged) = &report.radiance {
         let scene = &merged.radiance;
-        words.extend(merged.range_stops.map(|stops| format!("the result holds {stops:.1} stops")));
+        words.extend(merged.range_stops.map(|stops| format!("the result {stops:.1} stops")));
         if report.calibration.is_some() {
             words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
         }
@@ -192,7 +192,7 @@ fn range(report: &Report) -> String {
     words.join(", ")
 }
 
-/// The files; where they do not fit, a name that several share is said once, and so is the folder.
+/// The files. If they do not fit, a common name is listed once with all extensions, and the folder once.
 fn files(outputs: &[String], room: usize) -> String {
     let Some(first) = outputs.first() else { return "none written".into() };
     let whole = outputs.join(", ");
@@ -221,7 +221,7 @@ fn name(path: &str) -> &str {
     Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
 }
 
-/// Time that went by, in words.
+/// A duration, as `8.5 s` or `3 min 20 s`.
 pub fn duration(seconds: f64) -> String {
     if seconds < 90.0 {
         format!("{seconds:.1} s")
@@ -229,7 +229,7 @@ pub fn duration(seconds: f64) -> String {
         format!("{} min {:02} s", (seconds / 60.0) as u64, (seconds % 60.0) as u64)
     }
 }
-/// One frame on a line.
+/// A line on one frame.
 fn line(frame: &FrameReport) -> String {
     let place = &frame.alignment;
     let ev = frame.relative_exposure.log2();
@@ -238,13 +238,13 @@ fn line(frame: &FrameReport) -> String {
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
         Status::Assumed => "assumed",
-        Status::Rejected => "left out",
+        Status::Rejected => "rejected",
         Status::Excluded => "excluded",
-        Status::Flash => "excluded, for the flash fired",
+        Status::Flash => "excluded (the flash fired)",
     };
     let mut text = format!("{}: {ev:+.1} EV", frame.path);
     if frame.exposure_correction_stops != 0.0 {
-        text += &format!(" ({:+.2} by the pixels)", frame.exposure_correction_stops);
+        text += &format!(" ({:+.2} by correction)", frame.exposure_correction_stops);
     }
     text += &format!(", {status}");
     if let (Status::Aligned | Status::Assumed, Some([dx, dy]), Some(angle)) =
@@ -309,19 +309,19 @@ mod tests {
                 }
             }
         }
-        assert_eq!(seen[0][0], "read       3 photographs, 1200 x 800 pixels");
-        assert_eq!(seen[0][1], "aligned    2 as they lay");
-        assert_eq!(seen[0][2], "doubts     nothing left out, nothing doubtful");
+        assert_eq!(seen[0][0], "read       3 frames, 1200 x 800 pixels");
+        assert_eq!(seen[0][1], "aligned    2 unmoved");
+        assert_eq!(seen[0][2], "frames     all 3 used");
         assert!(
-            seen[0][3].starts_with("range      exposures ") && seen[0][3].ends_with(" stops apart"),
+            seen[0][3].starts_with("range      exposures span ") && seen[0][3].ends_with(" stops"),
             "{}",
             seen[0][3]
         );
         assert_eq!([&seen[0][4], &seen[1][4]], ["files      none written", "files      room.exr, room.png"]);
-        assert!(seen[2][0].contains("2 of 3") && seen[2][2] == "doubts     1 left out", "{:?}", seen[2]);
+        assert!(seen[2][0].contains("2 of 3") && seen[2][2] == "frames     1 rejected", "{:?}", seen[2]);
         assert!(seen[2][4].contains("IMG_0001-IMG_0003.exr, .png, .hdr in /home"), "{}", seen[2][4]);
         assert!(seen[3][1].contains("1 moved by up to 5.0 px"), "{}", seen[3][1]);
-        assert_eq!(seen[3][2], "doubts     1 left out: dark.jpg; 1 doubtful: bright.jpg");
+        assert_eq!(seen[3][2], "frames     1 rejected: dark.jpg; 1 uncertain: bright.jpg");
         assert_eq!(seen[3][5], "time       3 min 20 s");
     }
 }

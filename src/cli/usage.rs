@@ -1,12 +1,12 @@
-//! Wrong usage as it is told: with tips that may be meant, and the usage of the command.
+//! Errors of the arguments: with likely suggestions only, and the usage of the command.
 //!
-//! In: the parser's error. Out: the same, without what misleads. The parser takes `--resize` for `--response`, and shows the usage of what it took it
-//! for. Cost: none.
+//! In: the error of clap. Out: the same without misleading parts: clap suggests `--response` for `--resize`, and shows the usage of the option that it
+//! suggests. Cost: none.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};
 
-/// `error` of the arguments of `command` in `program`, with the usage of that and with tips that are likely.
+/// Returns `error` with the usage of `command` in `program`, and with likely suggestions only.
 pub fn told(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
     for (typed, tip) in [
         (ContextKind::InvalidArg, ContextKind::SuggestedArg),
@@ -26,7 +26,7 @@ pub fn told(mut error: Error, program: &mut Command, command: Option<&str>) -> E
             error.insert(tip, likely);
         }
     }
-    // No tip, which would be an empty line.
+    // An empty suggestion would print an empty line.
     if error.get(ContextKind::Suggested) == Some(&ContextValue::StyledStrs(Vec::new())) {
         error.remove(ContextKind::Suggested);
     }
@@ -38,7 +38,7 @@ pub fn told(mut error: Error, program: &mut Command, command: Option<&str>) -> E
     error
 }
 
-/// Whether who typed `typed` may have meant `name`: by at most one typing error in three letters, as rustc judges names
+/// Whether `typed` may be a typing error of `name`: at most one error in three letters, as in rustc
 /// (`rustc_span::edit_distance`).
 fn is_likely(typed: &str, name: &str) -> bool {
     let (typed, name) = (typed.trim_start_matches('-'), name.trim_start_matches('-'));

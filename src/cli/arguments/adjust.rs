@@ -1,48 +1,50 @@
-//! Arguments on what is changed of the picture, with every operator in the same way.
+//! Arguments that adjust the picture, with the same meaning for every operator.
 
 use crate::cli::heading::PICTURE;
 use clap::Args;
 use hdralign::tonemap::adjust::{Options, WhiteBalance};
 
-/// What is changed of the picture.
+/// Adjustments of the picture.
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Adjust {
-    /// Set the white balance of the picture [default: as-shot]
+    /// Set the white balance: as-shot, auto, KELVIN[,TINT], grey spot X,Y
     ///
-    /// auto estimates the light. KELVIN is its temperature, 2000 to 25000: below 6504 the picture becomes cooler, above it warmer. TINT is -150
-    /// to 150: above 0 the picture becomes more magenta. X,Y is a grey spot of the result, before --resize; write spot:2400,100 where the
-    /// numbers could be a temperature and a tint. Radiance is not changed
-    #[arg(long, value_name = "auto|as-shot|KELVIN[,TINT]|X,Y", default_value_t, hide_default_value = true)]
+    /// as-shot, the default, changes nothing. auto estimates the light. KELVIN[,TINT] is the light that becomes white: a temperature from 2000 to 25000 (below
+    /// 6504 the picture becomes cooler, above it warmer) and a tint from -150 to 150 (above 0 the picture becomes more magenta). X,Y is a grey
+    /// spot of the result, before --resize; write spot:2400,100 if the numbers could also be a temperature and a tint. Radiance is not changed
+    #[arg(long, value_name = "WHITE", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,
 
-    /// Make the picture brighter or darker, -5 to 5
+    /// Make the picture brighter or darker, -5 to 5 [default: 0]
     ///
     /// The unit is a stop in the dark parts and less towards white, so that nothing is clipped
     #[arg(long, value_name = "EV", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     brightness: f64,
 
-    /// Change the contrast about middle grey: -100 (half) to 100 (twice)
-    #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
+    /// Change the contrast, -100 (half) to 100 (twice) [default: 0]
+    ///
+    /// Middle grey keeps its brightness
+    #[arg(long, value_name = "N", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     contrast: f64,
 
-    /// Change the saturation: -100 (grey) to 100 (twice)
-    #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
+    /// Change the saturation, -100 (grey) to 100 (twice) [default: 0]
+    #[arg(long, value_name = "N", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     saturation: f64,
 
-    /// Make the shadows brighter or darker, -100 to 100
+    /// Make the shadows brighter or darker, -100 to 100 [default: 0]
     ///
     /// 100 is two stops in the darkest parts. Local contrast is kept
-    #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     shadows: f64,
 
-    /// Make the highlights brighter or darker, -100 to 100
-    #[arg(long, value_name = "-100..100", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
+    /// Make the highlights brighter or darker, -100 to 100 [default: 0]
+    #[arg(long, value_name = "N", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     highlights: f64,
 }
 
 impl Adjust {
-    /// What is changed.
+    /// The adjustments of the library.
     pub fn options(&self) -> Options {
         Options {
             white_balance: self.white_balance,

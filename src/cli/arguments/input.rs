@@ -15,11 +15,13 @@ use hdralign::scratch::MemoryLimit;
 use hdralign::write;
 use std::path::{Path, PathBuf};
 
-/// How photographs are aligned, whichever they are.
+/// Exposures and method of alignment.
 #[derive(Debug, Args)]
 pub struct Method {
-    /// Set the exposures in EV, one for each photograph in the order given, instead of those of EXIF
-    #[arg(short, long, help_heading = INPUT, value_name = "EV,EV,...", value_delimiter = ',', allow_hyphen_values = true)]
+    /// Set the exposures in EV, in the order of the photographs
+    ///
+    /// They replace those in EXIF, and are used even if they contradict the pixels
+    #[arg(short, long, help_heading = INPUT, value_name = "EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
     /// Set the alignment method
@@ -35,30 +37,33 @@ pub struct Method {
     robust: RobustMethod,
 }
 
-/// Threads, memory, and what is replaced and printed.
+/// Threads, memory, and the options of every command that reads photographs.
 #[derive(Debug, Args)]
 #[command(next_help_heading = RESOURCES)]
 pub struct Work {
-    /// Set the number of threads [default: one for each core]; results do not depend on it
+    /// Set the number of threads [default: one for each core]
+    ///
+    /// Results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
 
-    /// Limit the memory, as 500MB or 4GB [default: three quarters of what is free]
+    /// Limit the memory, as 4GB [default: three quarters of what is free]
     ///
-    /// What does not fit is kept in a temporary file in the --scratch folder. Results do not depend on it
+    /// What does not fit is kept in a temporary file in the --scratch folder. Results do not depend on the limit
     #[arg(long, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 
     #[command(flatten)]
     pub largest: Largest,
 
-    /// Set the folder for what does not fit into memory [default: that of the first result, or the system's temporary folder]
+    /// Set the folder of the temporary file for what does not fit into memory [default: the folder of the first result, or the system's temporary folder]
     #[arg(long, hide_short_help = true, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
-    /// Exit with 3 when the result is doubtful
+    /// Exit with code 3 if the result is degraded
     ///
-    /// That is: a frame was left out or is doubtful, the frames overlap by less than half, or an exposure or the response was guessed
+    /// A result is degraded if a frame was rejected or is uncertain, the frames overlap by less than half, or an exposure or the response was
+    /// estimated
     #[arg(long, help_heading = OUTPUT)]
     pub strict: bool,
 
@@ -66,12 +71,14 @@ pub struct Work {
     #[arg(short, long, help_heading = OUTPUT)]
     pub force: bool,
 
-    /// No progress, summary or warnings; results are still listed on stdout
+    /// Print no progress, summary or warnings
+    ///
+    /// Errors are printed, and results are listed on stdout
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
 
-/// How large what is read may be.
+/// Limit on the size of images.
 #[derive(Debug, Args)]
 pub struct Largest {
     /// Limit the pixels of an image, as 800M or 2G [default: 500M]; larger images are rejected before they are decoded
@@ -80,91 +87,96 @@ pub struct Largest {
 }
 
 impl Largest {
-    /// Pixels, where the user says so.
+    /// The limit in pixels, if it was given.
     pub fn given(&self) -> Option<u64> {
         self.max_pixels
     }
 
-    /// Pixels, as given or by default.
+    /// The limit in pixels, as given or by default.
     pub fn pixels(&self) -> u64 {
         self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
     }
 }
 
-/// What files that are read as they are may ask for.
+/// Limits of the commands that read whole files.
 #[derive(Debug, Args)]
 pub struct Reading {
     #[command(flatten)]
     largest: Largest,
 
-    /// Limit the memory, as 500MB or 4GB [default: three quarters of what is free]; files that need more are rejected
+    /// Limit the memory, as 4GB [default: three quarters of what is free]
+    ///
+    /// Files that need more are rejected
     #[arg(long, help_heading = RESOURCES, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 }
 
 impl Reading {
-    /// The same, as limits.
+    /// The limits of the library.
     pub fn limits(&self) -> Limits {
         let memory = allowed(self.max_memory).map(|bytes| bytes.saturating_sub(MemoryLimit::PROGRAM));
         Limits { max_pixels: self.largest.pixels(), memory }
     }
 }
 
-/// Bytes of memory that may be used: those `given`, or three quarters of what is free, where that can be told.
+/// The memory limit in bytes: as `given`, or three quarters of the free memory if that is known.
 fn allowed(given: Option<u64>) -> Option<u64> {
     given.or_else(|| Some(memory::free()? / 4 * 3))
 }
 
-/// What the photographs are, and how they are aligned.
+/// The photographs, and how they are aligned.
 #[derive(Debug, Args)]
 pub struct Aligned {
     /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
 
-    /// Set the frame that the others are aligned to: its number in the order given, from 1, or its file name
-    #[arg(long, help_heading = INPUT, value_name = "N|FILE")]
+    /// Set the reference frame: its number, from 1, or its file name
+    ///
+    /// The others are aligned to it, and the results show its view. Numbers count in the order given. By default it is the best exposed frame
+    #[arg(long, help_heading = INPUT, value_name = "FRAME")]
     reference: Option<String>,
 
     #[command(flatten)]
     method: Method,
 
-    /// Leave this photograph out; may be repeated
+    /// Exclude a photograph; may be repeated
     #[arg(long, help_heading = INPUT, hide_short_help = true, value_name = "FILE")]
     leave_out: Vec<PathBuf>,
 
-    /// Do not align this photograph: it did not move; may be repeated
+    /// Merge a photograph without aligning it; may be repeated
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     unmoved: Vec<PathBuf>,
-
-    #[command(flatten)]
-    pub work: Work,
 }
 
-/// Which part of the reference is shown.
+/// The part of the reference frame in the results.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// Crop the results: to the area that all frames cover, not at all, or to these pixels of the reference frame
+    /// Crop the results: common, none, or X,Y,WIDTH,HEIGHT
     ///
-    /// Where not all frames cover the area, those that do are merged
-    #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "common|none|X,Y,WIDTH,HEIGHT")]
+    /// common is the area that all frames cover. X,Y,WIDTH,HEIGHT are pixels of the reference frame. Where not all frames cover the area, those that do are merged
+    #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "AREA")]
     pub crop: Crop,
 }
 
-/// The same, and how what comes of it is cut and told.
+/// The photographs, how they are aligned, and a file for their transforms.
 #[derive(Debug, Args)]
 pub struct Common {
     #[command(flatten)]
     pub aligned: Aligned,
 
-    /// Read the transforms from FILE (JSON), or write them to it where it does not exist; it is never replaced
+    /// Read the transforms from FILE (JSON), or write them to it if it does not exist; it is never replaced
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     transforms: Option<PathBuf>,
+}
 
+/// Options on the results of `merge` and `align`.
+#[derive(Debug, Args)]
+pub struct Results {
     #[command(flatten)]
     cut: Cut,
 
-    /// Write a report: .html to look at, .json for programs
+    /// Write a report: .html for people, .json for programs
     #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
@@ -175,15 +187,18 @@ pub struct Common {
     /// Print a line for each frame and the time of each stage
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     pub verbose: bool,
+
+    #[command(flatten)]
+    pub work: Work,
 }
 
-/// The file for the report; `-` is what other programs take for standard output.
+/// The file of the report. `-` means standard output in other programs, so it is rejected with the right option.
 fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
 impl Method {
-    /// The library's options that these arguments stand for; all others as by default.
+    /// The library's options for these arguments; all others have their defaults.
     pub fn options(&self) -> Options {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
@@ -199,31 +214,31 @@ impl Method {
 }
 
 impl Work {
-    /// How much memory may be used; what does not fit goes to `folder`, unless another is named.
+    /// The memory limit. What does not fit is kept in `folder`, or in that of `--scratch`.
     pub fn memory(&self, folder: impl FnOnce() -> PathBuf) -> Option<MemoryLimit> {
         Some(MemoryLimit { bytes: allowed(self.max_memory)?, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
 }
 
 impl Aligned {
-    /// The library's options that these arguments stand for; all others as by default.
-    pub fn options(&self) -> Options {
+    /// The library's options for these arguments and `work`; all others have their defaults.
+    pub fn options(&self, work: &Work) -> Options {
         let options = self.method.options();
         Options {
             load: LoadOptions {
                 reference: self.reference(),
-                max_pixels: self.work.largest.pixels(),
-                memory: self.work.memory(std::env::temp_dir),
+                max_pixels: work.largest.pixels(),
+                memory: work.memory(std::env::temp_dir),
                 ..options.load
             },
             align: AlignOptions { given: self.given(), ..options.align },
-            write: write::Options { overwrite: self.work.force, ..write::Options::default() },
-            threads: self.work.threads,
+            write: write::Options { overwrite: work.force, ..write::Options::default() },
+            threads: work.threads,
             ..options
         }
     }
 
-    /// What the user says of single frames.
+    /// What the user set for single frames.
     fn given(&self) -> Vec<Preset> {
         let all = |paths: &[PathBuf], place: PresetTransform| {
             paths.iter().map(|p| Preset { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
@@ -231,7 +246,7 @@ impl Aligned {
         [all(&self.leave_out, PresetTransform::Excluded), all(&self.unmoved, PresetTransform::Unmoved)].concat()
     }
 
-    /// A number, unless a file of that name was given.
+    /// The reference frame: a number, unless a photograph has this name.
     fn reference(&self) -> ReferenceChoice {
         match &self.reference {
             None if self.leave_out.is_empty() => ReferenceChoice::Auto,
@@ -246,19 +261,19 @@ impl Aligned {
     }
 }
 
-impl Common {
+impl Results {
     /// The file for the report.
     pub fn report(&self) -> Option<&Path> {
         self.report.as_deref()
     }
 
-    /// The library's options that these arguments stand for; all others as by default.
-    pub fn options(&self) -> Options {
+    /// The library's options for these arguments; all others have their defaults.
+    pub fn options(&self, common: &Common) -> Options {
         Options {
             crop: self.cut.crop,
-            transforms: self.transforms.clone(),
+            transforms: common.transforms.clone(),
             report: self.report.clone(),
-            ..self.aligned.options()
+            ..common.aligned.options(&self.work)
         }
     }
 }

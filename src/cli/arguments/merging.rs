@@ -1,4 +1,4 @@
-//! Arguments on merging: from aligned photographs to radiance and a picture, whichever they are.
+//! Arguments of the commands that merge: from aligned frames to radiance and a picture.
 
 use crate::cli::arguments::choice::choice;
 use crate::cli::arguments::picture::Picture;
@@ -15,7 +15,7 @@ use hdralign::merge::weight::Weight;
 use hdralign::pipeline::Options;
 use hdralign::write;
 
-/// How radiance and the picture come about.
+/// How frames are merged, and how the results are written.
 #[derive(Debug, Args)]
 #[command(next_help_heading = MERGE)]
 pub struct Merging {
@@ -26,12 +26,13 @@ pub struct Merging {
     #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
     weight: Weight,
 
-    /// Remove ghosts: what moved is shown as in the reference frame
+    /// Remove ghosts: auto, off, or a strength from 0 to 1
     ///
-    /// A strength is 0 (only what differs plainly) to 1 (whatever may differ); auto is 0.5. off merges all frames everywhere
+    /// What moved is shown as in the reference frame. Strength 0 removes only what differs plainly, 1 whatever may differ; auto is 0.5. off
+    /// merges all frames everywhere
     #[arg(
         long,
-        value_name = "auto|off|STRENGTH",
+        value_name = "STRENGTH",
         num_args = 0..=1,
         require_equals = true,
         default_value_t,
@@ -39,7 +40,7 @@ pub struct Merging {
     )]
     pub deghost: Deghost,
 
-    /// Subtract lens flare, where there is some
+    /// Subtract lens flare (veiling glare), if there is any
     #[arg(long, hide_short_help = true)]
     flare: bool,
 
@@ -71,7 +72,7 @@ pub struct Merging {
 }
 
 impl Merging {
-    /// `options` with what these arguments say.
+    /// `options`, changed by these arguments.
     pub fn options(&self, options: Options) -> Result<Options, Error> {
         Ok(Options {
             load: LoadOptions { keep_gps: self.keep_gps, ..options.load },

@@ -1,4 +1,4 @@
-//! Arguments on the picture that is written: bits, colours, size, and what is changed of it.
+//! Arguments on the picture: bit depth, colour space, size, adjustments.
 
 use crate::cli::arguments::adjust::Adjust;
 use crate::cli::arguments::choice::choice;
@@ -19,10 +19,10 @@ pub struct Picture {
     #[arg(long, hide_short_help = true, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
     picture_colour: Colours,
 
-    /// Make the picture smaller: pixels of its longest side, as 2048, or 50%
+    /// Shrink the picture: pixels of its longest side, or percent
     ///
-    /// It is resized in linear light and never enlarged. Radiance is never resized
-    #[arg(long, value_name = "PIXELS|PERCENT%")]
+    /// As in 2048 or 50%. It is resized in linear light and never enlarged. Radiance is never resized
+    #[arg(long, value_name = "SIZE")]
     resize: Option<Size>,
 
     #[command(flatten)]
@@ -30,7 +30,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// How pictures are made.
+    /// The options of the library.
     pub fn options(&self) -> picture::Options {
         picture::Options {
             depth: self.bit_depth,

@@ -43,7 +43,7 @@ pub struct Radiance {
     gain_map: Resolution,
 }
 
-/// A colour space that radiance is converted to, if any. clap would take a bare `Option` for an argument that may be missing.
+/// A colour space that radiance is converted to, if any. A type of its own, because clap treats an `Option` as an optional argument.
 #[derive(Debug, Clone)]
 struct Target(Option<Space>);
 
@@ -51,7 +51,7 @@ struct Target(Option<Space>);
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
-    let keep = (Target(None), KEEP, "The space of the photographs' profile, or of the radiance map");
+    let keep = (Target(None), KEEP, "The colour space of the photographs' profile, or of the radiance map");
     let spaces = Space::iter().map(named).map(|(space, name, about)| (Target(Some(space)), name, about));
     [keep].into_iter().chain(spaces).collect()
 }
@@ -62,7 +62,7 @@ impl Radiance {
         self.colour.0
     }
 
-    /// How files are encoded; those that exist are replaced where `overwrite`.
+    /// How files are encoded; `overwrite` replaces existing files.
     pub fn write(&self, overwrite: bool) -> write::Options {
         write::Options {
             overwrite,

@@ -14,7 +14,7 @@ pub struct Tone {
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, as brightness=0.5; may be repeated. `--tmo-set help` lists them
+    /// Set a parameter of the operator, as brightness=0.5; may be repeated. `--tmo-set help` lists all
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }
@@ -28,44 +28,43 @@ fn renderings() -> Choice<Rendering> {
 }
 
 impl Tone {
-    /// The operator with what was set of it, for radiance alone.
+    /// The operator with its parameters, for commands that have radiance only.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
             Rendering::Toned(operator) => Ok(operator),
             Rendering::Fused(_) => {
-                let reason =
-                    "`mertens` fuses photographs, not radiance; give the bracket to `hdralign merge --tmo mertens`";
+                let reason = "mertens fuses frames, not radiance; use `hdralign merge --tmo mertens` on the bracket";
                 Err(Error::Option { option: "--tmo", reason: reason.into() })
             }
         }
     }
 
-    /// The rendering with what was set of it.
+    /// The rendering with its parameters.
     pub fn rendering(&self) -> Result<Rendering, Error> {
         let mut rendering = self.tmo.clone();
         for text in &self.tmo_set {
             let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
             let (key, value) = text
                 .split_once('=')
-                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in `brightness=0.5`")))?;
-            let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is no number")))?;
+                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in brightness=0.5")))?;
+            let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is not a number")))?;
             rendering.set(key.trim(), number)?;
         }
         Ok(rendering)
     }
 }
 
-/// The settings of the tone mapping that the command line names, where it asks for them by `--tmo-set help`. Nothing else need be given.
+/// The list of parameters, if the command line asks for it by `--tmo-set help`. No other argument is required then.
 pub fn settings_asked(command: clap::Command) -> Option<String> {
     let matches = command.ignore_errors(true).try_get_matches().ok()?;
     let (_, own) = matches.subcommand()?;
-    // An error where the command has no tone mapping.
+    // An error if the command has no tone mapping.
     own.try_contains_id("tmo_set").ok()?;
     let mut tone = Tone::from_arg_matches(own).ok()?;
     tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo))
 }
 
-/// What there is to be set of `rendering`.
+/// The parameters of `rendering`, their ranges and defaults.
 fn listed(rendering: &mut Rendering) -> String {
     let mut text = format!("--tmo {}: --tmo-set KEY=VALUE\n", rendering.name());
     for setting in rendering.settings() {

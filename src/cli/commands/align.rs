@@ -1,6 +1,7 @@
 //! `hdralign align`.
 
-use crate::cli::arguments::input::Common;
+use crate::cli::arguments::input::{Common, Results};
+use crate::cli::heading::OUTPUT;
 use crate::cli::process::leftovers;
 use crate::cli::progress::{Bar, Plan};
 use hdralign::error::Error;
@@ -10,8 +11,8 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Examples:
-  hdralign align *.jpg --transforms transforms.json   written; `merge --transforms` takes them
-  hdralign align *.jpg --save-aligned aligned_        aligned_IMG_0001.tif, ...
+  hdralign align *.jpg --transforms transforms.json   write the transforms, for `merge --transforms`
+  hdralign align *.jpg --save-aligned aligned_        write aligned_IMG_0001.tif and so on
   hdralign align --align mtb --max-rotation 10 *.jpg --json";
 
 #[derive(Debug, clap::Args)]
@@ -20,16 +21,19 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// Write the aligned frames, as TIFF: PREFIX and the photograph's name
-    #[arg(long, value_name = "PREFIX")]
+    /// Write the aligned frames as TIFF: PREFIX and the name of the photograph
+    #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
+
+    #[command(flatten)]
+    results: Results,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let options = Options { save_aligned: args.save_aligned.clone(), ..args.common.options() };
+    let options = Options { save_aligned: args.save_aligned.clone(), ..args.results.options(&args.common) };
     leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
-    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.common.aligned.work.quiet);
+    let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.results.work.quiet);
     let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();
-    crate::cli::finish(&report?, &args.common)
+    crate::cli::finish(&report?, &args.results)
 }

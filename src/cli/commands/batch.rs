@@ -1,11 +1,12 @@
 //! `hdralign batch`.
 
-mod found;
+pub mod found;
 mod night;
 
 use crate::cli::arguments::choice::choice;
 use crate::cli::arguments::input::{Cut, Method, Work};
 use crate::cli::arguments::merging::Merging;
+use crate::cli::heading::{INPUT, MERGE, MODE, OUTPUT, RESOURCES};
 use clap::parser::ValueSource;
 use clap::{ArgAction, ArgMatches, Parser};
 use hdralign::batch::find::{self, FindOptions};
@@ -22,43 +23,57 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Examples:
-  hdralign batch /media/card --dry-run                the brackets found, and what is left over and why
-  hdralign batch /media/card -d merged                merge them; again, and only what changed is done
-  hdralign batch scans --by-folder -e=-2,0,2          no EXIF: a folder a bracket, and the exposures
+  hdralign batch /media/card --dry-run                list the brackets
+  hdralign batch /media/card -d merged                merge them; a second run merges what changed
+  hdralign batch scans --by-folder -e=-2,0,2          without EXIF: one bracket a folder
   hdralign batch pano -d out --shared-response --normalize set --formats exr
-  hdralign batch /photos -d out --plan > plan.jsonl   for Snakemake, Slurm, GNU parallel: a line for each step,
-  hdralign batch --run plan.jsonl --id ID             one step,
-  hdralign batch --summarize plan.jsonl               and the summary of all";
+  hdralign batch /photos -d out --plan > plan.jsonl   plan for Snakemake, Slurm or GNU parallel
+  hdralign batch --run plan.jsonl --id ID             do one job of a plan
+  hdralign batch --summarize plan.jsonl               write the summary of a plan";
+
+const AFTER_LONG_HELP: &str = "\
+Without --dry-run, --plan, --run and --summarize, batch merges all brackets that it finds.
+A second run skips what is done. A plan lists the jobs for another scheduler: each job is done
+by --run PLAN --id ID, on any machine, and --summarize PLAN writes the summary at the end.
+
+Exit codes:
+  0  all brackets done
+  1  none done
+  2  wrong usage
+  3  some done; with --strict also if a result is degraded
+";
+
+/// Options that `-h` leaves to `--help`, besides those hidden in every command.
+const RARE: [&str; 9] =
+    ["align", "crop", "resize", "white_balance", "brightness", "contrast", "saturation", "shadows", "highlights"];
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = AFTER_HELP)]
+#[command(after_help = AFTER_HELP, after_long_help = format!("{AFTER_LONG_HELP}\n{AFTER_HELP}"))]
+#[command(mut_args(|arg| { let rare = RARE.contains(&arg.get_id().as_str()); if rare { arg.hide_short_help(true) } else { arg } }))]
 pub struct Args {
-    /// Folders to search, with all that is in them
+    /// The folders to search, with their subfolders
     #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name"])]
     folders: Vec<PathBuf>,
 
-    /// Print what was found, and what was left over and why; merge nothing
-    #[arg(long)]
+    /// List the brackets, and why other photographs are in none; merge nothing
+    #[arg(long, help_heading = MODE)]
     dry_run: bool,
 
-    /// Print the plan, a line of JSON for each step; merge nothing
-    #[arg(long, conflicts_with = "dry_run")]
+    /// Print the plan, a line of JSON for each job; merge nothing
+    #[arg(long, help_heading = MODE, conflicts_with = "dry_run")]
     plan: bool,
 
-    /// Do steps of the plan in this file, those named by --id
-    #[arg(long, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
+    /// Do the jobs of a plan that --id names
+    #[arg(long, help_heading = MODE, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
     run: Option<PathBuf>,
 
-    /// The step that is done; may be repeated
-    #[arg(long, value_name = "ID", requires = "run")]
+    /// Set the job of --run; may be repeated
+    #[arg(long, help_heading = MODE, value_name = "ID", requires = "run")]
     id: Vec<String>,
 
-    /// Write the summary of the plan in this file, by what its steps left behind
-    #[arg(long, value_name = "PLAN", conflicts_with_all = ["folders", "plan", "dry_run"])]
+    /// Write the summary of a plan from the results of its jobs
+    #[arg(long, help_heading = MODE, value_name = "PLAN", conflicts_with_all = ["folders", "plan", "dry_run"])]
     summarize: Option<PathBuf>,
-
-    #[command(flatten)]
-    places: Places,
 
     #[command(flatten)]
     finding: Finding,
@@ -66,92 +81,109 @@ pub struct Args {
     #[command(flatten)]
     acting: Acting,
 
-    /// Use this response for all: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree", "shared_response"])]
+    /// Read the response from a file: .json, .rsp or .csv
+    #[arg(long, help_heading = MERGE, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree", "shared_response"])]
     response: Option<PathBuf>,
 
-    /// One response for each camera, recovered from all its brackets before they are merged
-    #[arg(long)]
+    /// Recover one response for each camera, from all its brackets
+    #[arg(long, help_heading = MERGE)]
     shared_response: bool,
 
-    /// Brackets at a time [default: one for each core, as far as memory goes]; the results are the same
-    #[arg(long, value_name = "N")]
-    jobs: Option<usize>,
+    #[command(flatten)]
+    places: Places,
+
+    /// Print the summary as JSON to stdout instead of the files written
+    ///
+    /// With --dry-run: what was found
+    #[arg(long, help_heading = OUTPUT)]
+    json: bool,
+
+    /// Also print warnings, and brackets that were already done
+    #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
+    verbose: bool,
 
     #[command(flatten)]
     work: Work,
 
-    /// Print the summary to standard output, as JSON, instead of the paths written; with --dry-run what was found
-    #[arg(long)]
-    json: bool,
-
-    /// Say more: the warnings of each bracket, and which were done before
-    #[arg(short, long, conflicts_with = "quiet")]
-    verbose: bool,
+    /// Set the number of brackets merged at a time
+    ///
+    /// By default one for each core, as far as memory allows. Results do not depend on it
+    #[arg(long, help_heading = RESOURCES, value_name = "N")]
+    jobs: Option<usize>,
 }
 
-/// Where results go, and which there are.
+/// Names and formats of the results.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = OUTPUT)]
 struct Places {
-    /// The folder for results, made if it is not there; in it they lie as the photographs do [default: beside the photographs]
+    /// Set the folder for the results [default: beside the photographs]
+    ///
+    /// It gets the subfolders of the photographs
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
-    /// Names of results, without extension; `--name help` lists the fields
+    /// Set the names of the results; `--name help` lists the fields
     #[arg(long, value_name = "TEMPLATE", default_value = "{folder}/{first}-{last}")]
     name: String,
 
-    /// The results: exr, hdr, tif, png, jpg, with commas
+    /// Set the formats: exr, hdr, tif, png, jpg
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
-    /// Pictures beside the results, whatever the extension: tif (of codes), png, jpg, with commas; none that --formats has
+    /// Also write pictures in other formats: tif (8 or 16 bits), png, jpg
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
     pictures: Vec<String>,
 
-    /// Make a page to look at of each bracket, .html
+    /// Also write an HTML report for each bracket
     #[arg(long)]
     page: bool,
 }
 
-/// How brackets are told.
+/// How brackets are found.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = INPUT)]
 struct Finding {
-    /// Every bracket has N photographs; so those without EXIF are found too, by their names
+    /// Expect exactly N photographs in each bracket
+    ///
+    /// Photographs without EXIF are then counted by name
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
 
-    /// The longest pause within a bracket, in seconds, from the end of an exposure to the begin of the next [default: 120]
+    /// Set the longest pause in a bracket, in seconds [default: 120]
+    ///
+    /// From the end of an exposure to the start of the next
     #[arg(long, value_name = "SECONDS")]
     gap: Option<f64>,
 
-    /// Every folder is a bracket
+    /// Treat every folder as one bracket
     #[arg(long, conflicts_with_all = ["bracket", "gap"])]
     by_folder: bool,
 }
 
-/// What acts on the results: it stands in the plan.
+/// Options that change the results. They are part of the plan.
 #[derive(Debug, clap::Args)]
 struct Acting {
     #[command(flatten)]
     method: Method,
 
-    /// The photograph of each bracket that the others are aligned to: its number, from 1, in the order of time [default: the best]
-    #[arg(long, value_name = "N")]
+    /// Set the reference frame of each bracket: its number, from 1
+    ///
+    /// In the order of time. By default it is the best exposed frame
+    #[arg(long, help_heading = INPUT, value_name = "N")]
     reference: Option<usize>,
-
-    #[command(flatten)]
-    cut: Cut,
 
     #[command(flatten)]
     merging: Merging,
 
-    /// Set the exposure whose radiance is the unit
-    #[arg(long, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
+    /// Set which brackets get the same unit of radiance
+    #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
     normalize: Normalisation,
+
+    #[command(flatten)]
+    cut: Cut,
 }
 
-/// The options of a step, as its line has them.
+/// The options of a job, as in its line of the plan.
 #[derive(Debug, Parser)]
 #[command(no_binary_name = true)]
 struct Typed {
@@ -160,7 +192,7 @@ struct Typed {
 }
 
 impl Acting {
-    /// The library's options that these arguments stand for; files and limits are none of theirs.
+    /// The library's options for these arguments, without files and limits.
     fn options(&self) -> Result<Options, Error> {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
@@ -168,13 +200,13 @@ impl Acting {
         Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
-    /// Those of a step.
+    /// The options of `step`.
     fn of(step: &Step) -> Result<Options, Error> {
         let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", step.id) };
         Typed::try_parse_from(&step.options).map_err(|e| refused(e.to_string()))?.acting.options()
     }
 
-    /// What the user typed of them, in one word each.
+    /// The options that the user typed, each as one word.
     fn typed(matches: &ArgMatches) -> Vec<String> {
         let all = <Acting as clap::Args>::augment_args(clap::Command::new("batch"));
         let is_typed = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
@@ -204,7 +236,7 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
         return summarize(path, args);
     }
     if args.folders.is_empty() {
-        let reason = "no folder is given to search; name one or more".to_owned();
+        let reason = "no folder to search; give one or more".to_owned();
         return Err(Error::Option { option: "FOLDER", reason });
     }
     pipeline::start_threads()?;
@@ -244,12 +276,12 @@ impl Args {
         let twice = |option, reason| Err(Error::Option { option, reason });
         for (i, format) in formats.iter().enumerate() {
             if formats[..i].contains(format) {
-                return twice("--formats", format!("{format} stands there twice"));
+                return twice("--formats", format!("{format} is given twice"));
             }
         }
         for (i, format) in pictures.iter().enumerate() {
             if pictures[..i].contains(format) || formats.contains(format) {
-                let reason = format!("{format} stands there or in --formats already; a name has one file");
+                let reason = format!("{format} is given twice, here or in --formats");
                 return twice("--pictures", reason);
             }
         }
@@ -260,7 +292,7 @@ impl Args {
         let normalisation = self.acting.normalize;
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
             let reason =
-                "radiance in cd/m2 has one unit already; leave --absolute and --calibration-factor out, or this";
+                "radiance in cd/m2 already has one unit; leave out --normalize, or --absolute and --calibration-factor";
             return Err(Error::Option { option: "--normalize", reason: reason.into() });
         }
         Ok(Settings {
@@ -301,7 +333,7 @@ fn print_plan(steps: &[Step], found: &find::Found, args: &Args) -> Result<ExitCo
 /// `--run PLAN --id ID`.
 fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     if let Some(option) = typed.first() {
-        let reason = format!("{option} acts on the results, and those stand in the plan; plan again with it");
+        let reason = format!("{option} changes the results, so it must be given with --plan");
         return Err(Error::Option { option: "--run", reason });
     }
     let steps = Step::read(path, &args.id)?;
@@ -331,7 +363,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
     Ok(if args.work.strict && degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
 }
 
-/// The pixels that a photograph of `step` may have: what is said here, else as many as it was planned with, or by default.
+/// The limit on pixels of a photograph of `step`: as given, or else the default, or its planned size if that is larger.
 fn largest(step: &Step, work: &Work) -> u64 {
     let planned = (step.width_px as u64).saturating_mul(step.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
@@ -341,7 +373,7 @@ fn largest(step: &Step, work: &Work) -> u64 {
 fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
     let steps = Step::read_all(path)?;
     let Some(first) = steps.first() else {
-        let reason = format!("{}: has no step; there is nothing to sum up", path.display());
+        let reason = format!("{}: the plan has no jobs", path.display());
         return Err(Error::Option { option: "--summarize", reason });
     };
     night::open_home(&first.summary, args)?;
@@ -362,7 +394,7 @@ mod tests {
     use super::*;
     use clap::Args as _;
 
-    /// What was typed, and the options that come of it.
+    /// The words of the plan, and the options.
     fn typed(words: &[&str]) -> (Vec<String>, Options) {
         let command = Args::augment_args(clap::Command::new("batch"));
         let matches = command.get_matches_from([&["batch", "in"], words].concat());

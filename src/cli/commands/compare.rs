@@ -11,43 +11,41 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Exit codes, as those of cmp and diff:
-  0  the same, within the tolerance; or blessed
-  1  they differ
-  2  trouble: wrong usage, a file that is missing or cannot be read, radiance against a picture
-
-Without a tolerance radiance may differ by 0.01 stops in every channel of every pixel, and pictures not at all.
+  0  same within the tolerance, or blessed
+  1  different
+  2  error: wrong usage, a file that cannot be read, radiance compared with a picture
 
 Examples:
   hdralign compare golden/room.exr room.exr
   hdralign compare golden/room.png room.png --tolerance-de 1 --max-differing 0.1
   hdralign compare golden/room.png room.png --min-psnr 45
   hdralign compare golden/room.exr room.exr --diff room-diff.png --json > room.json
-  hdralign compare golden/room.exr room.exr --bless     what there is is what is expected from now on";
+  hdralign compare golden/room.exr room.exr --bless     accept the new result";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
-    /// What is expected: .exr .hdr .tif (radiance), or .png .jpg .tif (a picture), known by content
+    /// The expected file: .exr, .hdr or .tif (radiance), or .png, .jpg or .tif (picture)
     #[arg(value_name = "EXPECTED")]
     expected: PathBuf,
 
-    /// What there is
+    /// The file to check
     #[arg(value_name = "ACTUAL")]
     actual: PathBuf,
 
-    /// Radiance: how far a channel may be off, in stops; 0 for not at all [default: 0.01]
+    /// Set the tolerance of radiance: the largest difference of a channel, in stops [default: 0.01]
     #[arg(long, value_name = "STOPS", conflicts_with = "tolerance_de", allow_negative_numbers = true)]
     tolerance_stops: Option<f64>,
 
-    /// Pictures: how far a pixel may look off, by CIEDE2000, of which 1 can just be seen; 0 for equal codes [default: 0]
+    /// Set the tolerance of pictures: the largest difference of a pixel in CIEDE2000, where 1 is just visible [default: 0]
     #[arg(long, value_name = "DE", allow_negative_numbers = true)]
     tolerance_de: Option<f64>,
 
-    /// How many pixels may be off by more, in percent of all
+    /// Set how many pixels may exceed the tolerance, in percent of all
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, allow_negative_numbers = true)]
     max_differing: f64,
 
-    /// Instead of pixels, judge by the PSNR in dB: PU21-PSNR of radiance, PSNR of the codes of pictures
+    /// Compare by PSNR instead, in dB: PU21-PSNR of radiance, PSNR of the code values of pictures
     #[arg(
         long,
         value_name = "DB",
@@ -56,26 +54,28 @@ pub struct Args {
     )]
     min_psnr: Option<f64>,
 
-    /// Write expected, difference in false colours and actual side by side, as a PNG
-    #[arg(long, value_name = "OUT.png")]
+    /// Write the expected image, the difference in false colours and the actual image side by side
+    #[arg(long, value_name = "PNG")]
     diff: Option<PathBuf>,
 
-    /// Copy ACTUAL over EXPECTED, or to it where it does not exist
+    /// Copy ACTUAL over EXPECTED, and exit with 0
     #[arg(long)]
     bless: bool,
 
     #[command(flatten)]
     reading: Reading,
 
-    /// Replace a difference picture that exists
+    /// Replace an existing difference picture
     #[arg(short, long)]
     force: bool,
 
-    /// Print the result to standard output, as JSON
+    /// Print the comparison as JSON to stdout
     #[arg(long)]
     json: bool,
 
-    /// No progress, summary or warnings; results are still listed on stdout
+    /// Print no summary or warnings
+    ///
+    /// Errors are printed, and results are listed on stdout
     #[arg(short, long)]
     quiet: bool,
 }
@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     leftovers::clear(&args.diff.iter().chain(args.bless.then_some(&args.expected)).collect::<Vec<_>>());
     let compared = match compare::files(&args.expected, &args.actual, &args.options()) {
         Ok(compared) => Some(compared),
-        // What is blessed need not have been there, nor been any good; what there is is read again.
+        // With --bless the expected file may be missing or damaged.
         Err(Error::Read { path, .. } | Error::Decode { path, .. } | Error::NotComparable { path, .. })
             if args.bless && path == args.expected =>
         {
@@ -132,7 +132,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         say(&match blessed {
             Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),
             Blessed::Replaced => format!("blessed: {expected} is now a copy of {actual}"),
-            Blessed::Unchanged => format!("blessed already: {expected} is {actual} to the byte"),
+            Blessed::Unchanged => format!("blessed: {expected} already has the same bytes as {actual}"),
         });
         if !args.json && blessed != Blessed::Unchanged {
             results += &format!("{expected}\n");
@@ -143,9 +143,9 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(code)
 }
 
-/// The verdict and what it rests on, for people.
+/// The outcome and the measured differences.
 fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
-    let bytes = if compared.bytes_equal { ", to the byte" } else { "" };
+    let bytes = if compared.bytes_equal { ", byte for byte" } else { "" };
     let name = if compared.is_same() { "same" } else { "differs" };
     let verdict = if compared.is_same() { terminal.good(name) } else { terminal.bad(name) };
     let reason = terminal.wrapped(&format!("{}{bytes}", compared.reason), name.len() + 2);
@@ -163,7 +163,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "no number in one of them".into(),
+            _ => "not a number in one of them".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -174,25 +174,22 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     if let Some(radiance) = compared.radiance.as_ref().filter(|_| is_off) {
         for c in &radiance.channels {
             let (max, rms, mean) = (c.max_stops, c.rms_stops, c.mean_stops);
-            row(c.channel, format!("at most {max:.3} stops, RMS {rms:.4}, on average {mean:+.4}"));
+            row(c.channel, format!("at most {max:.3} stops, RMS {rms:.4}, mean {mean:+.4}"));
         }
         if radiance.not_comparable_pixels > 0 {
-            row(
-                "odd",
-                format!("{} pixels are no numbers, or infinite, in one of them", radiance.not_comparable_pixels),
-            );
+            row("odd", format!("{} pixels are NaN or infinite in one of them", radiance.not_comparable_pixels));
         }
-        // All of the difference is one gain.
+        // The whole difference is a gain.
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
-            row("gain", format!("the actual is {word} throughout, by {:.3} stops", mean.abs()));
+            row("gain", format!("actual is uniformly {word}, by {:.3} stops", mean.abs()));
         }
     }
     if let Some(display) = compared.display.as_ref().filter(|_| is_off) {
         let codes = display.channels.map(|c| c.max_codes.to_string()).join(", ");
-        row("codes", format!("at most {codes} off in red, green, blue"));
-        row("look", format!("dE {:.2} at most, {:.3} on average", display.de_max, display.de_mean));
+        row("codes", format!("differ by at most {codes} in red, green, blue"));
+        row("colour", format!("at most dE {:.2}, mean {:.3}", display.de_max, display.de_mean));
         if let Some(psnr) = display.psnr_db {
             row("PSNR", format!("{psnr:.2} dB"));
         }
@@ -202,7 +199,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let structure = compared.ms_ssim.map(|s| format!("MS-SSIM {s:.5}"));
         let both: Vec<String> = psnr.into_iter().chain(structure).collect();
         if !both.is_empty() {
-            row("to eyes", both.join(", "));
+            row("visibility", both.join(", "));
         }
     }
     for changed in &compared.metadata {
@@ -216,7 +213,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     lines
 }
 
-/// A value with the digits that matter.
+/// A value with significant digits only.
 fn number(value: f64) -> String {
     if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e5 {
         format!("{value}")
@@ -227,7 +224,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// A text of a header, which may be anything, in print.
+/// A text of a header, printable and shortened.
 fn one_line(text: &str) -> String {
     let line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect();
     line.trim().to_owned()

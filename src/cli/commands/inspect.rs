@@ -1,6 +1,7 @@
 //! `hdralign inspect`.
 
-use crate::cli::arguments::input::Aligned;
+use crate::cli::arguments::input::{Aligned, Work};
+use crate::cli::heading::OUTPUT;
 use crate::cli::process::leftovers;
 use crate::cli::progress::{Bar, Plan};
 use crate::cli::summary;
@@ -11,16 +12,16 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Into the folder go, for each photograph NAME:
-  NAME.threshold.png, NAME.exclusion.png   the median threshold bitmap, and what of it counts
-  NAME.keypoints.svg, .png                 keypoints: plain, of the bitmap, both
-  NAME.matches.svg, .png                   matches with the reference, inliers and outliers
+Files, for each photograph NAME:
+  NAME.threshold.png, NAME.exclusion.png   median threshold bitmap, and its pixels that count
+  NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, of both
+  NAME.matches.svg, .png                   matches with the reference frame, inliers and outliers
   NAME.xor.svg, .png                       differing pixels against rotation and shift
-  NAME.edges.svg, .png                     edges in two colours, before and after alignment
-and tables.txt, tables.json: exposures, keypoints, matches, places, bitmaps.
+  NAME.edges.svg, .png                     edges of both frames, before and after alignment
+and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 
 Examples:
-  hdralign inspect *.jpg                   beside them, FIRST-LAST.inspect
+  hdralign inspect *.jpg                   write to FIRST-LAST.inspect beside the photographs
   hdralign inspect *.jpg -d look --json";
 
 #[derive(Debug, clap::Args)]
@@ -29,21 +30,24 @@ pub struct Args {
     #[command(flatten)]
     aligned: Aligned,
 
-    /// The folder for everything, made if it is not there [default: FIRST-LAST.inspect beside the photographs]
-    #[arg(short = 'd', long, value_name = "FOLDER")]
+    /// Set the folder for the files; it is created if it does not exist [default: FIRST-LAST.inspect beside the photographs]
+    #[arg(short = 'd', long, help_heading = OUTPUT, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Print the tables to standard output, as JSON, instead of the paths written
-    #[arg(long)]
+    /// Print the tables as JSON to stdout instead of the files written
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
+
+    #[command(flatten)]
+    work: Work,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let Aligned { images, work, .. } = &args.aligned;
+    let (images, work) = (&args.aligned.images, &args.work);
     let folder = args.folder.clone().unwrap_or_else(|| pipeline::default_folder(images));
     leftovers::clear(&[folder.join("tables.txt")]);
     let mut bar = Bar::new(Plan::inspect(images), work.quiet);
-    let tables = pipeline::inspect(images, &args.aligned.options(), &folder, &|p| bar.show(p));
+    let tables = pipeline::inspect(images, &args.aligned.options(work), &folder, &|p| bar.show(p));
     bar.clear();
     let tables = tables?;
     if !work.quiet {

@@ -1,6 +1,6 @@
 //! `hdralign merge`.
 
-use crate::cli::arguments::input::Common;
+use crate::cli::arguments::input::{Common, Results};
 use crate::cli::arguments::merging::Merging;
 use crate::cli::heading::{MERGE, OUTPUT};
 use crate::cli::process::leftovers;
@@ -14,11 +14,10 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Examples:
-  hdralign merge *.jpg                                beside them, FIRST-LAST.exr and .png
-  hdralign merge *.jpg -o room.exr -o room.hdr -o room.jpg
+  hdralign merge *.jpg                            write FIRST-LAST.exr and FIRST-LAST.png
+  hdralign merge *.jpg -o room.exr -o room.jpg --report room.html
   hdralign merge *.jpg --picture room.tif --bit-depth 16 --picture-colour adobe-rgb
-  hdralign merge -e=-2,0,2 a.png b.png c.png          no EXIF: the exposures, in EV
-  hdralign merge --ghost-mask moved.png *.jpg         and where people walked on, who are left out
+  hdralign merge -e=-2,0,2 a.png b.png c.png      without EXIF: exposures in EV
   hdralign merge --align none --crop none *.tif -o studio.exr";
 
 #[derive(Debug, clap::Args)]
@@ -27,9 +26,16 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// Write a result: .exr, .hdr or .tif (radiance), .png or .jpg (picture); may be repeated
+    /// Read the response from a file instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
+    #[arg(long, help_heading = MERGE, hide_short_help = true, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
+    response: Option<PathBuf>,
+
+    #[command(flatten)]
+    merging: Merging,
+
+    /// Write a result: .exr .hdr .tif (radiance), .png .jpg (picture)
     ///
-    /// A .jpg shows the radiance on HDR displays (gain map). Default, without --picture: FIRST-LAST.exr and .png beside the photographs
+    /// May be repeated. A .jpg shows the radiance on HDR displays (gain map). Without -o and --picture: FIRST-LAST.exr and .png beside the photographs
     #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
     output: Vec<PathBuf>,
 
@@ -38,11 +44,7 @@ pub struct Args {
     picture: Vec<PathBuf>,
 
     #[command(flatten)]
-    merging: Merging,
-
-    /// Read the response from a file instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
-    #[arg(long, help_heading = MERGE, hide_short_help = true, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
-    response: Option<PathBuf>,
+    results: Results,
 
     /// Write the response: .json, .rsp (hdrgen) or .csv (luminance-hdr)
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
@@ -72,8 +74,8 @@ impl Args {
                 .and_then(|path| path.parent())
                 .map_or_else(std::env::temp_dir, PathBuf::from)
         };
-        let memory = self.common.aligned.work.memory(folder);
-        let options = self.merging.options(self.common.options())?;
+        let memory = self.results.work.memory(folder);
+        let options = self.merging.options(self.results.options(&self.common))?;
         Ok(Options {
             load: LoadOptions { memory, ..options.load },
             outputs,
@@ -88,7 +90,7 @@ impl Args {
 }
 
 impl Args {
-    /// A strength after a space is a photograph to the parser: who means one is told how it is typed.
+    /// Rejects `--deghost 0.5`: the parser takes the number for a photograph.
     fn check_strength(&self) -> Result<(), Error> {
         let images = &self.common.aligned.images;
         let strength = images.iter().find(|image| {
@@ -99,7 +101,7 @@ impl Args {
             None => Ok(()),
             Some(name) => {
                 let name = name.display();
-                let reason = format!("there is no photograph {name}; a strength is given as in `--deghost={name}`");
+                let reason = format!("there is no photograph {name}; write --deghost={name} to set the strength");
                 Err(Error::Option { option: "--deghost", reason })
             }
         }
@@ -109,11 +111,9 @@ impl Args {
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
     let options = args.options()?;
     leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
-    let mut bar = Bar::new(
-        Plan::merge(&args.common.aligned.images, args.merging.deghost.is_on()),
-        args.common.aligned.work.quiet,
-    );
+    let mut bar =
+        Bar::new(Plan::merge(&args.common.aligned.images, args.merging.deghost.is_on()), args.results.work.quiet);
     let report = pipeline::run(&args.common.aligned.images, &options, &|p| bar.show(p));
     bar.clear();
-    crate::cli::finish(&report?, &args.common)
+    crate::cli::finish(&report?, &args.results)
 }

@@ -1,7 +1,9 @@
 //! `hdralign response`.
 
-use crate::cli::arguments::input::Aligned;
+use crate::cli::arguments::input::{Aligned, Work};
 use crate::cli::arguments::recovery::Recovery;
+use crate::cli::commands::batch::found::many;
+use crate::cli::heading::OUTPUT;
 use crate::cli::process::leftovers;
 use crate::cli::progress::{Bar, Plan};
 use crate::cli::summary;
@@ -13,14 +15,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Photographs of one folder are one bracket; a folder stands for the JPEG, PNG and TIFF files in it.
-The more brackets of still scenes, and the wider, the better the curve is known.
+The photographs of one folder are one bracket. A folder means the JPEG, PNG and TIFF files in it.
+Use still scenes; more brackets with a larger range give a better response.
 
 Examples:
-  hdralign response *.jpg                             beside them, named after the camera: Canon_EOS_5D.json
+  hdralign response *.jpg                             write Canon_EOS_5D.json beside the photographs
   hdralign response night/ church/ -o 5d.json --plot 5d.svg
-  hdralign response *.jpg -o 5d.rsp                   for hdrgen -r 5d.rsp
-  hdralign merge --response 5d.json *.jpg             uses it";
+  hdralign response *.jpg -o 5d.rsp                   write it for hdrgen -r 5d.rsp
+  hdralign merge --response 5d.json *.jpg             use it";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP, mut_arg("images", |images| {
@@ -30,30 +32,32 @@ pub struct Args {
     #[command(flatten)]
     aligned: Aligned,
 
-    /// The curve; the extension picks the format: .json, .rsp (hdrgen), .csv (luminance-hdr). May be repeated
-    /// [default: CAMERA.json beside the first photograph]
-    #[arg(short, long, value_name = "FILE", verbatim_doc_comment)]
-    output: Vec<PathBuf>,
-
-    /// Draw the curve: .svg or .png. May be repeated
-    #[arg(long, value_name = "FILE")]
-    plot: Vec<PathBuf>,
-
     #[command(flatten)]
     recovery: Recovery,
 
-    /// Print a report to standard output, as JSON, instead of the paths written
-    #[arg(long)]
+    /// Write the response: .json, .rsp (hdrgen) or .csv (luminance-hdr); may be repeated [default: CAMERA.json beside the first photograph]
+    #[arg(short, long, help_heading = OUTPUT, value_name = "FILE")]
+    output: Vec<PathBuf>,
+
+    /// Draw the response: .svg or .png; may be repeated
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
+    plot: Vec<PathBuf>,
+
+    /// Print a report as JSON to stdout instead of the files written
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
+
+    #[command(flatten)]
+    work: Work,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let Aligned { images, work, .. } = &args.aligned;
+    let (images, work) = (&args.aligned.images, &args.work);
     let options = camera::Options {
         pipeline: pipeline::Options {
             response: args.recovery.model()?,
             exposures: args.recovery.exposures,
-            ..args.aligned.options()
+            ..args.aligned.options(work)
         },
         curves: args.output.clone(),
         plots: args.plot.clone(),
@@ -72,17 +76,18 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(crate::cli::exit_code(work.strict && report.is_degraded()))
 }
 
-/// Warnings, and how well the curve is known, on stderr.
+/// Prints warnings and the accuracy of the response on stderr.
 fn summarise(report: &CameraReport) {
     let terminal = Terminal::of_stderr();
     summary::warn(&report.warnings, &terminal);
     let frames: usize = report.brackets.iter().map(|b| b.frames.len()).sum();
     let brackets = report.brackets.len();
-    let mut words = vec![report.response.model.to_owned(), format!("{frames} frames in {brackets} bracket(s)")];
+    let mut words = vec![report.response.model.to_owned(), format!("{frames} frames in {}", many(brackets, "bracket"))];
     if let Some(fits) = &report.response.channels {
         for (fit, name) in fits.iter().zip(["red", "green", "blue"]) {
             let (least, most) = fit.codes;
-            words.push(format!("{name} within {:.3} stops over codes {least:.0} to {most:.0}", fit.residual_stops));
+            words
+                .push(format!("{name} within {:.3} stops from code value {least:.0} to {most:.0}", fit.residual_stops));
         }
     }
     words.push(format!("{:.2} s", report.time_s));

@@ -4,6 +4,7 @@ use crate::cli::arguments::input::Reading;
 use crate::cli::arguments::picture::Picture;
 use crate::cli::arguments::radiance::Radiance;
 use crate::cli::arguments::tone::Tone;
+use crate::cli::heading::{OUTPUT, RESOURCES};
 use crate::cli::process::leftovers;
 use crate::cli::progress::{Bar, Plan};
 use crate::cli::summary;
@@ -15,14 +16,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Reads .exr (half, float, uint), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program, known by content.
-Values that are no numbers are shown black, infinite ones as the brightest other, negative ones are
-drawn to grey until none is; a warning counts them.
+Reads .exr (half, float, uint), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program.
+NaN is shown as black, infinity as the brightest other value, and negative colours are
+desaturated; a warning counts them.
 
 Examples:
-  hdralign tonemap room.exr                           beside it, room.png
+  hdralign tonemap room.exr                           write room.png beside it
   hdralign tonemap room.hdr -o bright.png
-  hdralign tonemap room.hdr -o room.exr               the same radiance in another format";
+  hdralign tonemap room.hdr -o room.exr               convert the radiance to another format";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -31,43 +32,47 @@ pub struct Args {
     #[arg(value_name = "IN")]
     input: PathBuf,
 
-    /// A result; the extension picks the format: .png (picture), .jpg (picture that lights up on
-    /// HDR displays), .exr .hdr .tif (radiance). May be repeated
-    /// [default, without --picture: IN as .png, beside it]
-    #[arg(short, long, value_name = "OUT", verbatim_doc_comment)]
-    output: Vec<PathBuf>,
-
-    /// The picture, whatever the extension: .png, .jpg, or .tif of codes with a profile. May be repeated
-    #[arg(long, value_name = "FILE")]
-    picture: Vec<PathBuf>,
-
     #[command(flatten)]
     tone: Tone,
 
     #[command(flatten)]
     encoding: Picture,
 
+    /// Write a result: .png .jpg (picture), .exr .hdr .tif (radiance)
+    ///
+    /// May be repeated. A .jpg shows the radiance on HDR displays (gain map). Without -o and --picture: IN with the extension .png
+    #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
+    output: Vec<PathBuf>,
+
+    /// Write the picture: .png, .jpg, or .tif with 8 or 16 bits; may be repeated
+    #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
+    picture: Vec<PathBuf>,
+
+    /// Replace existing files
+    #[arg(short, long, help_heading = OUTPUT)]
+    force: bool,
+
+    /// Print a report as JSON to stdout instead of the files written
+    #[arg(long, help_heading = OUTPUT)]
+    json: bool,
+
+    /// Print no progress, summary or warnings
+    ///
+    /// Errors are printed, and results are listed on stdout
+    #[arg(short, long, help_heading = OUTPUT)]
+    quiet: bool,
+
     #[command(flatten)]
     radiance: Radiance,
 
-    /// Threads that compute [default: one for each core]; the results are the same
-    #[arg(long, value_name = "N")]
+    /// Set the number of threads [default: one for each core]
+    ///
+    /// Results do not depend on it
+    #[arg(long, help_heading = RESOURCES, value_name = "N")]
     threads: Option<usize>,
 
     #[command(flatten)]
     reading: Reading,
-
-    /// Replace files that exist
-    #[arg(short, long)]
-    force: bool,
-
-    /// Print a report to standard output, as JSON, instead of the paths written
-    #[arg(long)]
-    json: bool,
-
-    /// No progress, summary or warnings; results are still listed on stdout
-    #[arg(short, long)]
-    quiet: bool,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {

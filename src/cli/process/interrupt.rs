@@ -1,4 +1,4 @@
-//! Signals: Ctrl-C, those by which systems end a process, and those of its limits; nothing half is left behind.
+//! Signals: Ctrl-C, termination, and limits of the process. No incomplete file is left.
 //!
 //! A command stops at once, and its temporary files are taken away. A batch first ends what it has begun; asked a second time it stops
 //! at once too. What the process was started to ignore, as `nohup` does, it ignores. A file that grows beyond `ulimit -f` is an error of
@@ -28,12 +28,12 @@ fn heard(signal: i32) {
     let times = ASKED.fetch_add(1, Ordering::SeqCst);
     if IS_BATCH.load(Ordering::SeqCst) && times == 0 {
         STOP.store(true, Ordering::SeqCst);
-        say("\nhdralign: ending what has begun; once more stops at once");
+        say("\nhdralign: finishing the brackets in progress; interrupt again to stop at once");
         return;
     }
     IS_ENDING.store(true, Ordering::SeqCst);
     write::abandon();
-    say("\nhdralign: stopped; nothing half-written was left");
+    say("\nhdralign: stopped; no incomplete files were left");
     std::process::exit(ENDED_BY + signal);
 }
 

@@ -38,7 +38,7 @@ const LEAST: u64 = 64_000_000;
 /// Bytes, as `300000000`, `256MB`, `256MiB` or `1.5GB`.
 pub fn size(text: &str) -> Result<u64, String> {
     let wrong =
-        || format!("{text:?} is no size; give bytes, or a number and kB, MB, GB, KiB, MiB or GiB, as in `500MB`");
+        || format!("{text:?} is not a size; give bytes, or a number and kB, MB, GB, KiB, MiB or GiB, as in `500MB`");
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
     let (number, unit) = text.split_at(end);
     let factor = match unit.trim().to_ascii_lowercase().as_str() {
@@ -63,7 +63,7 @@ pub fn size(text: &str) -> Result<u64, String> {
 
 /// A count, as `500000000`, `500M`, `500MP` or `2G`.
 pub fn count(text: &str) -> Result<u64, String> {
-    let wrong = || format!("{text:?} is no number of pixels; give it as `500M`, `1.5G` or `500000000`");
+    let wrong = || format!("{text:?} is not a number of pixels; give it as `500M`, `1.5G` or `500000000`");
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
     let (number, unit) = text.split_at(end);
     let unit = unit.trim().to_ascii_lowercase();

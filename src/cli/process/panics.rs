@@ -22,7 +22,7 @@ pub(crate) fn guarded(run: impl FnOnce() -> ExitCode) -> ExitCode {
     }));
     catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
         let last = LAST.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        say(format_args!("hdralign: failed in an unforeseen way; please report it with the files and this: {last}"));
+        say(format_args!("hdralign: internal error; please report it, with the files and this text: {last}"));
         ExitCode::from(PANICKED)
     })
 }

@@ -83,7 +83,7 @@ fn a_night_of_bad_brackets_does_the_good_ones_and_tells_of_each() {
             Failed => step["error"]
                 .as_str()
                 .map(|error| format!("failed     {}: {error}", step["id"].as_str().expect("an id"))),
-            Doubtful => Some(format!("in doubt   {}: ", step["id"].as_str().expect("an id"))),
+            Doubtful => Some(format!("degraded   {}: ", step["id"].as_str().expect("an id"))),
             _ => None,
         };
         assert!(told.iter().all(|told| run.stderr.contains(told)), "{name}: {told:?} is not in\n{}", run.stderr);

@@ -38,7 +38,7 @@ fn steps_give_the_bytes_of_the_local_run() {
         let id = line["id"].as_str().unwrap();
         folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
         let again = folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
-        assert!(again.stderr.contains("was done before"), "{}", again.stderr);
+        assert!(again.stderr.contains("already done"), "{}", again.stderr);
         let code = folder.line("batch --summarize plan.jsonl -q").code;
         assert_eq!(code, if i + 1 < lines.len() { 3 } else { 0 });
     }

@@ -135,7 +135,7 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
     let first = String::from_utf8_lossy(&folder.bytes("first")).into_owned();
     let done: usize = told[2].parse().expect("a number");
     assert!((told[0], told[1], told[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
-    assert_eq!(first.matches("the disk is full, and no further bracket is begun").count(), 1, "{first}");
+    assert_eq!(first.matches("the disk is full, so no further bracket is started").count(), 1, "{first}");
     // One job beside the thread that names: two may have been under way.
     assert!((1..=3).contains(&first.matches("failed: ").count()), "{first}");
     let summary: Value = serde_json::from_slice(&folder.bytes("second")).expect("JSON");

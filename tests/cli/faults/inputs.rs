@@ -59,7 +59,7 @@ fn a_pipe_is_a_photograph_when_somebody_writes_it() {
     assert!(folder.bytes("a.exr") == folder.bytes("b.exr"));
     // Nobody does: whoever waits can be told to end.
     let script = "$H merge w2.jpg p.jpg -q -o c.exr & sleep 0.5; kill $!; wait $!";
-    fails(&folder, script, 143, &["nothing half-written was left"]);
+    fails(&folder, script, 143, &["no incomplete files were left"]);
 }
 
 /// tests/fixtures/README.md: with overflow checks the exr crate panics on it.

@@ -1,4 +1,4 @@
-//! What was found, in words and as JSON.
+//! The result of the search for brackets, as text and as JSON.
 
 use hdralign::batch::find::{Found, FoundBracket, LeftOver, Reason, Shot};
 use hdralign::batch::plan::{Kind, Planned, Step};
@@ -10,29 +10,29 @@ use std::path::{Path, PathBuf};
 
 /// The version of the format of `--dry-run --json`: keys are only ever added to it.
 const SCHEMA: &str = "hdralign-found/1";
-/// Names of photographs that are told of one reason to leave them over; `--json` has all.
+/// Photographs in no bracket that are listed for each reason; `--json` lists all.
 const TOLD: usize = 20;
-/// Exposures of a bracket that are told one by one.
+/// Brackets with more frames are listed with the range of their exposures only.
 const EXPOSURES: usize = 9;
 
-/// The brackets, as plans take them.
+/// The brackets, as input of a plan.
 pub fn planned(found: &Found) -> Vec<Planned> {
     found.brackets.iter().map(Planned::from).collect()
 }
 
-/// What belongs to no bracket.
+/// The photographs in no bracket, with the reason.
 pub fn unused(found: &Found) -> Vec<Unused> {
     let unused = |l: &LeftOver| Unused { path: l.path.to_string_lossy().into_owned(), reason: l.reason.to_string() };
     found.left_over.iter().map(unused).collect()
 }
 
-/// How much there is, in a line.
+/// A line with the number of brackets and photographs.
 pub fn counted(found: &Found, steps: usize) -> String {
     let brackets = found.brackets.len();
     let photographs: usize = found.brackets.iter().map(|b| b.photographs.len()).sum();
     let mut words = vec![format!("{} of {}", many(brackets, "bracket"), many(photographs, "photograph"))];
     if steps != brackets {
-        words.push(many(steps, "step"));
+        words.push(many(steps, "job"));
     }
     if !found.left_over.is_empty() {
         words.push(format!("{} left over", many(found.left_over.len(), "photograph")));
@@ -43,12 +43,12 @@ pub fn counted(found: &Found, steps: usize) -> String {
     words.join(", ")
 }
 
-/// `n` of `what`, in the plural where there is not one.
+/// `n` and `what`, in the plural unless `n` is 1.
 pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
-/// No bracket was found, and why.
+/// The error that no bracket was found, with the most frequent reason.
 pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
@@ -107,30 +107,30 @@ pub fn table(found: &Found, steps: &[Step]) -> String {
     text + &counted(found, found.brackets.len()) + "\n"
 }
 
-/// Where the results of `step` go, without extension, below the folder for all.
+/// The results of `step` without extension, relative to the folder of all results.
 fn result(step: &Step) -> String {
     let home = step.summary.parent().unwrap_or(Path::new(""));
     let report = step.report.strip_prefix(home).unwrap_or(&step.report);
     report.with_extension("").to_string_lossy().into_owned()
 }
 
-/// A name in a table: what would break its line is shown by its code.
+/// A name in a table; control characters are escaped.
 fn one_line(name: &str) -> String {
     let plain = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
     name.chars().map(plain).collect()
 }
 
-/// Photographs that are in no bracket, and are no results of our own.
+/// The number of photographs in no bracket, without results of hdralign.
 pub fn left_over(found: &Found) -> usize {
     found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
 }
 
-/// Those that cannot be read at all.
+/// The photographs that cannot be read.
 pub fn unreadable(found: &Found) -> Vec<&LeftOver> {
     found.left_over.iter().filter(|left_over| matches!(left_over.reason, Reason::Unreadable(_))).collect()
 }
 
-/// Left-overs by the kinds of their reasons, in the order of the first of each.
+/// Photographs in no bracket, grouped by reason, in the order of the first of each.
 fn by_kind(found: &Found) -> Vec<Vec<&LeftOver>> {
     let mut groups: Vec<Vec<&LeftOver>> = Vec::new();
     for left_over in &found.left_over {
@@ -147,7 +147,7 @@ fn file_name(shot: &Shot) -> String {
     shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Steps from the middle exposure, in EV; of many, the range.
+/// Exposures relative to the middle one, in EV; the range if there are many.
 fn exposures(bracket: &FoundBracket) -> String {
     let all: Option<Vec<f64>> = evs(bracket).into_iter().collect();
     let Some(all) = all else { return "unknown".into() };
@@ -167,7 +167,7 @@ fn exposures(bracket: &FoundBracket) -> String {
     all.iter().map(|&ev| tenth(ev)).collect::<Vec<_>>().join(" ")
 }
 
-/// In EV, of those that say.
+/// The exposures in EV, where they are known.
 fn evs(bracket: &FoundBracket) -> Vec<Option<f64>> {
     bracket.exposures().into_iter().map(|exposure| exposure.map(libm::log2)).collect()
 }
@@ -176,7 +176,7 @@ fn begun(bracket: &FoundBracket) -> Option<String> {
     Some(bracket.photographs.first()?.header.taken?.to_string())
 }
 
-/// From the begin of the first exposure to the end of the last.
+/// Seconds from the start of the first exposure to the end of the last.
 fn lasts_s(bracket: &FoundBracket) -> Option<f64> {
     let (first, last) = (bracket.photographs.first()?, bracket.photographs.last()?);
     let time = last.header.exposure.time_s.map_or(0.0, |t| t.0);
@@ -205,7 +205,7 @@ struct BracketJson {
     height_px: usize,
 }
 
-/// All that was found.
+/// Everything that was found, as JSON.
 pub fn json(found: &Found, steps: &[Step]) -> String {
     let merges = steps.iter().filter(|step| step.kind == Kind::Merge);
     let bracket = |(bracket, step): (&FoundBracket, &Step)| {

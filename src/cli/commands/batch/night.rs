@@ -1,4 +1,4 @@
-//! A batch on this machine: what is shown meanwhile, how it is stopped, and what is told at the end.
+//! A batch on this machine: progress, interruption, and the summary at the end.
 
 use super::found::{left_over, many, unreadable, unused};
 use super::{Args, exit_code};
@@ -24,17 +24,17 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Brackets of one kind that are told again at the end.
-const TOLD: usize = 10;
+/// Largest number of brackets listed for each problem at the end.
+const LISTED: usize = 10;
 
-/// How many photographs were looked at.
+/// Progress of the search: the number of photographs read.
 pub struct Searching(ProgressBar);
 
 impl Searching {
-    /// On a terminal alone.
+    /// Shown on a terminal only.
     pub fn new(quiet: bool) -> Searching {
         let bar = if is_shown(quiet) { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
-        if let Ok(style) = ProgressStyle::with_template("{spinner} looking at {pos} photographs") {
+        if let Ok(style) = ProgressStyle::with_template("{spinner} reading headers: {pos}") {
             bar.set_style(style);
         }
         if !bar.is_hidden() {
@@ -43,7 +43,7 @@ impl Searching {
         Searching(bar)
     }
 
-    /// So many were looked at.
+    /// Shows `count`.
     pub fn show(&self, count: usize) {
         self.0.set_position(count as u64);
     }
@@ -59,13 +59,13 @@ fn is_shown(quiet: bool) -> bool {
     !quiet && Terminal::of_stderr().can_redraw
 }
 
-/// The bar over all steps, and the lines that go by above it.
+/// The progress bar over all jobs, and the lines printed above it.
 struct Board {
     bar: ProgressBar,
     began: Instant,
     steps: usize,
     ended: AtomicUsize,
-    /// Seconds that the steps were estimated to take: of all; of those that were done in this run; of all that ended.
+    /// Estimated seconds: of all jobs; of those done in this run; of all that ended.
     planned: (f64, Mutex<(f64, f64)>),
     quiet: bool,
     verbose: bool,
@@ -113,7 +113,7 @@ impl Board {
             _ => &[],
         };
         self.bar.suspend(|| {
-            // What failed is an error, and told even to those who want to hear of nothing else.
+            // A failure is an error, which is also printed with --quiet.
             if let Some(line) = line.filter(|_| is_failure || !self.quiet) {
                 let terminal = Terminal::of_stderr();
                 let text = if is_failure { terminal.bad(&line) } else { line };
@@ -126,7 +126,7 @@ impl Board {
         self.bar.set_prefix(left(self.left_s(step.time_s, is_work)));
     }
 
-    /// Seconds left, by how long what was done took beside its estimate.
+    /// Seconds left, from the ratio of measured to estimated time so far.
     fn left_s(&self, time_s: f64, is_work: bool) -> Option<f64> {
         let (all, so_far) = &self.planned;
         let mut so_far = so_far.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,27 +138,27 @@ impl Board {
     }
 }
 
-/// What is said once where there is no room any more.
+/// The message that is printed once if a disk is full.
 fn full(step: &Step) -> String {
     let folder = step.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
-        "hdralign: {}: the disk is full, and no further bracket is begun that goes there; make room, and start it again: what is done stays",
+        "hdralign: {}: the disk is full, so no further bracket is started that writes there; free space and run the command again (finished brackets are kept)",
         folder.display()
     )
 }
 
-/// A step that was done, in a line.
+/// A line on a job that is done.
 pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
     let mut words = Vec::new();
     match brief.time_s.filter(|_| is_new) {
         Some(time) => words.push(format!("done in {}", duration(time))),
-        None => words.push(if is_new { "done" } else { "was done before" }.to_owned()),
+        None => words.push(if is_new { "done" } else { "already done" }.to_owned()),
     }
     if brief.left_out > 0 {
-        words.push(format!("{} left out", many(brief.left_out, "photograph")));
+        words.push(format!("{} not merged", many(brief.left_out, "frame")));
     }
     if brief.degraded {
-        words.push("in doubt".into());
+        words.push("degraded".into());
     }
     if !brief.warnings.is_empty() {
         words.push(many(brief.warnings.len(), "warning"));
@@ -166,7 +166,7 @@ pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
     format!("{id}: {}", words.join(", "))
 }
 
-/// Does all `steps`.
+/// Does all jobs.
 pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
     let home = open_home(&steps[0].summary, args)?;
     let mut options = options;
@@ -183,7 +183,7 @@ pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Resu
     finish(&summary, &steps[0].summary, left_over.as_ref(), args)
 }
 
-/// Makes the folder of the summary `path`, and gives it. Whether the summary can be written is known before hours of work.
+/// Creates and returns the folder of the summary `path`. Checks before hours of work that the summary can be written.
 pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     let home = path.parent().unwrap_or(Path::new(".")).to_owned();
     std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
@@ -201,7 +201,7 @@ pub struct LeftOver<'a> {
 fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = work.threads.unwrap_or(cores);
-    let none = |option| Error::Option { option, reason: "0 cannot work; give 1 or more".into() };
+    let none = |option| Error::Option { option, reason: "must be at least 1".into() };
     if threads == 0 {
         return Err(none("--threads"));
     }
@@ -211,8 +211,8 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Writes the summary to `path`, tells how it went, and gives the exit code: a photograph that cannot be read is not done either, nor a
-/// summary that cannot be written.
+/// Writes the summary to `path`, prints it, and returns the exit code. A photograph that cannot be read, or a summary that cannot be
+/// written, counts as not done.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path, args.work.force);
     if !args.work.quiet {
@@ -236,30 +236,30 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     Ok(if is_degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
 }
 
-/// The first of `texts` under `label`, and how many more there are.
+/// The first of `texts` after `label`, and how many more there are.
 fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<String> {
-    let more = texts.len().saturating_sub(TOLD);
-    let mut lines: Vec<String> = texts.take(TOLD).map(|text| format!("{label:<11}{text}")).collect();
+    let more = texts.len().saturating_sub(LISTED);
+    let mut lines: Vec<String> = texts.take(LISTED).map(|text| format!("{label:<11}{text}")).collect();
     if more > 0 {
         lines.push(format!("{label:<11}and {more} more; the summary has all"));
     }
     lines
 }
 
-/// The lines at the end.
+/// The lines of the summary.
 fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&LeftOver>) -> Vec<String> {
     let counts = &summary.counts;
     let all = [
         (counts.done, "done"),
-        (counts.unchanged, "done before"),
+        (counts.unchanged, "already done"),
         (counts.failed, "failed"),
         (counts.not_done, "not done"),
-        (counts.degraded, "in doubt"),
+        (counts.degraded, "degraded"),
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-    // A response is a step, too.
+    // A shared response is a job too.
     let is_of_brackets = summary.steps.iter().all(|row| row.kind == Kind::Merge);
-    let steps = if is_of_brackets { "brackets" } else { "steps" };
+    let steps = if is_of_brackets { "brackets" } else { "jobs" };
     let mut lines = vec![format!("{steps:<11}{} of {}", words.join(", "), counts.steps)];
     let with = |is: &dyn Fn(&&Row) -> bool| summary.steps.iter().filter(is).collect::<Vec<&Row>>();
     let failed = with(&|row| row.status == Status::Failed);
@@ -267,13 +267,13 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
     lines.extend(listed("failed", failed.iter().map(why)));
     let doubtful = with(&|row| row.brief.degraded);
     let what = |row: &&Row| format!("{}: {}", row.id, row.brief.warnings.first().map_or("", String::as_str));
-    lines.extend(listed("in doubt", doubtful.iter().map(what)));
+    lines.extend(listed("degraded", doubtful.iter().map(what)));
     if let Some(left_over) = left_over {
         let why = |l: &&find::LeftOver| format!("{}: {}", l.path.display(), l.reason);
         lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
         if left_over.count > 0 {
             let count = many(left_over.count, "photograph");
-            lines.push(format!("{:<11}{count} in no bracket; the summary and --dry-run say why", "left over"));
+            lines.push(format!("{:<11}{count}; the summary and --dry-run list the reasons", "no bracket"));
         }
     }
     if let Some([report, table]) = files {
