@@ -323,8 +323,8 @@ fn write_remedy(source: &io::Error) -> &'static str {
     use io::ErrorKind::{AlreadyExists, FileTooLarge, InvalidFilename, IsADirectory, NotADirectory};
     use io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     match source.kind() {
-        StorageFull => "; make room there, or write to another disk",
-        QuotaExceeded => "; the quota is used up: make room there, or write to another disk",
+        StorageFull => "; free space there, or write to another disk",
+        QuotaExceeded => "; the quota is used up: free space there, or write to another disk",
         ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
