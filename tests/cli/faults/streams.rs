@@ -9,7 +9,7 @@ use crate::support::card::Card;
 fn results_that_find_no_room_are_an_error_and_files_stay() {
     let folder = bracket();
     Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in"));
-    let said = ["standard output", "No space left", "elsewhere"];
+    let said = ["standard output", "No space left", "another place"];
     for line in [
         "--help",
         "merge --help",
