@@ -90,14 +90,22 @@
 //!
 //! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map over
 //! fixed bands folded in order, and exp, ln, pow and similar functions come from one portable implementation.
+//!
+//! # Stability
+//!
+//! Items that this documentation does not show (`#[doc(hidden)]`) are public only for the program, the tests, the
+//! benchmarks and the fuzz targets. They may change in any release.
 
 pub mod align;
+#[doc(hidden)]
 pub mod batch;
 pub mod bracket;
 mod budget;
+#[doc(hidden)]
 pub mod compare;
 mod draw;
 pub mod error;
+#[doc(hidden)]
 pub mod inspect;
 mod intake;
 pub mod limits;
@@ -106,11 +114,14 @@ mod page;
 pub mod pipeline;
 mod pixel;
 pub mod plane;
+#[doc(hidden)]
 pub mod pyramid;
 pub mod read;
 pub mod report;
 pub mod response;
+#[doc(hidden)]
 pub mod scratch;
+#[doc(hidden)]
 pub mod simd;
 mod statistics;
 mod tiff_file;

@@ -3,6 +3,7 @@
 //! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
 //! report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a bracket in memory.
 
+#[doc(hidden)]
 pub mod camera;
 mod crop;
 mod files;
@@ -182,6 +183,7 @@ pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Report
 }
 
 /// The report of a run, and its complete temporary files, not yet renamed.
+#[doc(hidden)]
 #[derive(Debug)]
 pub struct Prepared<R> {
     /// The report; the outputs that it lists do not exist yet.

@@ -17,15 +17,22 @@
 //! bitmaps, refined on the pixels; features; the other minima of the bitmap search. Every result is refined and then
 //! checked by [`agreement`].
 
+#[doc(hidden)]
 pub mod agreement;
+#[doc(hidden)]
 pub mod bitmaps;
 pub(crate) mod diagnostics;
+#[doc(hidden)]
 pub mod features;
+#[doc(hidden)]
 pub mod grey;
 mod ladder;
+#[doc(hidden)]
 pub mod photometric;
 pub mod preset;
+#[doc(hidden)]
 pub mod refinement;
+#[doc(hidden)]
 pub mod resampling;
 mod result;
 #[cfg(test)]
@@ -38,6 +45,7 @@ use crate::error::{Error, Result, Warning};
 use bitmaps::MtbOptions;
 pub use features::RobustMethod;
 use features::{RansacOptions, SiftOptions};
+#[doc(hidden)]
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
 use preset::Preset;

@@ -10,7 +10,9 @@
 mod profile;
 mod transfer;
 
+#[doc(hidden)]
 pub use profile::{Found, Profile};
+#[doc(hidden)]
 pub use transfer::{Curve, Transfer};
 
 use nalgebra::{Matrix3, Vector3};
@@ -163,6 +165,7 @@ impl Space {
 }
 
 /// Conversion of linear RGB between colour spaces: a matrix, by rows.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conversion([[f32; 3]; 3]);
 
@@ -201,6 +204,7 @@ impl Conversion {
 /// Between linear RGB and the XYZ of formats that hold no primaries: grey has X = Y = Z, as their readers expect it (Radiance's
 /// `ra_xyze`, libtiff's LogLuv). Chromaticities are adapted to that white by Bradford's transform; Y is the luminance under the white
 /// that was, to the letter, which a matrix alone would change by some percent for saturated colours.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeutralXyz {
     to_xyz: Conversion,

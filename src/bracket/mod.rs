@@ -9,6 +9,7 @@ mod decode;
 pub mod exposure;
 mod from_image;
 mod grey;
+#[doc(hidden)]
 pub mod header;
 mod load;
 mod metadata;
@@ -18,9 +19,11 @@ mod window;
 
 pub use load::{LoadOptions, load, load_with_progress};
 pub(crate) use load::{differing_profiles, load_for};
+#[doc(hidden)]
 pub use photograph::Photograph;
 pub use reference::ReferenceChoice;
 pub(crate) use reference::named;
+#[doc(hidden)]
 pub use window::{Codes, Window};
 
 use crate::budget::Budget;
@@ -39,6 +42,7 @@ use window::Store;
 pub(crate) const EXTENSIONS: [&str; 7] = ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff"];
 
 /// Pixel values: interleaved RGB by rows.
+#[doc(hidden)]
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {
     /// 0..=255.
@@ -79,6 +83,7 @@ impl Samples {
 }
 
 /// Capture data other than the exposure; copied to the outputs.
+#[doc(hidden)]
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Capture {
     /// EXIF Make.

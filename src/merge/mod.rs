@@ -32,6 +32,7 @@
 pub mod deghost;
 mod fill;
 mod layer;
+#[doc(hidden)]
 pub mod local;
 mod mean;
 mod merging;
@@ -45,8 +46,11 @@ pub mod weight;
 use crate::align::Rect;
 use crate::bracket::colour::Primaries;
 use crate::plane::Plane;
-pub use merging::{Merging, Slab, merge};
+pub use merging::merge;
+#[doc(hidden)]
+pub use merging::{Merging, Slab};
 use radiance::calibration::Unit;
+#[doc(hidden)]
 pub use radiance::photographed::Photographed;
 use radiance::range::Limits;
 use radiance::statistics::Statistics;
@@ -107,6 +111,7 @@ impl Merged {
 }
 
 /// What came of merging, for the report.
+#[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MergeReport {
     /// [`Merged::frames`].

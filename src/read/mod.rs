@@ -26,6 +26,7 @@ use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
+#[doc(hidden)]
 pub use repair::{Repaired, repair};
 
 /// The radiance in the file `path`, and what its headers tell. Values may be anything that a float can be.

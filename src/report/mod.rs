@@ -22,6 +22,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// The formats of a report, selected by the extension of its file.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// `.json`, for programs.
@@ -112,6 +113,7 @@ impl From<Rect> for Crop {
 }
 
 /// The primaries of a picture.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColourReport {
     /// The colour space by name; null for primaries of another.

@@ -11,6 +11,7 @@ use crate::tonemap::{Rendering, adjust};
 use serde::Serialize;
 
 /// The options of a run; all from `exposures` on are none where frames were only aligned.
+#[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
     /// Alignment methods.

@@ -19,6 +19,7 @@ use std::path::Path;
 pub const SCHEMA: &str = "hdralign-tonemap/1";
 
 /// What was read and written.
+#[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TonemapReport {
     /// [`SCHEMA`].

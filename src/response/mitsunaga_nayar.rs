@@ -77,6 +77,7 @@ impl Options {
 }
 
 /// Two consecutive exposures, and what their ratio is by the curve.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ratio {
     /// ln dt of the shorter and of the longer, as given.

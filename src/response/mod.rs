@@ -11,10 +11,12 @@
 pub mod debevec;
 pub mod file;
 pub(crate) mod fit;
+#[doc(hidden)]
 pub mod local;
 pub mod mitsunaga_nayar;
 pub mod ratios;
 pub mod robertson;
+#[doc(hidden)]
 pub mod samples;
 
 use crate::align::Alignment;
@@ -190,6 +192,7 @@ pub struct ResponseReport {
 }
 
 /// The ratio of two consecutive exposures.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {
     /// The exposures, over the reference's, in stops: the shorter and the longer.
@@ -201,6 +204,7 @@ pub struct RatioReport {
 }
 
 /// How well one channel's curve is known.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Fit {
     /// Places of the scene that were used.

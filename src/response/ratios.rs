@@ -40,6 +40,7 @@ pub enum Exposures {
 }
 
 /// What one frame's exposure is corrected by.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Correction {
     /// To be added to its EV.

@@ -5,6 +5,7 @@
 use crate::error::{Error, Result};
 
 /// The variable that holds a setting.
+#[doc(hidden)]
 #[derive(Debug)]
 pub enum Place<'a> {
     /// A number.

@@ -30,6 +30,7 @@ pub enum Encoding {
 }
 
 /// The `.hdr` writer.
+#[doc(hidden)]
 #[derive(Debug)]
 pub struct Writer {
     file: Pending,

@@ -31,7 +31,9 @@ use std::path::PathBuf;
 pub(crate) use files::{Codes, Files, Settled};
 pub use format::{Format, Output};
 pub use metadata::Metadata;
+#[doc(hidden)]
 pub use row_writer::{RowWriter, push_all};
+#[doc(hidden)]
 pub use staging::{
     CompleteFile, NewFolder, Pending, Target, Written, abandon, bytes, check_targets, commit, complete, rename_all,
     sweep, text,

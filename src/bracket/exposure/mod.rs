@@ -8,6 +8,7 @@ mod nominal;
 mod tags;
 
 pub(super) use tags::first_number;
+#[doc(hidden)]
 pub use tags::{ExposureTags, Tagged};
 
 use serde::Serialize;
@@ -25,6 +26,7 @@ pub enum ExposureSource {
 }
 
 /// How the exposure values of a file were interpreted.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reading {

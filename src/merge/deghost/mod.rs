@@ -35,6 +35,7 @@ use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
+#[doc(hidden)]
 pub use ghosts::{GhostFrame, GhostRegion, GhostReport, Ghosts, MOST_REGIONS};
 use holes::Shorter;
 use std::fmt;

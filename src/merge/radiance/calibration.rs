@@ -29,6 +29,7 @@ pub const CAMERA_CONSTANT: f64 = 87.0;
 
 /// A factor on radiance or luminance: finite, above 0, and from 1e-20 to 1e20. From starlight to the sun it is 1e14; beyond, the floats
 /// that it is multiplied with end.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Factor(f64);
 
@@ -80,6 +81,7 @@ pub struct Calibration {
 }
 
 /// How radiance was calibrated.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CalibrationReport {
     /// The luminance that 87 N^2 / (t S) gives for the reference's top code; null where the camera was not asked.

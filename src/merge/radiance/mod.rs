@@ -4,9 +4,12 @@
 //! radiance that the bracket covers, [`statistics`] the luminance of the map, `photographed` the brightness of the frames, for tone mapping.
 
 pub mod calibration;
+#[doc(hidden)]
 pub mod flare;
 pub(crate) mod gamut;
 pub(crate) mod normalisation;
 pub(crate) mod photographed;
+#[doc(hidden)]
 pub mod range;
+#[doc(hidden)]
 pub mod statistics;

@@ -58,6 +58,7 @@ impl Format {
 }
 
 /// A curve as a text file.
+#[doc(hidden)]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Encoded {
     /// All of the file.
@@ -67,6 +68,7 @@ pub struct Encoded {
 }
 
 /// What radiance is off by, merged with one curve in place of another: root mean squares over the pixels, in stops.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loss {
     /// Of the luminance.

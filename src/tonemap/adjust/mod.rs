@@ -14,7 +14,9 @@ pub(crate) mod white;
 
 use crate::error::{Error, Result};
 
+#[doc(hidden)]
 pub use light::Adjusted;
+#[doc(hidden)]
 pub use surroundings::CELLS;
 pub use white::{Light, WhiteBalance};
 

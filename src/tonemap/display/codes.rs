@@ -134,6 +134,7 @@ static SRGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::Srgb));
 static ADOBE_RGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::AdobeRgb));
 
 /// Encodes light as code values of a colour space; light is clamped to 0..=1, and NaN becomes 0.
+#[doc(hidden)]
 #[derive(Clone, Copy)]
 pub struct Encoder {
     tables: &'static Tables,
@@ -214,6 +215,7 @@ impl<C: Code> Loops for Encoded<'_, C> {
 }
 
 /// The type of a channel: a code value, or `f32` for linear light.
+#[doc(hidden)]
 pub trait Code: Copy + Default + Send + Sync + 'static {
     /// Encodes linear light.
     fn of_light<const N: usize>(encoder: &Encoder, light: &[f32; N]) -> [Self; N];

@@ -18,6 +18,7 @@ pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
 }
 
 /// Converts linear RGB of some primaries to linear sRGB.
+#[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToSrgb(Option<Conversion>);
 

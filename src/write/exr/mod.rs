@@ -12,7 +12,10 @@ mod piz;
 mod sample;
 mod writer;
 
-pub use sample::{Fit, Sample};
+#[doc(hidden)]
+pub use sample::Fit;
+pub use sample::Sample;
+#[doc(hidden)]
 pub use writer::Writer;
 
 /// Compression of an OpenEXR file, always lossless.

@@ -17,7 +17,9 @@ mod writer;
 
 use crate::error::{Error, Result};
 
-pub use gain_map::{Rendition, Resolution};
+#[doc(hidden)]
+pub use gain_map::Rendition;
+pub use gain_map::Resolution;
 pub(crate) use survey::Survey;
 pub(crate) use writer::Writer;
 

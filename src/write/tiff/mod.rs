@@ -16,7 +16,9 @@ mod writer;
 
 use crate::pixel::logluv::Depth;
 
+#[doc(hidden)]
 pub use sample::Sample;
+#[doc(hidden)]
 pub use writer::Writer;
 
 /// Pixel encoding of radiance in a TIFF.
