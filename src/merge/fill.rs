@@ -1,39 +1,40 @@
-//! Filling: what frames of which the place is only assumed add to the mean of the others, where these clip or are black.
+//! Filling: frames with assumed transforms fill what is clipped or black in all others.
 //!
-//! In: the mean of the frames whose place is known, and what these and the others have of a row. Out: the radiance of the row. Cost: none where no place is
-//! assumed; else that of the mean once more.
+//! In: the mean of the frames with known transforms, and a row of all frames. Out: the radiance of the row. Cost: none
+//! if no transform is assumed, else that of the mean again.
 //!
-//! With P the mean of the frames whose place is known, and A that of those darker (brighter) than the reference whose place is assumed, radiance is
+//! With P the mean of the frames with known transforms, and A that of the darker (brighter) frames with assumed
+//! transforms, radiance is
 //!
 //! ```text
 //! E = (1 - a) P + a max(A, L)        (1 - b) P + b min(A, U)
 //! ```
 //!
-//! - a rises from 0 to 1 over the codes at which the shortest of the known frames begins to clip and clips for sure, b as it falls to
-//!   black: where a frame in its place shows something, one that may be displaced has no part in it.
-//! - L is the least radiance that the clipped frames leave possible, U the most that the black ones do. So at the rim of a lamp, where a displaced
-//!   frame may show the dark beside it, E is never less than what is known, and never more in the dark.
+//! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip, b as the longest falls
+//!   to black: an assumed frame, which may be displaced, is not used where a known frame shows something.
+//! - L is the smallest radiance that the clipped frames allow, U the largest that the black ones allow. At the edge of
+//!   a lamp, where a displaced frame may show the dark wall, E is never below L.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, PAINTED, Taken, Tile};
 use super::mean::{Channels, Means};
 use crate::simd::{Loops, at_least, at_most};
 
-/// What is kept from row to row.
+/// Buffers that are reused from row to row.
 pub(super) struct Filling {
     means: Means,
-    /// The mean of the frames that fill, and the bound to which it is held.
+    /// The mean of the frames that fill, and its bound.
     filled: Channels,
     bound: Channels,
-    /// How far they do, 0..=1.
+    /// a or b of each pixel, 0..=1.
     part: [f32; COLUMNS],
     meanings: [Meaning; COLUMNS],
 }
 
-/// Fills row `y` of a tile, whose mean over the frames whose place is known is in `known` and `radiance`.
+/// Fills row `y` of a tile. `known` and `radiance` have the mean over the frames with known transforms.
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// As of a [`MergedRow`](super::rows::MergedRow).
+    /// As in [`MergedRow`](super::rows::MergedRow).
     pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub fill: Fill,
@@ -48,7 +49,7 @@ impl Filling {
         Filling { means: Means::new(), filled: none, bound: none, part: [0.0; COLUMNS], meanings: [[0.0; 4]; COLUMNS] }
     }
 
-    /// How far each pixel of the last row that was filled is what was filled in, 0..=1.
+    /// a or b of each pixel of the last row, 0..=1.
     pub fn part(&self) -> &[f32; COLUMNS] {
         &self.part
     }
@@ -61,7 +62,7 @@ impl Loops for FilledRow<'_, '_> {
     fn run(self) {
         let FilledRow { layers, tiles, taken, y, fill, filling, known, radiance } = self;
         let Filling { means, filled, bound, part, meanings } = filling;
-        // The known frame that ends the range at each pixel: the first that is believed, or the last.
+        // The known frame at the end of the range at each pixel: the first that is used, or the last.
         let mut end = [0.0f32; COLUMNS];
         let mut is_seen = [0u32; COLUMNS];
         let known_ones = layers.iter().zip(tiles).zip(taken).filter(|((layer, _), _)| layer.fill.is_none());
@@ -71,13 +72,13 @@ impl Loops for FilledRow<'_, '_> {
             let mut is_end = [0u32; COLUMNS];
             for x in 0..COLUMNS {
                 let is_shown = red[x] >= 0.0 && row.beside[x] & PAINTED == 0;
-                let is_believed = is_shown && kept.get(x).is_none_or(|&kept| kept >= 0.5);
+                let is_used = is_shown && kept.get(x).is_none_or(|&kept| kept >= 0.5);
                 let is_later = fill == Fill::Black || is_seen[x] == 0;
-                is_end[x] = u32::from(is_believed && is_later);
-                is_seen[x] |= u32::from(is_believed);
+                is_end[x] = u32::from(is_used && is_later);
+                is_seen[x] |= u32::from(is_used);
                 let top = at_least(at_least(red[x], green[x]), blue[x]);
                 let (begins, sure) = (CLIPS.0 as f32, CLIPS.1 as f32);
-                // As far from black as clipping is from the top.
+                // Mirrored for black.
                 let reaches = match fill {
                     Fill::Clipped => top,
                     Fill::Black => 255.0 - (top - layer.black),

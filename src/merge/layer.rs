@@ -1,7 +1,8 @@
-//! Layers: the frames that take part in a merge, each with what its codes mean and how far they are trusted.
+//! Layers: the frames of a merge, with the radiance and weight of each code value.
 //!
-//! In: a bracket, where its frames lie, and the response. Out: for a tile of the region, each frame's codes; for a code, its radiance, weight
-//! and the least that it vouches for. Cost: a few ns a pixel and frame, and resampling where a frame moved.
+//! In: a bracket, its alignment and the response. Out: for a tile of the region, the code values of each frame; for a
+//! code value, its radiance, its weight, and a lower bound of the radiance. Cost: a few ns per pixel and frame, plus
+//! resampling if a frame moved.
 
 use super::noise::Noise;
 use super::weight::Weight;
@@ -13,45 +14,50 @@ use crate::response::{CODES, ResponseCurve};
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, vectorised};
 use std::ops::Range;
 
-/// Columns and rows of a tile, at most: what all frames have of it stays in the nearer caches.
+/// Largest size of a tile. The tiles of all frames fit into the L2 cache.
 pub(super) const COLUMNS: usize = 128;
 pub(super) const ROWS: usize = 32;
-/// Values from one row of a tile to the next, with a pixel more at both ends, and the most rows.
+/// Stride of a tile with a margin of one pixel, and its largest number of rows.
 const LINE: usize = COLUMNS + 8;
 const LINES: usize = ROWS + 2;
 
-/// Codes by which noise and JPEG may lift a pixel: what a code vouches for is the radiance of one lower by so many.
+/// Code values by which noise and JPEG may brighten a pixel. The lower bound of the radiance is that of a code value
+/// this much lower.
 pub(super) const LIFT: usize = 6;
-/// Codes between which a frame is taken to clip where a shorter one vouches for as much light as they mean.
+/// Code values whose radiance clips a frame: if a shorter frame shows more than that of the second, the frame is
+/// clipped; below that of the first it is not.
 pub(super) const CLIPS: (usize, usize) = (230, 250);
-/// Codes below the top over which a frame's trust falls with its brightest channel, and what it falls to: a frame in which one channel
-/// clips still counts for the others where every frame that holds all three is darker by some stops.
+/// Range of code values below white over which the weight of a frame falls with its brightest channel, and the factor
+/// that it falls to. A frame with one clipped channel still contributes to the others if every frame without clipping
+/// is darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
 
-/// A code from which on a pixel counts as clipped, and the share of their weight that its eight neighbours keep: JPEG's ringing, the camera's
-/// sharpening and resampling bend them. On truth brackets a half gains 0.1 to 0.6 dB where frames moved, and loses 0.05 where none did.
+/// Code value from which on a pixel counts as clipped, and the factor on the weight of its eight neighbours, which JPEG
+/// ringing, sharpening and resampling change. On rendered brackets 0.5 gains 0.1 to 0.6 dB if frames moved, and loses
+/// 0.05 dB if none did.
 const TOP: f32 = 253.0;
 const RINGING: f32 = 0.5;
 
-/// Radiance over the reference's middle code, at most, and one over it at least; and weight over that of the longest exposure's middle code,
-/// at most: 80 stops and 40, beyond what exposures and curves that mean anything give. Sums over a bracket of the largest are finite.
+/// Largest radiance relative to the middle code value of the reference frame (the smallest is its inverse), and largest
+/// weight relative to the middle code value of the longest exposure: 80 and 40 stops, more than real exposures and
+/// responses give. Sums of the largest are finite.
 const MOST_RADIANCE: f64 = 1e24;
 const MOST_WEIGHT: f32 = 1e11;
 
-/// What a channel's code counts for in one frame.
+/// Radiance, weight and lower bound of each code value of a channel of one frame.
 #[derive(Clone)]
 struct Table {
     /// X / dt.
     radiance: [f32; CODES],
     weight: [f32; CODES],
-    /// X / dt of the code less [`LIFT`].
-    vouched: [f32; CODES],
+    /// X / dt of the code value minus [`LIFT`].
+    bound: [f32; CODES],
 }
 
-/// What a code means, side by side: X / dt, w, and the radiance that the scene has at least (and nothing, to make four).
+/// X / dt, w and the lower bound of the radiance of a code value; the fourth is padding.
 pub(super) type Meaning = [f32; 4];
 
-/// What a code means, and what is to be added for each part of the way to the next.
+/// The meaning of a code value, and the slope to the next.
 #[derive(Clone, Copy)]
 struct Entry {
     at: Meaning,
@@ -63,7 +69,7 @@ impl Table {
         let entry = |code: usize| {
             let slope = |of: &[f32; CODES]| if code + 1 < CODES { of[code + 1] - of[code] } else { 0.0 };
             Entry {
-                at: [self.radiance[code], self.weight[code], self.vouched[code], 0.0],
+                at: [self.radiance[code], self.weight[code], self.bound[code], 0.0],
                 slope: [slope(&self.radiance), slope(&self.weight), 0.0, 0.0],
             }
         };
@@ -71,31 +77,32 @@ impl Table {
     }
 }
 
-/// One frame's codes in a tile of the region, and where clipped pixels are near.
+/// The code values of one frame in a tile, and marks near clipped pixels.
 pub(super) struct Tile {
-    /// As they are resampled, with a pixel more to every side, where there is one.
+    /// Resampled pixels, with a margin of one pixel where the frame has it.
     codes: Vec<[f32; 3]>,
-    /// By channel, the tile's first pixel at column and row 1.
+    /// One plane for each channel; the first pixel of the tile is at column and row 1.
     planes: [Vec<f32>; 3],
-    /// [`CLIPPED`] where a channel is at its top, or as good as, and [`PAINTED`].
+    /// [`CLIPPED`] where a channel is at white or nearly, and [`PAINTED`].
     clipped: Vec<u8>,
-    /// The same of a pixel and its eight neighbours, the tile's first pixel at column and row 0.
+    /// The same for a pixel or one of its eight neighbours; the first pixel of the tile is at column and row 0.
     beside: Vec<u8>,
 }
 
-/// A row of a tile; what lies beyond the tile's width means nothing.
+/// A row of a tile. Values beyond the width of the tile are undefined.
 #[derive(Clone, Copy)]
 pub(super) struct Row<'a> {
-    /// R, G and B on the scale 0..=255; below 0 where the frame does not reach.
+    /// R, G and B, 0..=255; negative outside the frame.
     pub codes: [&'a [f32; COLUMNS]; 3],
-    /// Whether a [`CLIPPED`] or a [`PAINTED`] pixel is near.
+    /// Marks of the pixel and its neighbours: [`CLIPPED`], [`PAINTED`].
     pub beside: &'a [u8; COLUMNS],
 }
 
-/// Where a channel is at its top.
+/// Mark of a pixel with a channel at white.
 pub(super) const CLIPPED: u8 = 1;
-/// Where channels are at their top and the others at 0, in another frame than the reference: no light is so, but the borders of registered scans are. Such a
-/// pixel has no weight, and is no lower bound of the radiance.
+/// Mark of a pixel with some channels at white and the others at 0, in a frame other than the reference: no scene is
+/// like that, but the borders of registered scans are. Such a pixel has no weight, and gives no lower bound of the
+/// radiance.
 pub(super) const PAINTED: u8 = 2;
 
 impl Tile {
@@ -108,8 +115,7 @@ impl Tile {
         }
     }
 
-    /// Takes what `layer`, of which `window` is read, has at columns `columns` and rows `rows` of the reference, no more than a tile of
-    /// them.
+    /// Reads `columns` and `rows` of the reference from `window` of `layer`, at most one tile.
     pub fn read(&mut self, layer: &Layer, window: &Window, columns: Range<usize>, rows: Range<usize>) {
         let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
         let size = (c.len(), r.len());
@@ -121,7 +127,7 @@ impl Tile {
         vectorised(Beside { rows: rows.len(), clipped: &self.clipped, beside: &mut self.beside });
     }
 
-    /// Row `y`; none beyond the last.
+    /// Row `y`, or `None` after the last.
     #[inline(always)]
     pub fn row(&self, y: usize) -> Option<Row<'_>> {
         let plane = |c: usize| self.planes[c].get((y + 1) * LINE + 1..)?.first_chunk();
@@ -129,13 +135,13 @@ impl Tile {
     }
 }
 
-/// Takes the channels of a tile apart, and sees where they clip.
+/// Splits the channels of a tile and marks clipped pixels.
 struct Apart<'a> {
     /// Columns and rows of `codes`.
     size: (usize, usize),
-    /// Where the first of them lies.
+    /// Position of the first of them.
     at: (usize, usize),
-    /// What pixels of a painted colour are.
+    /// The mark of painted pixels.
     painted: u8,
     codes: &'a [[f32; 3]],
     planes: &'a mut [Vec<f32>; 3],
@@ -148,7 +154,7 @@ impl Loops for Apart<'_> {
     #[inline(always)]
     fn run(self) {
         let (width, _) = self.size;
-        // Beyond the picture's border there is nothing that could clip.
+        // Nothing is clipped outside the picture.
         self.clipped.fill(0);
         let [red, green, blue] = self.planes;
         for (y, codes) in self.codes.chunks_exact(width).enumerate() {
@@ -171,7 +177,7 @@ impl Loops for Apart<'_> {
     }
 }
 
-/// Sees where clipped pixels are near.
+/// Marks the neighbours of clipped pixels.
 struct Beside<'a> {
     rows: usize,
     clipped: &'a [u8],
@@ -194,75 +200,76 @@ impl Loops for Beside<'_> {
     }
 }
 
-/// What a frame of which the place is only [assumed](Placement::Assumed) takes part in.
+/// What a frame with an [assumed](Placement::Assumed) transform fills.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fill {
-    /// In what the other frames clip.
+    /// Pixels that are clipped in the other frames.
     Clipped,
-    /// In what is black in the other frames.
+    /// Pixels that are black in the other frames.
     Black,
 }
 
-/// A frame that takes part.
+/// A frame of the merge.
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
     warp: Transform,
     is_reference: bool,
-    /// By channel and code.
+    /// For each channel and code value.
     entries: [Vec<Entry>; 3],
-    /// The last code whose entry begins what lies between it and the next: 255 where nothing lies between codes.
+    /// Last code value from which is interpolated: 254, or 255 if all code values are integers.
     last: f32,
-    /// The weight of the frame's middle code.
-    pub say: f32,
-    /// What it is to fill, where its place is assumed; none where it is known.
+    /// The weight of the middle code value.
+    pub middle_weight: f32,
+    /// What it fills if its transform is assumed; `None` if it is known.
     pub fill: Option<Fill>,
-    /// The code up to which it is black, in any channel.
+    /// The code value up to which it is black, in any channel.
     pub black: f32,
-    /// Whether all channels have the weight of the one that is trusted least.
+    /// Whether all channels have the smallest weight of the three.
     pub is_joint: bool,
-    /// For each channel the radiance from which on the frame clips for sure, and the inverse of the range over which it begins to.
+    /// For each channel the radiance from which on the frame is clipped, and the inverse of the range over which
+    /// clipping begins.
     pub clips: [(f32, f32); 3],
-    /// What v falls to where the brightest channel is at its top.
+    /// v of pixels whose brightest channel is at white.
     pub guard: f32,
-    /// The share of its weight that a pixel beside clipped ones keeps.
+    /// Factor on the weight of pixels beside clipped ones.
     pub ringing: f32,
 }
 
-/// `range` and one more to either side, where there is one.
+/// `range`, extended by one on either side within 0..`most`.
 fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
     range.start.saturating_sub(1)..(range.end + 1).min(most)
 }
 
 impl Layer<'_> {
-    /// What is needed of the frame for tiles of columns `columns` and rows `rows` of the reference.
+    /// The rows of the frame that `columns` and `rows` of the reference need.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub fn window(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Window<'_>> {
         let size = (self.frame.width(), self.frame.height());
         self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
-    /// Weighs the frame as one of a bracket that is locally processed: as much as every other, for a phone lifts the noise of what it brightens; and its
-    /// channels together, for they were changed together.
+    /// Changes the weights for a locally processed bracket: the same for every frame, because a phone amplifies the
+    /// noise of what it brightens, and the same for all channels, because they were changed together.
     ///
-    /// On 7 truth brackets of kind `phone`, the first is worth 0.7 dB (PU21-PSNR of details), and the second up to 2.6.
+    /// On 7 rendered brackets of phones the first gains 0.7 dB (PU21-PSNR of details), the second up to 2.6.
     pub fn weigh_as_local(&mut self) {
-        let say = at_least(self.say, f32::MIN_POSITIVE);
+        let middle_weight = at_least(self.middle_weight, f32::MIN_POSITIVE);
         for entry in self.entries.iter_mut().flatten() {
-            (entry.at[1], entry.slope[1]) = (entry.at[1] / say, entry.slope[1] / say);
+            (entry.at[1], entry.slope[1]) = (entry.at[1] / middle_weight, entry.slope[1] / middle_weight);
         }
-        (self.say, self.is_joint) = (1.0, true);
+        (self.middle_weight, self.is_joint) = (1.0, true);
     }
 
-    /// v of pixels whose brightest channel has code `top`.
+    /// v of pixels whose brightest channel has the code value `top`.
     #[inline(always)]
     pub fn guard(&self, top: f32) -> f32 {
         let v = (255.0 - floor32(top)) * (1.0 / GUARD.0);
         at_most(at_least(v, self.guard), 1.0)
     }
 
-    /// What `codes` of a channel mean, into `meanings`: interpolated between codes, but that a code vouches for what the lower does.
+    /// Writes the meanings of `codes` to `meanings`, interpolated between code values, except for the lower bound.
     #[inline(always)]
     pub fn look_up(&self, channel: usize, codes: &[f32; COLUMNS], meanings: &mut [Meaning; COLUMNS]) {
         let (mut below, mut part) = ([0u8; COLUMNS], [0.0f32; COLUMNS]);
@@ -271,7 +278,8 @@ impl Layer<'_> {
             let whole = at_most(floor32(code), self.last);
             (below[x], part[x]) = (integer32(whole) as u8, code - whole);
         }
-        // As a slice, whose length the compiler does not know: else it would gather eight pixels' numbers one by one instead of four at once.
+        // A slice of unknown length, so that the compiler loads four values at once instead of gathering those of eight
+        // pixels one by one.
         let entries = self.entries[channel].as_slice();
         for x in 0..COLUMNS {
             let entry = &entries[usize::from(below[x])];
@@ -282,7 +290,7 @@ impl Layer<'_> {
     }
 }
 
-/// The frames that were placed, by rising exposure. Weights are such that the longest exposure's middle code has 1.
+/// The merged frames, by rising exposure. The middle code value of the longest exposure has weight 1.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
@@ -302,7 +310,7 @@ pub(super) fn layers<'a>(
         Ok((frame, warp, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
     };
     let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
-    let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.say(curve, *time, noise));
+    let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.middle_weight(curve, *time, noise));
     let placed = placed.into_iter();
     let layer = |(frame, warp, time, noise, (fill, is_reference))| Layer {
         fill,
@@ -312,7 +320,8 @@ pub(super) fn layers<'a>(
     Ok(placed.map(layer).collect())
 }
 
-/// `frame`, exposed `time` times as long as the reference and as noisy as told; weights are divided by `most`.
+/// The layer of `frame`, with `time` times the exposure of the reference and with `noise`. Weights are divided by
+/// `most`.
 fn layer<'a>(
     frame: &'a Frame,
     warp: Transform,
@@ -327,7 +336,7 @@ fn layer<'a>(
         Table {
             radiance,
             weight: weight.table(curve, c, time, noise).map(|w| at_most(w / most, MOST_WEIGHT)),
-            vouched: std::array::from_fn(|code| match code.saturating_sub(LIFT) {
+            bound: std::array::from_fn(|code| match code.saturating_sub(LIFT) {
                 lower if lower as f64 <= curve.black(c) => 0.0,
                 lower => radiance[lower],
             }),
@@ -337,7 +346,7 @@ fn layer<'a>(
         Weight::Uniform => (f32::MAX, 1.0),
         _ => {
             let (begins, sure) = (table.radiance[CLIPS.0], table.radiance[CLIPS.1]);
-            // A curve may be flat between the two, and nothing times infinity is no number.
+            // A response may be flat between the two, and 0 times infinity is not a number.
             (sure, 1.0 / at_least(sure - begins, f32::MIN_POSITIVE))
         }
     };
@@ -345,9 +354,9 @@ fn layer<'a>(
         frame,
         warp,
         is_reference: false,
-        // A frame of 8 bit that did not move has whole codes alone.
+        // A frame of 8 bits that did not move has integer code values only.
         last: if frame.max() == u16::from(u8::MAX) && warp == Transform::Identity { 255.0 } else { 254.0 },
-        say: weight.say(curve, time, noise) / most,
+        middle_weight: weight.middle_weight(curve, time, noise) / most,
         fill: None,
         black: (0..3).map(|c| curve.black(c)).fold(0.0, f64::max) as f32,
         is_joint: false,
@@ -358,17 +367,17 @@ fn layer<'a>(
     }
 }
 
-/// How a row of a frame takes part.
+/// Weights and factors of a row of a frame.
 #[derive(Clone, Copy)]
 pub(super) struct Taken<'a> {
-    /// How far it is believed at each of the pixels, 0..=1; wholly where it does not say.
+    /// Share to which each pixel is used, 0..=1; 1 beyond the end.
     pub kept: &'a [f32],
-    /// What its radiance is multiplied by at each of the pixels; 1 where it does not say.
+    /// Factor on the radiance of each pixel; 1 beyond the end.
     pub gain: &'a [f32],
 }
 
 impl<'a> Taken<'a> {
-    /// The pixels `part` of all that `kept` and `gain` say; they say nothing if they are empty.
+    /// The pixels `part` of `kept` and `gain`, which may be empty.
     pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
         Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
     }

@@ -1,66 +1,68 @@
-//! The weighted mean of the pixels of a row over the frames, as it grows.
+//! The weighted mean over the frames of the pixels of a row.
 //!
-//! In: what each frame has of the row, by rising exposure. Out: radiance, and how many pixels every frame saw clipped or black. Cost: two dozen
-//! multiplications a pixel, channel and frame, eight pixels at a time. The equation and its letters are at the head of [`merge`](super).
+//! In: the row of each frame, by rising exposure. Out: radiance, and the number of pixels that are clipped or black in
+//! every frame. Cost: two dozen multiplications per pixel, channel and frame, eight pixels at a time. The equation and
+//! its letters are at the head of [`merge`](super).
 
 use super::FLOOR;
 use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
-/// e: the extra weight of the shortest and the longest exposure, at the code it decides, as a share of the frame's say; that of one code
-/// on the hat. A smaller one would let a second frame that noise lifts from black by one code outvote the longest; a larger one would
-/// trust clipped codes.
+/// e: the extra weight of the shortest and the longest exposure, relative to the frame's middle weight: the hat weight
+/// of one code value. If it were smaller, a second frame that noise lifts from black by one code value would outweigh
+/// the longest; if it were larger, clipped code values would contribute.
 const DECIDE: f32 = 1.0 / 127.5;
-/// What keeps the sum of weights above zero where the shortest exposure is black and the longest clips.
+/// Keeps the sum of weights above zero where the shortest exposure is black and the longest clipped.
 const LEAST: f32 = 1e-6;
 
-/// Codes of the brightest channel from which on a frame may clip here, and from which on it does where shorter ones say so: JPEG pulls a
-/// clipped channel down by some codes, one of colour by many, but not all three. A frame far below its top shows something else: what moves.
+/// Code values of the brightest channel from which on a frame may be clipped, and from which on it is if a shorter
+/// frame shows more radiance than it can hold. JPEG lowers a clipped channel by some code values, one of a saturated
+/// colour by many, but never all three. A frame far below white shows something else that moved.
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
 pub(super) type Channels = [[f32; COLUMNS]; 3];
 
-/// The means of a row's pixels so far.
+/// The means of the pixels of a row, over the frames added so far.
 pub(super) struct Means {
     sum: Channels,
     pub(super) weight: Channels,
-    /// The radiance that the scene has here at least, as shorter exposures vouch for it.
-    vouched: Channels,
+    /// Lower bound of the radiance, from shorter exposures.
+    bound: Channels,
     /// e X / dt and e of the longest exposure so far.
     longest_sum: Channels,
     pub(super) longest_weight: Channels,
-    /// 1 where a frame was believed; where some channel is at its top code even in the shortest exposure; where all channels are at code 0
-    /// even in the longest.
+    /// 1 where a frame was used; where a channel is at white even in the shortest exposure; where all channels are at
+    /// code value 0 even in the longest.
     is_seen: [u32; COLUMNS],
     is_clipped: [u32; COLUMNS],
     is_black: [u32; COLUMNS],
     frame: View,
 }
 
-/// What the means take of one frame.
+/// The row of one frame, prepared for the mean.
 struct View {
     meanings: [[Meaning; COLUMNS]; 3],
-    /// How far the frame is believed, 0..=1.
-    trust: [f32; COLUMNS],
-    /// Trust, times the share beside clipped pixels, times v.
+    /// Share to which the frame is used, 0..=1.
+    share: [f32; COLUMNS],
+    /// The share, times that beside clipped pixels, times v.
     v: [f32; COLUMNS],
-    /// The least that u can be.
+    /// Lower bound of u.
     below_top: [f32; COLUMNS],
-    /// 1 where this is the first frame that is believed, and 1 where it is believed.
+    /// 1 where this is the first frame that is used, and 1 where it is used.
     is_first: [u32; COLUMNS],
-    is_believed: [u32; COLUMNS],
-    /// What radiance is multiplied by, and its inverse.
+    is_used: [u32; COLUMNS],
+    /// Factor on the radiance, and its inverse.
     gain: [f32; COLUMNS],
     inverse: [f32; COLUMNS],
 }
 
-/// Pixels whose radiance is but a bound.
+/// Numbers of pixels whose radiance is only a bound.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Bounds {
-    /// Of which some channel is at its top code even in the shortest exposure.
+    /// Some channel is at white even in the shortest exposure.
     pub clipped: usize,
-    /// Of which all channels are at code 0 even in the longest.
+    /// All channels are at code value 0 even in the longest exposure.
     pub black: usize,
 }
 
@@ -70,7 +72,7 @@ impl Means {
         Means {
             sum: none,
             weight: none,
-            vouched: none,
+            bound: none,
             longest_sum: none,
             longest_weight: none,
             is_seen: flags,
@@ -78,11 +80,11 @@ impl Means {
             is_black: flags,
             frame: View {
                 meanings: [[[0.0; 4]; COLUMNS]; 3],
-                trust: zero,
+                share: zero,
                 v: zero,
                 below_top: zero,
                 is_first: flags,
-                is_believed: flags,
+                is_used: flags,
                 gain: zero,
                 inverse: zero,
             },
@@ -91,14 +93,13 @@ impl Means {
 
     #[inline(always)]
     pub fn clear(&mut self) {
-        for of in [&mut self.sum, &mut self.weight, &mut self.vouched, &mut self.longest_sum, &mut self.longest_weight]
-        {
+        for of in [&mut self.sum, &mut self.weight, &mut self.bound, &mut self.longest_sum, &mut self.longest_weight] {
             *of = [[0.0; COLUMNS]; 3];
         }
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// The means of row `y` over the frames that fill `fill`, or over those whose place is known: layers, tiles, and how each is taken.
+    /// Computes the means of row `y` over the frames that fill `fill`, or over those with a known transform.
     #[inline(always)]
     pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, taken): (&[Layer], &[Tile], &[Taken]), y: usize) {
         self.clear();
@@ -111,10 +112,10 @@ impl Means {
         }
     }
 
-    /// Adds a frame's row, as it is `taken`. A pixel that the frame does not reach, or that is painted, is one that is not believed.
+    /// Adds the row of a frame. Pixels outside the frame and painted ones are not used.
     #[inline(always)]
     pub fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
-        let View { meanings, trust, v, below_top, is_first, is_believed, gain: factor, inverse } = &mut self.frame;
+        let View { meanings, share, v, below_top, is_first, is_used, gain: factor, inverse } = &mut self.frame;
         let gain = &gain[..gain.len().min(COLUMNS)];
         factor[..gain.len()].copy_from_slice(gain);
         factor[gain.len()..].fill(1.0);
@@ -122,27 +123,27 @@ impl Means {
             inverse[x] = 1.0 / factor[x];
         }
         let kept = &kept[..kept.len().min(COLUMNS)];
-        trust[..kept.len()].copy_from_slice(kept);
-        trust[kept.len()..].fill(1.0);
+        share[..kept.len()].copy_from_slice(kept);
+        share[kept.len()..].fill(1.0);
         let [red, green, blue] = row.codes;
         for x in 0..COLUMNS {
             let top = at_least(at_least(red[x], green[x]), blue[x]);
             let is_shown = red[x] >= 0.0 && row.beside[x] & PAINTED == 0;
-            let t = if is_shown { trust[x] } else { 0.0 };
+            let t = if is_shown { share[x] } else { 0.0 };
             let is_beside = row.beside[x] & CLIPPED != 0;
-            trust[x] = t;
+            share[x] = t;
             v[x] = t * (if is_beside { layer.ringing } else { 1.0 }) * layer.guard(top);
-            // Beside clipped pixels, between which and their darker neighbours a moved frame is interpolated, any code may be a clipped one's.
+            // Beside clipped pixels any code value may come from a clipped one, because a moved frame is interpolated.
             let below = at_most(at_least((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0)), 0.0), 1.0);
             below_top[x] = if is_beside { 0.0 } else { below };
-            // A frame that is not believed does not decide.
-            let believed = u32::from(t >= 0.5);
-            let first = believed & (self.is_seen[x] ^ 1);
-            is_believed[x] = believed;
+            // A frame that is not used does not decide.
+            let used = u32::from(t >= 0.5);
+            let first = used & (self.is_seen[x] ^ 1);
+            is_used[x] = used;
             is_first[x] = first;
-            self.is_seen[x] |= believed;
+            self.is_seen[x] |= used;
             self.is_clipped[x] |= first & u32::from(top >= 254.5);
-            self.is_black[x] = if believed != 0 { u32::from(top <= 0.5) } else { self.is_black[x] };
+            self.is_black[x] = if used != 0 { u32::from(top <= 0.5) } else { self.is_black[x] };
         }
         for c in 0..3 {
             layer.look_up(c, row.codes[c], &mut meanings[c]);
@@ -156,23 +157,23 @@ impl Means {
         }
         for c in 0..3 {
             let (codes, meanings, (sure, slope)) = (row.codes[c], &meanings[c], layer.clips[c]);
-            let (sum, weight, vouched) = (&mut self.sum[c], &mut self.weight[c], &mut self.vouched[c]);
+            let (sum, weight, bound) = (&mut self.sum[c], &mut self.weight[c], &mut self.bound[c]);
             let (longest_sum, longest_weight) = (&mut self.longest_sum[c], &mut self.longest_weight[c]);
             for x in 0..COLUMNS {
-                let [radiance, trusted, vouches, _] = meanings[x];
+                let [radiance, weighted, lower, _] = meanings[x];
                 let radiance = radiance * factor[x];
-                let unclipped = at_most(at_least((sure - vouched[x] * inverse[x]) * slope, below_top[x]), 1.0);
-                let w = trusted * v[x] * unclipped;
-                vouched[x] = at_least(trust[x] * vouches * factor[x], vouched[x]);
-                let (say, code) = (trust[x] * layer.say, codes[x] / 255.0);
-                let e = say * (DECIDE * code + LEAST);
+                let unclipped = at_most(at_least((sure - bound[x] * inverse[x]) * slope, below_top[x]), 1.0);
+                let w = weighted * v[x] * unclipped;
+                bound[x] = at_least(share[x] * lower * factor[x], bound[x]);
+                let (middle, code) = (share[x] * layer.middle_weight, codes[x] / 255.0);
+                let e = middle * (DECIDE * code + LEAST);
                 let e = if is_first[x] != 0 { e } else { 0.0 };
                 sum[x] = (sum[x] + w * radiance) + e * radiance;
                 weight[x] = (weight[x] + w) + e;
-                // Where it clips it does not decide what is dark, whatever its code.
-                let e = say * unclipped * (DECIDE * (1.0 - code) + LEAST);
-                longest_sum[x] = if is_believed[x] != 0 { e * radiance } else { longest_sum[x] };
-                longest_weight[x] = if is_believed[x] != 0 { e } else { longest_weight[x] };
+                // Where it is clipped it does not decide what is dark, whatever its code value.
+                let e = middle * unclipped * (DECIDE * (1.0 - code) + LEAST);
+                longest_sum[x] = if is_used[x] != 0 { e * radiance } else { longest_sum[x] };
+                longest_weight[x] = if is_used[x] != 0 { e } else { longest_weight[x] };
             }
         }
     }
@@ -188,19 +189,19 @@ impl Means {
         }
     }
 
-    /// Whether a frame is believed at pixel `x`.
+    /// Whether a frame is used at pixel `x`.
     #[inline(always)]
     pub fn is_seen(&self, x: usize) -> bool {
         self.is_seen[x] != 0
     }
 
-    /// Whether the frame that was added last is believed at pixel `x`.
+    /// Whether the frame added last is used at pixel `x`.
     #[inline(always)]
-    pub fn is_last_believed(&self, x: usize) -> bool {
-        self.frame.is_believed[x] != 0
+    pub fn is_last_used(&self, x: usize) -> bool {
+        self.frame.is_used[x] != 0
     }
 
-    /// What is known of pixel `x` beyond the range of these frames, because `other` ones fill it.
+    /// Updates the bounds of pixel `x`, which the `other` frames fill.
     pub fn fill(&mut self, x: usize, fill: Fill, other: &Means) {
         match fill {
             Fill::Clipped => self.is_clipped[x] &= other.is_clipped[x],
@@ -208,7 +209,7 @@ impl Means {
         }
     }
 
-    /// Of the first `width` pixels those whose radiance is but a bound.
+    /// Counts the pixels among the first `width` whose radiance is only a bound.
     pub fn bounds(&self, width: usize) -> Bounds {
         let count = |of: &[u32; COLUMNS]| of.iter().take(width).sum::<u32>() as usize;
         Bounds { clipped: count(&self.is_clipped), black: count(&self.is_black) }
@@ -251,25 +252,25 @@ mod tests {
     fn textbook(codes: &[[u8; 3]], times: &[f64], channel: usize) -> f64 {
         let curve = ResponseCurve::srgb();
         let x = |code: u8| f64::from(curve.exposures(channel)[usize::from(code)]);
-        let say = |j: usize| (times[j] / times[times.len() - 1]).sqrt();
-        let (mut sum, mut weight, mut vouched) = (0.0, 0.0, 0.0f64);
+        let middle = |j: usize| (times[j] / times[times.len() - 1]).sqrt();
+        let (mut sum, mut weight, mut bound) = (0.0, 0.0, 0.0f64);
         for (j, codes) in codes.iter().enumerate() {
             let z = codes[channel];
             let top = f64::from(codes.iter().copied().max().unwrap());
             let v = ((255.0 - top) / 16.0).clamp(0.25, 1.0);
             let (begins, sure) = (x(230) / times[j], x(250) / times[j]);
             let below_top = ((235.0 - top) / 30.0).clamp(0.0, 1.0);
-            let u = ((sure - vouched) / (sure - begins)).clamp(0.0, 1.0).max(below_top);
-            let mut w = hat(f64::from(z)) * say(j) * v * u;
+            let u = ((sure - bound) / (sure - begins)).clamp(0.0, 1.0).max(below_top);
+            let mut w = hat(f64::from(z)) * middle(j) * v * u;
             if j == 0 {
-                w += say(j) * (f64::from(z) / 255.0 / 127.5 + 1e-6);
+                w += middle(j) * (f64::from(z) / 255.0 / 127.5 + 1e-6);
             }
             if j == times.len() - 1 {
-                w += say(j) * u * ((1.0 - f64::from(z) / 255.0) / 127.5 + 1e-6);
+                w += middle(j) * u * ((1.0 - f64::from(z) / 255.0) / 127.5 + 1e-6);
             }
             sum += w * x(z) / times[j];
             weight += w;
-            vouched = vouched.max(if z > 6 { x(z - 6) / times[j] } else { 0.0 });
+            bound = bound.max(if z > 6 { x(z - 6) / times[j] } else { 0.0 });
         }
         sum / weight
     }
@@ -293,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn what_shorter_frames_vouch_for_clips_the_longer_whatever_its_code() {
+    fn radiance_of_shorter_frames_clips_the_longer_whatever_its_code() {
         // At code 200 two stops down, the longer is beyond its top; JPEG has pulled its codes down.
         let pulled = |_: usize, _: usize| [235, 220, 240];
         let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &pulled)]);
@@ -312,7 +313,7 @@ mod tests {
             let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
             merged(&bracket, &alignment, Weight::Hat)[31][1]
         };
-        // The weights of the two alone decide: the longer has twice the say, and its code is nearer to the middle.
+        // The weights of the two alone decide: the longer has twice the middle, and its code is nearer to the middle.
         let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
         assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
     }
@@ -335,7 +336,7 @@ mod tests {
             }
             assert_eq!(with[row * SIZE.0 + 5..(row + 1) * SIZE.0], without[row * SIZE.0 + 5..(row + 1) * SIZE.0]);
         }
-        // Where all frames have it, the reference is believed.
+        // Where all frames have it, the reference is used.
         let own = of(&[(-2.0, &|_, _| [255, 0, 0]), (0.0, &|_, _| [255, 0, 0])]);
         assert!(own[31][0] > x(200), "{:?}", own[31]);
     }

@@ -1,6 +1,6 @@
-//! The walk of merging: slab by slab, and in each tile by tile and row by row over the frames.
+//! Merges slab by slab; each slab tile by tile, and each tile row by row over the frames.
 //!
-//! In: a bracket, where its frames lie, what their codes mean, and how far each is believed. Out: [`Slab`]s of radiance, which together are the
+//! In: a bracket, its alignment, the response, and the motion masks. Out: [`Slab`]s of radiance, which together are the
 //! [`RadianceMap`]. Cost and equation are at the head of [`merge`](super).
 
 use super::deghost::Ghosts;
@@ -20,21 +20,21 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A merge that is ready to be done, as a whole or slab by slab: the frames that take part, and what their codes mean.
+/// A prepared merge, to be computed at once or slab by slab.
 pub struct Merging<'a> {
     bracket: &'a Bracket,
     pub(super) region: Rect,
     pub(super) layers: Vec<Layer<'a>>,
-    /// Which frame of the bracket each layer is.
+    /// The index in the bracket of each layer.
     pub(super) frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
     local: Option<&'a LocalGain>,
 }
 
-/// Some rows of the result.
+/// Rows of the result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Slab {
-    /// Their radiance.
+    /// The radiance.
     pub map: RadianceMap,
     /// See [`Merged::all_clipped`].
     pub all_clipped: usize,
@@ -43,15 +43,14 @@ pub struct Slab {
 }
 
 impl<'a> Merging<'a> {
-    /// The merge of `options.region`.
+    /// Prepares the merge of `options.region`.
     ///
-    /// Frames that are rejected take no part, nor does a frame where it does not cover the pixel. What `ghosts` (found over the same
-    /// region, with the same alignment) leaves out of a frame takes no part either: its weight there is multiplied by the factor kept, and a frame of which less
-    /// than half is kept decides nothing.
+    /// Rejected frames are not merged. Weights are multiplied by the motion masks `ghosts`, which must be of the same
+    /// region and alignment; a frame kept by less than half does not decide clipped and black pixels.
     ///
     /// # Errors
-    /// [`Error::Option`] where the region is empty or not within the reference, where no frame was placed, or where `ghosts` are of another
-    /// region or other frames; [`Error::Scratch`].
+    /// [`Error::Option`] if the region is empty or not within the reference frame, no frame was aligned, or `ghosts`
+    /// are of another region or other frames; [`Error::Scratch`].
     pub fn of(
         bracket: &'a Bracket,
         alignment: &'a Alignment,
@@ -65,7 +64,7 @@ impl<'a> Merging<'a> {
             return Err(Error::Option {
                 option: "--crop",
                 reason: format!(
-                    "columns {x0}..{x1} and rows {y0}..{y1} are no part of a picture of {}x{} pixels",
+                    "columns {x0}..{x1} and rows {y0}..{y1} are not within the {}x{} pixels of the reference frame",
                     bracket.width(),
                     bracket.height()
                 ),
@@ -75,7 +74,7 @@ impl<'a> Merging<'a> {
         if layers.is_empty() {
             return Err(Error::Option {
                 option: "--align",
-                reason: "no frame was placed; give `--align none` for a bracket taken from a tripod".to_owned(),
+                reason: "no frame was aligned; give --align none if the camera was on a tripod".to_owned(),
             });
         }
         let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
@@ -84,11 +83,10 @@ impl<'a> Merging<'a> {
         Ok(merging)
     }
 
-    /// The same merge of frames that are locally processed: the radiance of each is multiplied by its gain (found over the same region, with the same
-    /// alignment).
+    /// Adds the gains of locally processed frames, which must be of the same region and alignment.
     ///
     /// # Errors
-    /// [`Error::Option`] where the gain is of another region or other frames.
+    /// [`Error::Option`] if the gain is of another region or other frames.
     pub fn with_local_gain(self, local: Option<&'a LocalGain>) -> Result<Self> {
         local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
         let mut merging = Merging { local, ..self };
@@ -98,29 +96,31 @@ impl<'a> Merging<'a> {
         Ok(merging)
     }
 
-    /// The frames that take part, by rising exposure.
+    /// The merged frames, by rising exposure.
     fn paths(&self) -> Vec<&'a Path> {
         self.frames.iter().map(|&i| self.bracket.frames()[i].path()).collect()
     }
 
-    /// What frames of which the place is assumed are to fill.
+    /// What the frames with assumed transforms fill.
     pub(super) fn fills(&self) -> Vec<Fill> {
         let is_asked = |fill: &Fill| self.layers.iter().any(|layer| layer.fill == Some(*fill));
         [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
     }
 
-    /// How far each pixel of layer `i` is believed at `rows` of the region; nothing where wholly. A frame that fills is not compared with what it fills.
+    /// Share to which each pixel of layer `i` is used at `rows` of the region; empty if all are used. The motion mask
+    /// is not applied to a frame that fills.
     pub(super) fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
         let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
     }
 
-    /// How the [base](LocalGain::base) of layer `i` follows at `rows` of the region; nothing where frames are not locally processed.
+    /// The [base](LocalGain::base) of layer `i` at `rows` of the region; empty if frames are not locally processed.
     pub(super) fn base(&self, i: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
         self.local.map_or_else(Vec::new, |local| local.base(i, rows))
     }
 
-    /// Into `gain` what the radiance of each layer is multiplied by at `columns` of the `tiles`, of which `bases` are those of all columns; nothing where by 1.
+    /// Writes to `gain` the factor on the radiance of each layer at `columns` of the `tiles`; `bases` are those of all
+    /// columns. Does nothing if the factor is 1.
     pub(super) fn multiply(
         &self,
         tiles: &[Tile],
@@ -144,19 +144,20 @@ impl<'a> Merging<'a> {
         (self.region.width(), self.region.height())
     }
 
-    /// What came of it, where `bounds` are the [`Slab::all_clipped`] and [`Slab::all_black`] of all slabs together.
+    /// The statistics of the merge. The argument has the sums of [`Slab::all_clipped`] and [`Slab::all_black`] over all
+    /// slabs.
     pub fn merged(&self, (all_clipped, all_black): (usize, usize)) -> Merged {
         let reference_exposure = self.bracket.reference().exposure.relative();
         Merged { frames: self.layers.len(), all_clipped, all_black, reference_exposure }
     }
 
-    /// The rows `rows` of the result, which do not depend on where the slab begins and ends.
+    /// Merges `rows` of the result. The values do not depend on how the result is divided into slabs.
     ///
     /// # Errors
-    /// [`Error::Scratch`], where frames are on disk.
+    /// [`Error::Scratch`] if frames are on disk and cannot be read.
     ///
     /// # Panics
-    /// When the result has no such rows.
+    /// If `rows` are empty or not within the result.
     pub fn slab(&self, rows: Range<usize>) -> Result<Slab> {
         let Rect { x0, y0, x1, .. } = self.region;
         assert!(rows.start < rows.end && rows.end <= self.region.height());
@@ -207,7 +208,7 @@ impl<'a> Merging<'a> {
                     ghosts.fill(rows.start, out);
                 }
             }
-            // Whole numbers add up to the same in any order.
+            // Sums of integers do not depend on the order.
             all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);
             all_black.fetch_add(bounds.black, Ordering::Relaxed);
         });
@@ -216,7 +217,7 @@ impl<'a> Merging<'a> {
     }
 }
 
-/// All of a [merge](Merging) at once.
+/// Merges a bracket at once; see [`Merging::of`].
 ///
 /// # Errors
 /// Those of [`Merging::of`].

@@ -1,10 +1,12 @@
-//! A miniature: some thousand pixels of a bracket as a bracket of its own, to see what another response curve does to the radiance.
+//! A miniature: some thousand pixels of a bracket as a small bracket, to measure the effect of another response on the
+//! radiance.
 //!
-//! In: a bracket and where its frames lie. Out: a [`Miniature`], and of two curves how far apart what is merged with them is. Cost: a
-//! few rows of each frame are read; some milliseconds.
+//! In: a bracket and its alignment. Out: a [`Miniature`], and the difference of the radiance with two responses. Cost:
+//! a few rows of each frame are read; some milliseconds.
 //!
-//! Two curves that are nearly the same at most codes may give different radiance: dark codes weigh little but are many, and where all frames
-//! clip or are black one code decides. So pixels at even distances are merged with both.
+//! Two responses that are nearly equal at most code values may give different radiance: dark pixels have little weight
+//! but are many, and where all frames are clipped or black a single code value decides. Therefore evenly spaced pixels
+//! are merged with both.
 
 use super::weight::Weight;
 use super::{MergeOptions, merge};
@@ -17,7 +19,7 @@ use crate::response::ResponseCurve;
 use crate::response::file::Loss;
 use rayon::prelude::*;
 
-/// Some pixels of a bracket, those of each frame laid on the reference's, in one row.
+/// Some pixels of a bracket, aligned to the reference frame, in one row.
 #[derive(Debug, Clone)]
 pub struct Miniature {
     bracket: Bracket,
@@ -25,21 +27,22 @@ pub struct Miniature {
 }
 
 impl Miniature {
-    /// About `pixels` of the overlap of the frames that were placed, in even columns and rows; none where they have none in common.
+    /// About `pixels` pixels of the overlap of the merged frames, evenly spaced. `None` if they do not overlap.
     ///
     /// # Errors
-    /// [`Error::TooFewFrames`](crate::error::Error::TooFewFrames) where fewer than two were placed; [`Error::Scratch`](crate::error::Error::Scratch).
+    /// [`Error::TooFewFrames`](crate::error::Error::TooFewFrames) if fewer than two were aligned;
+    /// [`Error::Scratch`](crate::error::Error::Scratch).
     pub fn of(bracket: &Bracket, alignment: &Alignment, pixels: usize) -> Result<Option<Self>> {
         let Rect { x0, y0, x1, y1 } = alignment.overlap;
         let step = (((x1 - x0) * (y1 - y0)) as f64 / pixels as f64).sqrt().max(1.0);
-        // The middles of cells of that size.
+        // The centres of cells of this size.
         let middles = |first: usize, end: usize| -> Vec<usize> {
             let cells = (((end - first) as f64 / step) as usize).max(1);
             (0..cells).map(|k| first + (end - first) * (2 * k + 1) / (2 * cells)).collect()
         };
         let columns = middles(x0, x1);
         let placed = placed(bracket, alignment);
-        // Of each frame the codes of a row's pixels that all frames have.
+        // The code values of pixels that all frames cover, for each frame.
         let read = |&y: &usize| -> Result<Vec<Vec<u16>>> {
             let strips = placed.iter().map(|frame| frame.strip(&(x0..x1), &(y..y + 1))).collect::<Result<Vec<_>>>()?;
             let mut rows = vec![Vec::with_capacity(3 * columns.len()); strips.len()];
@@ -74,10 +77,10 @@ impl Miniature {
     }
 }
 
-/// What radiance is off by, merged with the curve `read` in place of `curve`, over all pixels of `miniatures`.
+/// The difference of the radiance merged with `read` from that merged with `curve`, over all pixels of `miniatures`.
 ///
 /// # Errors
-/// None but those of [`merge`], which brackets of which there is a miniature do not have.
+/// Those of [`merge`].
 pub fn loss(miniatures: &[&Miniature], curve: &ResponseCurve, read: &ResponseCurve) -> Result<Loss> {
     let (mut squares, mut count) = ([0.0; 4], 0);
     for Miniature { bracket, alignment } in miniatures {

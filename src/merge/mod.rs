@@ -1,8 +1,8 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
-//! In: a bracket, where its frames lie, and what their codes mean. Out: a [`RadianceMap`] on the reference's pixels, and a
-//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, and as much again where it moved.
-//! Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
+//! In: a bracket, its alignment and the response. Out: a [`RadianceMap`] on the pixels of the reference frame, and a
+//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, twice that if it moved. Source: Debevec &
+//! Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
 //! The radiance of a pixel is the weighted mean over the frames j, for each channel,
 //!
@@ -10,24 +10,29 @@
 //! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),  w_j = w(Z_j) sqrt(dt_j) v(max of R, G, B in j) u_j + e_j
 //! ```
 //!
-//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: on ten truth brackets, with the hat and the true
-//!   curve, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, though an RMS error in stops that is no larger.
-//! - v judges the three channels together: where one is about to clip, the camera's colour processing has spoilt the others, and
-//!   a frame that holds all three has the say. Else a clipped channel would leave a cast.
-//! - u judges the frames together: where a shorter one vouches for more light than this one can hold, and its brightest channel is near
-//!   the top, it clips here whatever its codes. JPEG's ringing beside clipped pixels, and noise, pull codes down from the top, where each
-//!   stands for the most light and would darken the mean most. Under noise weights this alone is worth 17 dB on truth brackets.
-//! - e_j decides where no frame is trusted: the shortest exposure where all clip, the longest where all are black. It is a weight
-//!   in the same mean, of the size of one code's, and fades linearly over the codes: there is no border between weighted and decided.
-//! - A frame is not among the j where it is painted, in and beside pixels with channels at both ends of the codes, unless it is the reference.
-//! - A frame of which the place is only [assumed](crate::align::Placement::Assumed) is not among the j: it fills what they clip, or what is black in all of
-//!   them (`fill`).
-//! - Of frames that are locally processed, X_j / dt_j is multiplied by the frame's [gain](local) there, and so is what it vouches for and clips at.
+//! - The mean is of exposures, not of their logarithms as in the paper's equation 6: on ten rendered brackets, with the
+//!   hat and the true response, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, with an equal RMS error in
+//!   stops.
+//! - v depends on the brightest of the three channels: if one is nearly clipped, the colour processing of the camera
+//!   has changed the others, and frames without clipping get the weight. Without v a clipped channel leaves a colour
+//!   cast.
+//! - u compares the frames: if a shorter one shows more radiance than this one can hold, and the brightest channel of
+//!   this one is near white, it is clipped, whatever its code values. JPEG ringing beside clipped pixels, and noise,
+//!   lower code values near white, where they would darken the mean most. With noise weights, u alone gains 17 dB on
+//!   rendered brackets.
+//! - e_j decides where no frame has weight: the shortest exposure where all are clipped, the longest where all are
+//!   black. It is a weight in the same mean, as large as that of one code value, and fades linearly over the code
+//!   values, so that there is no visible border.
+//! - Pixels with some channels at white and others at 0, and their neighbours, are left out of every frame but the
+//!   reference: they are painted.
+//! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the j: it fills what is
+//!   clipped, or black, in all of them (`fill`).
+//! - In locally processed frames, X_j / dt_j and the bounds of v and u are multiplied by the local [gain](local).
 //!
-//! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 is what gave the reference
-//! its middle code. A reference that is well exposed has its picture within about 0.001 to 5, so that all that a bracket can hold stays
-//! inside a half-float's 6e-8..65504. Divide by [`Merged::reference_exposure`] to compare brackets of different exposure, or have
-//! them normalised.
+//! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 gives the
+//! reference frame its middle code value. The values of a well-exposed reference frame are about 0.001 to 5, so the
+//! range of any bracket fits into half floats (6e-8 to 65504). Divide by [`Merged::reference_exposure`] to compare
+//! brackets of different exposures, or normalise them.
 
 pub mod deghost;
 mod fill;
@@ -57,7 +62,7 @@ use radiance::statistics::Statistics;
 use serde::Serialize;
 use weight::Weight;
 
-/// The least radiance: below what any curve and exposure give, so that no value is 0.
+/// The smallest radiance, so that no value is 0: less than any response and exposure give.
 pub const FLOOR: f32 = 1e-12;
 
 /// Linear radiance.
@@ -65,34 +70,38 @@ pub const FLOOR: f32 = 1e-12;
 pub struct RadianceMap {
     /// Linear RGB by rows; every value finite and positive.
     pub pixels: Plane<[f32; 3]>,
-    /// What red, green, blue and white are.
+    /// Chromaticities of red, green, blue and white.
     pub primaries: Primaries,
 }
 
 /// How frames are merged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MergeOptions {
-    /// How far a code is trusted.
+    /// The weighting function.
     pub weight: Weight,
-    /// The pixels of the reference that are wanted: its [overlap](crate::align::Alignment::overlap) with the others, or all of it.
+    /// The part of the reference frame to merge: its [overlap](crate::align::Alignment::overlap) with the others, or
+    /// all of it.
     pub region: Rect,
 }
 
-/// What came of merging.
+/// Statistics of a merge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Merged {
-    /// Frames that took part.
+    /// The number of frames merged.
     pub frames: usize,
-    /// Pixels of which some channel is at its top code even in the shortest exposure that covers them: their radiance is a lower bound.
+    /// Pixels with a channel at white even in the shortest exposure that covers them: their radiance is a lower bound.
     pub all_clipped: usize,
-    /// Pixels of which all channels are at code 0 even in the longest exposure that covers them: their radiance is an upper bound.
+    /// Pixels with all channels at code value 0 even in the longest exposure that covers them: their radiance is an
+    /// upper bound.
     pub all_black: usize,
-    /// The reference's relative exposure t * ISO / N^2 in s, by which radiance can be divided to be comparable between brackets.
+    /// The relative exposure of the reference frame, t * ISO / N^2 in s. Radiance divided by it is comparable between
+    /// brackets.
     pub reference_exposure: f64,
 }
 
 impl Merged {
-    /// The report of it, when the radiance and its `limits` have their unit and colours: relative to `unit_exposure`, or to the reference's.
+    /// The report, for radiance and `limits` in their final unit and colours. Relative radiance refers to
+    /// `unit_exposure`, or else to the exposure of the reference frame.
     pub fn report(self, radiance: Statistics, limits: Option<Limits>, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
         let is_relative = radiance.unit == Unit::Relative;
@@ -110,7 +119,7 @@ impl Merged {
     }
 }
 
-/// What came of merging, for the report.
+/// The section of the report on the merge.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MergeReport {
@@ -122,13 +131,13 @@ pub struct MergeReport {
     pub all_black: usize,
     /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
-    /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code: the reference's, or that which the radiance is
-    /// normalised to. Null in cd/m2.
+    /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code value: that of the reference
+    /// frame, or that of the normalisation. Null in cd/m2.
     pub unit_exposure_s: Option<f64>,
-    /// The range between the darkest radiance that is there and above the noise, and the brightest that is there and does not clip, in stops. Null of
-    /// frames that are locally processed.
+    /// The range from the darkest radiance in the picture above the noise to the brightest that is not clipped, in
+    /// stops. Null for locally processed frames.
     pub range_stops: Option<f64>,
-    /// Between which radiances, in the unit of the radiance, the frames tell light: above their noise and below clipping. Null as before.
+    /// The radiances between noise and clipping, in the unit of the radiance. Null for locally processed frames.
     pub limits: Option<Limits>,
     /// Of the luminance.
     pub radiance: Statistics,
@@ -160,7 +169,8 @@ mod tests {
             let scale = f64::from(ResponseCurve::srgb().exposure(0, 255.0));
             for x in 0..240 {
                 let (found, truth) = (f64::from(map.pixels.at(x, 69)[1]) / scale, ramp(x, 0)[1]);
-                // Above 8 the shortest exposure clips, below 0.001 the longest has fewer than 20 codes: half of one is 5 %.
+                // Above 8 the shortest exposure clips, below 0.001 the longest has fewer than 20 codes: half of one is
+                // 5 %.
                 if (0.001..7.5).contains(&truth) {
                     assert!((found / truth - 1.0).abs() < 0.05, "{weight:?} {x}: {found} for {truth}");
                 }
@@ -178,7 +188,8 @@ mod tests {
         assert_eq!((report.all_clipped, report.all_black), (12, 12));
         let (bright, dark) = (map.pixels.at(0, 0), map.pixels.at(7, 0));
         let curve = ResponseCurve::srgb();
-        // The reference is the longer: the shorter frame's 255 means four times as much. LEAST lets the other in by 1e-4.
+        // The reference is the longer: the shorter frame's 255 means four times as much. LEAST lets the other in by
+        // 1e-4.
         assert!((bright[0] / (4.0 * curve.exposure(0, 255.0)) - 1.0).abs() < 1e-3);
         assert!(bright[0] == bright[1] && bright[1] == bright[2] && dark[0] > 0.0);
         assert!((dark[0] / curve.exposure(0, 0.0) - 1.0).abs() < 1e-3);

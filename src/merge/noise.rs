@@ -1,58 +1,60 @@
-//! Noise: how far a frame's codes scatter about what they should be.
+//! Noise of a frame: the standard deviation of its code values.
 //!
-//! In: a frame. Out: the standard deviation of a code, for each channel and step of brightness, and from it the variance of the exposure
-//! that a code means. Cost: some thousands of 8x8 blocks are read whatever the size, about 5 ms a frame.
-//! Source: the level of noise as a function of brightness, as the lower envelope of what flat parts of one picture show: Liu, Freeman,
-//! Szeliski & Kang 2006, "Noise Estimation from a Single Image". The mixed difference that cancels slopes is Immerkaer's (1996).
+//! In: a frame. Out: the standard deviation for each channel and step of brightness, and from it the variance of the
+//! exposure of a code value. Cost: some thousands of blocks of 8x8 pixels are read, whatever the size: about 5 ms per
+//! frame. Source: noise as a function of brightness, as the lower envelope over the flat parts of one picture: Liu,
+//! Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image". The mixed difference that cancels slopes is
+//! Immerkaer's (1996).
 //!
-//! Of each block the mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which is the variance of
-//! white noise, whatever slope it lies on. Texture only adds to it, so that the lower quartile of all blocks of a brightness is taken.
-//! Noise that the camera or its JPEG has smoothed shows less here than it is; [`LEAST`] stands for what is then left of it.
+//! Each block gives its mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which
+//! is the variance of white noise on any slope. Texture increases it, so the lower quartile of the blocks of a
+//! brightness is used. Noise that the camera or JPEG has smoothed is underestimated; [`LEAST`] is the minimum.
 
 use crate::bracket::{Codes, Frame};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
 use crate::statistics::of_rank;
 
-/// Side of a block: that of JPEG's, and on the same grid.
+/// Side of a block in pixels, the same as in JPEG, and on the same grid.
 const BLOCK: usize = 8;
-/// Blocks that are read of a frame, at most.
+/// Largest number of blocks read of a frame.
 const READ: usize = 16_384;
 /// Steps of brightness.
 const STEPS: usize = 16;
-/// Blocks that make a step's noise known.
+/// Smallest number of blocks from which the noise of a step is estimated.
 const FEWEST: usize = 12;
-/// The share of blocks, of those of a brightness, that show less than its noise does.
+/// Rank, among the blocks of a brightness, of the block that shows the noise.
 const QUANTILE: f64 = 0.25;
-/// The least standard deviation of a code: rounding has 0.29, JPEG's rounding in its own domain most of the rest.
+/// Smallest standard deviation of a code value: 0.29 from rounding, and most of the rest from the rounding of JPEG
+/// coefficients.
 const LEAST: f64 = 1.0;
-/// What the curve and the exposure are wrong by, as a share of the radiance, and what a place between pixels adds to it.
+/// Relative error of response and exposure: of a frame that did not move, and of one that was interpolated.
 const ERROR: (f64, f64) = (0.02, 0.05);
 
 /// The noise of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Noise {
-    /// Variance of a code in the middle of each step of brightness, for R, G and B.
+    /// Variance of the code value in the middle of each step of brightness, for R, G and B.
     steps: [[f64; STEPS]; 3],
-    /// Standard deviation as a share of the radiance, whatever the code.
+    /// Standard deviation relative to the radiance, at any code value.
     error: f64,
 }
 
 impl Noise {
-    /// The noise of a frame that shows none.
+    /// The smallest noise.
     pub(super) fn least() -> Self {
         Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0 }
     }
 
-    /// What `frame` shows; `moved` where it is read between its pixels.
+    /// Measures the noise of `frame`; `moved` if it is interpolated.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
         Ok(Noise { steps: shown(frame, LEAST)?, error: if moved { ERROR.1 } else { ERROR.0 } })
     }
 
-    /// The same of a `frame` of 16 bits that no JPEG has rounded: what it shows, however little.
+    /// Measures the noise of a `frame` of 16 bits, without the minimum for JPEG.
     ///
     /// # Errors
     /// Those of [`of`](Self::of).
@@ -60,12 +62,12 @@ impl Noise {
         Ok(Noise { steps: shown(frame, LEAST / 257.0)?, error: ERROR.0 })
     }
 
-    /// The standard deviation of a channel's code, which may lie between two.
+    /// The standard deviation at `code`, which may lie between two code values.
     pub(super) fn deviation(&self, channel: usize, code: f64) -> f64 {
         self.code_variance(channel, code).sqrt()
     }
 
-    /// The variance of the exposure that a channel's code means, in units of its square: (sigma_Z dX/dZ)^2 + (error X)^2.
+    /// The variance of the exposure at a code value: (sigma_Z dX/dZ)^2 + (error X)^2.
     pub(super) fn variance(&self, curve: &ResponseCurve, channel: usize, code: usize) -> f64 {
         let x = curve.exposures(channel);
         let (from, to) = (code.saturating_sub(1), (code + 1).min(CODES - 1));
@@ -74,7 +76,7 @@ impl Noise {
         self.code_variance(channel, code as f64) * slope * slope + error * error
     }
 
-    /// The variance of a code, interpolated between the steps.
+    /// The variance of a code value, interpolated between the steps.
     fn code_variance(&self, channel: usize, code: f64) -> f64 {
         let steps = &self.steps[channel];
         let at = (code * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
@@ -83,7 +85,7 @@ impl Noise {
     }
 }
 
-/// The variance of the codes of `frame`, of which the deviation is at least `least`.
+/// Measures the variance of the code values of `frame`; the standard deviation is at least `least`.
 fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
     Ok(match frame.whole()?.codes() {
         Codes::Eight(codes) => measure(codes, frame.width(), 1.0, least),
@@ -91,10 +93,11 @@ fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
     })
 }
 
-/// The variance of codes by channel and brightness; `scale` codes are one on the scale 0..=255, on which the deviation is at least `least`.
+/// The variance of `codes` by channel and brightness, on the scale 0..=255, which `scale` converts to; the standard
+/// deviation is at least `least`.
 fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f64) -> [[f64; STEPS]; 3] {
     let (columns, rows) = (width / BLOCK, codes.len() / (3 * width) / BLOCK);
-    // Every stride-th block both ways, so that READ are read.
+    // Every stride-th block in both directions, for at most READ blocks.
     let stride = (1..).find(|s| columns.div_ceil(*s) * rows.div_ceil(*s) <= READ).unwrap_or(1);
     let mut seen: [[Vec<f64>; STEPS]; 3] = Default::default();
     for row in (0..rows).step_by(stride) {
@@ -134,7 +137,8 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
 }
 
-/// The lower quartile of each step, at least `least`; steps with too few blocks have what lies between their neighbours.
+/// The lower quartile of each step, at least `least`; steps with too few blocks have what lies between their
+/// neighbours.
 fn filled(seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
     let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
     let quartile = |values: Vec<f64>| {
@@ -198,7 +202,8 @@ mod tests {
         let curve = ResponseCurve::srgb();
         let (still, moved) = (Noise::of(&frame(|_| 0.0), false).unwrap(), Noise::of(&frame(|_| 0.0), true).unwrap());
         assert!(moved.variance(&curve, 1, 200) > still.variance(&curve, 1, 200));
-        // By hand: X of code 128 is 1 and dX/dZ there 2.4 / (128 + 0.055 * 255) = 0.0169: 2 % of 1 and one code's worth.
+        // By hand: X of code 128 is 1 and dX/dZ there 2.4 / (128 + 0.055 * 255) = 0.0169: 2 % of 1 and one code's
+        // worth.
         assert!((still.variance(&curve, 1, 128) - (0.0169f64.powi(2) + 0.02f64.powi(2))).abs() < 2e-5);
     }
 }

@@ -1,13 +1,13 @@
-//! Rows of a tile over all frames: merged into radiance, or weighed, for people to look at.
+//! Rows of a tile over all frames: merged to radiance, or their weights for the report.
 //!
-//! In: what each frame has of the row, by rising exposure, and how it takes part. Out: the radiance of the row; or the weight of each frame in it. Cost: that of the
-//! [mean](super::mean).
+//! In: the row of each frame, by rising exposure, with weights and factors. Out: the radiance of the row, or the weight
+//! of each frame. Cost: that of the [mean](super::mean).
 
 use super::layer::{COLUMNS, Fill, Layer, Taken, Tile};
 use super::mean::Means;
 use crate::simd::Loops;
 
-/// Merges row `y` of a tile into `line`, of the frames whose place is known.
+/// Merges row `y` of a tile to `line`, over the frames with known transforms.
 pub(super) struct MergedRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
@@ -32,16 +32,16 @@ impl Loops for MergedRow<'_, '_> {
     }
 }
 
-/// Weighs what each frame gives of a tile's first row, for people to look at.
+/// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// The frames that are weighed: those that fill this, or those whose place is known.
+    /// Which frames: those that fill this, or those with known transforms.
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// As of a [`MergedRow`].
+    /// As in [`MergedRow`].
     pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
-    /// For each frame and pixel the weights of the three channels together, those that decide included.
+    /// For each frame and pixel the sum of the weights of the channels, including e.
     pub weights: &'a mut [[f32; COLUMNS]],
 }
 
@@ -51,7 +51,7 @@ impl Loops for WeighedRow<'_, '_> {
     #[inline(always)]
     fn run(self) {
         self.means.clear();
-        // The last frame believed decides what is dark: which, and by how much.
+        // The last frame that is used decides what is dark: its index and weight.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
         for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
             let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };
@@ -59,7 +59,7 @@ impl Loops for WeighedRow<'_, '_> {
             self.means.add(layer, &row, *taken);
             for x in 0..COLUMNS {
                 self.weights[i][x] = (0..3).map(|c| self.means.weight[c][x] - before[c][x]).sum();
-                if self.means.is_last_believed(x) {
+                if self.means.is_last_used(x) {
                     last[x] = Some(i);
                     decides[x] = (0..3).map(|c| self.means.longest_weight[c][x]).sum();
                 }

@@ -1,7 +1,8 @@
-//! Shares: how much of the result each frame gives, pixel by pixel.
+//! Contribution of each frame to the result, pixel by pixel.
 //!
-//! In: a [`Merging`]. Out: for each frame that takes part its share of the sum of all weights, on a grid of rows that are looked at. Cost: that
-//! of merging those rows. It is not worked out beside the merge but read off it: what the weights of a pixel grow by as a frame is added.
+//! In: a [`Merging`]. Out: for each merged frame its share of the sum of all weights, on a grid of cells. Cost: that of
+//! merging one row of each cell. The shares are the weights of the merge itself: the increase of the sum of weights as
+//! each frame is added.
 
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Taken, Tile};
@@ -13,7 +14,7 @@ use crate::plane::Plane;
 use crate::simd::vectorised;
 use rayon::prelude::*;
 
-/// What one frame gives.
+/// The share of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Share {
     /// Its index in the bracket.
@@ -23,7 +24,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// 0..=1, of the whole result.
+    /// Mean over the result, 0..=1.
     pub fn mean(&self) -> f64 {
         let cells = self.cells.as_slice();
         cells.iter().map(|&v| f64::from(v)).sum::<f64>() / cells.len().max(1) as f64
@@ -31,13 +32,14 @@ impl Share {
 }
 
 impl Merging<'_> {
-    /// The shares of the frames, by rising exposure, on `size` cells of the result: of each cell its middle row is looked at.
+    /// The shares of the frames, by rising exposure, on `size` cells of the result. Only the middle row of each cell is
+    /// computed.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if frames are on disk and cannot be read.
     ///
     /// # Panics
-    /// When there are more cells than pixels, or none.
+    /// If there are more cells than pixels, or none.
     pub fn shares(&self, size: (usize, usize)) -> Result<Vec<Share>> {
         let (width, height) = self.size();
         let (across, down) = size;
@@ -90,7 +92,7 @@ impl Merging<'_> {
             for (i, x) in columns.enumerate() {
                 let cell = x * across / width;
                 let all: f32 = weights.iter().map(|w| w[i]).sum();
-                // A pixel that no frame covers is nobody's.
+                // No frame covers the pixel.
                 if all > 0.0 {
                     sums.iter_mut().zip(&weights).for_each(|(sum, w)| sum[cell] += w[i] / all);
                 }
@@ -104,7 +106,7 @@ impl Merging<'_> {
     }
 }
 
-/// Makes the sum of `weights` of each pixel 1, of which `part` is that of `filled` ones.
+/// Scales `weights` so that they sum to 1 for each pixel, of which `part` goes to the `filled` ones.
 fn mix(weights: &mut [[f32; COLUMNS]], filled: &[[f32; COLUMNS]], part: &[f32; COLUMNS]) {
     for (x, &part) in part.iter().enumerate() {
         let sum = |of: &[[f32; COLUMNS]]| of.iter().map(|w| w[x]).sum::<f32>().max(f32::MIN_POSITIVE);
@@ -153,7 +155,7 @@ mod tests {
         assert!((shares.iter().map(Share::mean).sum::<f64>() - 1.0).abs() < 1e-4);
     }
 
-    /// The reference's time: radiance is by its exposure.
+    /// The exposure of the reference frame, which radiance refers to.
     fn bracket_unit(bracket: &crate::bracket::Bracket) -> f32 {
         bracket.reference().exposure.relative() as f32
     }

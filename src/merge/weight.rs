@@ -1,21 +1,23 @@
-//! Weights: how far a code is trusted.
+//! Weighting functions over the code values.
 //!
-//! In: a response curve, and a frame's noise where it counts. Out: a weight for each code of a channel, from tables. Cost: none to speak of.
-//! Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman & Stevenson 2003, section III, shifted and
-//! scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2 z / 255 - 1)^12; the certainty is Mann & Picard
-//! 1995, "On being undigital with digital cameras", section 3; inverse variances as weights are Gauss' least squares, for cameras as in
-//! Granados et al. 2010, "Optimal HDR reconstruction with linear digital cameras".
+//! In: a response, and for some the noise of a frame. Out: a table with a weight for each code value of a channel.
+//! Cost: negligible. Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman & Stevenson
+//! 2003, section III, shifted and scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2
+//! z / 255 - 1)^12; the certainty is Mann & Picard 1995, "On being undigital with digital cameras", section 3; inverse
+//! variances as weights are Gauss' least squares, for cameras as in Granados et al. 2010, "Optimal HDR reconstruction
+//! with linear digital cameras".
 
 use super::noise::Noise;
 use crate::response::{CODES, MID, ResponseCurve, hat};
 
-/// Codes above black over which [`Weight::Noise`] fades in, and codes below the top over which it fades out: what lies there was bent by
-/// clipping, which no variance tells.
+/// Range of code values above black over which [`Weight::Noise`] fades in, and below white over which it fades out:
+/// clipping changes values there, which the variance does not show.
 const FADES: (f64, f64) = (8.0, 40.0);
-/// Codes to either side over which the slope of a curve is taken.
+/// Code values to either side over which the slope of a response is computed.
 const REACH: usize = 4;
 
-/// Weighting function over the code values, scaled to 0..=255: 0 at both ends, which may be clipped, except for [`Weight::Uniform`].
+/// Weighting function over the code values, scaled to 0..=255: 0 at both ends, which may be clipped, except for
+/// [`Weight::Uniform`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
@@ -37,8 +39,8 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// The weight of a code on the scale 0..=255 under a curve `g` that is black up to the code `black`, in 0..=1; under [`Weight::Noise`]
-    /// its fading alone. Shapes are stretched over the codes above black; slopes and distances are those of the code itself.
+    /// The weight, 0..=1, of the code value `code` on the scale 0..=255, for a response `g` that is black up to
+    /// `black`. For [`Weight::Noise`] only the fading. The functions are stretched over the code values above black.
     fn at(self, code: usize, g: &[f64; CODES], black: f64) -> f64 {
         let above = (code as f64 - black).max(0.0);
         let stretched = above * 255.0 / (255.0 - black);
@@ -61,26 +63,26 @@ impl Weight {
         }
     }
 
-    /// The weights of codes 0..=255 of channel `channel` in a frame exposed `time` times as long as the reference: 0 up to the code where
-    /// the curve is black, the rest of the weight's shape above. `noise` is the frame's.
+    /// The weights of code values 0..=255 of `channel` in a frame with `time` times the exposure of the reference frame
+    /// and with `noise`. They are 0 up to black.
     ///
-    /// But for [`Weight::Uniform`] and [`Weight::Noise`], which say it themselves, a frame's weights grow with the square root of its
-    /// exposure: of two frames equally far from both ends the longer has more light. Weights in proportion to the exposure would be right
-    /// for light's own noise alone, and let small errors of alignment and of the curve in the longest frames through.
+    /// Except for [`Weight::Uniform`] and [`Weight::Noise`], weights grow with the square root of the exposure, because
+    /// a longer frame has less noise. Weights proportional to the exposure would be right for photon noise only, and
+    /// would give small errors of alignment and response in the longest frames too much weight.
     pub(super) fn table(self, curve: &ResponseCurve, channel: usize, time: f64, noise: &Noise) -> [f32; CODES] {
         let (g, black) = (curve.ln_exposure(channel), curve.black(channel));
         std::array::from_fn(|code| {
-            let say = match self {
+            let factor = match self {
                 Weight::Uniform => 1.0,
                 Weight::Noise => within(time * time / noise.variance(curve, channel, code)),
                 _ => time.sqrt(),
             };
-            (self.at(code, g, black) * say) as f32
+            (self.at(code, g, black) * factor) as f32
         })
     }
 
-    /// The weight of the middle code: that of a frame as a whole.
-    pub(super) fn say(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
+    /// The weight of the middle code value, which stands for the frame.
+    pub(super) fn middle_weight(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
         match self {
             Weight::Uniform => 1.0,
             Weight::Noise => {
@@ -91,12 +93,12 @@ impl Weight {
     }
 }
 
-/// What a float holds with room to spare, for curves of any unit.
+/// `weight`, clamped to a range that f32 holds for responses in any unit.
 fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }
 
-/// Codes to a neper of exposure at a code: the inverse of the slope of g from the code `least` on.
+/// Code values per neper of exposure at `code`: the inverse slope of g, from the code value `least` on.
 fn certainty(g: &[f64; CODES], least: usize, code: usize) -> f64 {
     let (from, to) = (code.saturating_sub(REACH).max(least), (code + REACH).min(CODES - 1));
     (to - from) as f64 / (g[to] - g[from])

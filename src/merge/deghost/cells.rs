@@ -1,42 +1,43 @@
-//! Cells: a frame's radiance on a coarse grid of the reference.
+//! Cells: the radiance of a frame on a coarse grid of the reference frame.
 //!
-//! In: a frame, where it lies, what its codes mean. Out: the mean radiance of each cell and channel, and whether it is only a bound.
-//! Cost: four taps for every four pixels.
+//! In: a frame, its transform and the response. Out: the mean radiance of each cell and channel, and whether it is only
+//! a bound. Cost: four taps for every four pixels.
 //!
-//! Means are of exposures, not of codes: the mean code of an edge means another exposure in every frame. Of a cell with a clipped code the
-//! mean is a lower bound, of one with a black code an upper one.
+//! Means are of exposures, not of code values: the mean code value of an edge stands for a different exposure in every
+//! frame. In a cell with a clipped code value the mean is a lower bound, with a black one an upper bound.
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Transform};
 use crate::align::transform::map;
 use crate::bracket::Codes;
 use crate::error::Result;
 
-/// Codes from here on may be clipped: JPEG moves them by some codes.
+/// Code values from here on may be clipped, because JPEG changes them a little.
 const CLIPPED: f32 = 248.0;
-/// Codes up to so many above the black level are black: the camera cut off what was below, so that the mean is too bright.
+/// Code values up to this much above black count as black: the camera cut off noise below it, so the mean is too
+/// bright.
 const BLACK: f64 = 5.0;
-/// Standard deviation of a code by rounding, JPEG and the sensor, in codes.
+/// Standard deviation of a code value from rounding, JPEG and the sensor.
 const NOISE: f64 = 1.5;
 
-/// Steps of a [`Meaning`]'s noise to an octave of radiance: floats that share exponent and first three bits.
+/// Steps per octave of the noise table of a [`Meaning`]: floats with equal exponent and first three bits.
 const SHIFT: u32 = 20;
 
 const OUTSIDE: u8 = 1 << 6;
 
-/// What a frame's codes mean.
+/// Radiance and noise of the code values of a frame.
 pub struct Meaning {
-    /// Radiance at each code: exposure over the frame's time.
+    /// Radiance of each code value: exposure over the exposure of the frame.
     radiance: [[f32; CODES]; 3],
-    /// Codes up to which a channel is black.
+    /// Code value up to which a channel is black.
     black: [f32; 3],
-    /// The radiance up to which a black cell may reach.
+    /// Upper bound of the radiance of a black cell.
     black_radiance: [f32; 3],
-    /// Standard deviation over radiance, by the radiance's exponent and first bits.
+    /// Relative standard deviation, indexed by exponent and first bits of the radiance.
     noise: [Vec<f32>; 3],
 }
 
 impl Meaning {
-    /// That of a frame exposed `time` times as long as the reference.
+    /// For a frame with `time` times the exposure of the reference frame.
     pub fn of(curve: &ResponseCurve, time: f64) -> Self {
         let radiance: [[f32; CODES]; 3] =
             std::array::from_fn(|c| curve.exposures(c).map(|x| (f64::from(x) / time) as f32));
@@ -50,7 +51,7 @@ impl Meaning {
     }
 }
 
-/// The relative standard deviation for each step of radiance from 0 to infinity.
+/// The relative standard deviation for each step of radiance, from 0 to infinity.
 fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
     (0..(f32::INFINITY.to_bits() >> SHIFT))
         .map(|step| {
@@ -69,12 +70,12 @@ pub struct Cell {
     pub radiance: [f32; 3],
     /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell.
     flags: u8,
-    /// The frame, among those placed.
+    /// Index of the frame among the merged ones.
     frame: u16,
 }
 
 impl Cell {
-    /// Whether the frame does not cover it.
+    /// Whether the frame does not cover the cell.
     pub fn is_outside(&self) -> bool {
         self.flags & OUTSIDE != 0
     }
@@ -99,14 +100,14 @@ impl Cell {
         self.flags & 7 != 0
     }
 
-    /// The same cell of a frame that a camera processed locally: multiplied by `gain`, and nothing is known where it clips. What clips is white
-    /// whatever is around it, and so is no bound of what the gain makes of another frame.
+    /// The same cell of a locally processed frame: multiplied by `gain`, and unknown where it is clipped. Clipped
+    /// pixels are white whatever the surroundings, so they are no bound after the gain.
     pub fn with_gain(self, gain: f32) -> Self {
         let outside = if self.clips() { OUTSIDE } else { 0 };
         Cell { radiance: self.radiance.map(|v| v * gain), flags: self.flags | outside, ..self }
     }
 
-    /// The standard deviation of a channel over its radiance.
+    /// The relative standard deviation of a channel.
     #[inline]
     pub fn relative_noise(&self, channel: usize, meanings: &[&Meaning]) -> f32 {
         let step = (self.radiance[channel].to_bits() >> SHIFT) as usize;
@@ -114,10 +115,10 @@ impl Cell {
     }
 }
 
-/// The cells of `region`, each `side` pixels (even), as `layer` sees them; it is placed frame number `number`.
+/// The cells of `region`, each of `side` pixels (even), in `layer`, which is merged frame `number`.
 ///
 /// # Errors
-/// [`Error::Scratch`](crate::error::Error::Scratch), where the frame is on disk.
+/// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
 pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<Plane<Cell>> {
     let radiance = &layer.meaning.radiance;
     Ok(match layer.frame.whole()?.codes() {
@@ -137,14 +138,14 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
     })
 }
 
-/// The blocks of 2x2 pixels of a cell that are looked at, by their columns and rows: four of larger cells, of every other row alternately.
+/// The blocks of 2x2 pixels of a cell that are read: four in larger cells, alternating from row to row.
 fn blocks(side: usize) -> Vec<(usize, usize)> {
     let (half, step) = (side / 2, (side / 4).max(1));
     let rows = (0..half).step_by(step).enumerate();
     rows.flat_map(|(i, b)| (0..half).step_by(step).map(move |a| (2 * (a + i % step), 2 * b))).collect()
 }
 
-/// As [`average`]; `of` gives a code on the scale 0..=255, and its radiance in a channel.
+/// As [`average`]; `of` returns a code value on the scale 0..=255 and its radiance in a channel.
 fn averaged<T: Copy + Sync>(
     layer: &Layer,
     codes: &[T],
@@ -163,12 +164,13 @@ fn averaged<T: Copy + Sync>(
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {
         for (i, cell) in row.iter_mut().enumerate() {
             let (mut sum, mut flags) = ([0.0f32; 3], 0u8);
-            // Blocks of 2x2 pixels of the reference, each by its centre: bilinear there is their mean where nothing moved.
+            // Blocks of 2x2 pixels of the reference frame, sampled at the centre: without motion, bilinear
+            // interpolation gives their mean.
             for (a, b) in &blocks {
                 let x = ((region.x0 + side * i + a) as f64 + 0.5).min((region.x1 - 1) as f64);
                 let y = ((region.y0 + side * j + b) as f64 + 0.5).min((region.y1 - 1) as f64);
                 let (u, v) = if still { (x, y) } else { map(&h, x, y) };
-                // Written so that a place that is no number is outside too.
+                // Written so that NaN counts as outside.
                 if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
                     flags |= OUTSIDE;
                     break;
@@ -190,7 +192,8 @@ fn averaged<T: Copy + Sync>(
                         flags |= u8::from(code > CLIPPED) << c | u8::from(code <= meaning.black[c]) << (3 + c);
                         (least, most) = (least.min(code), most.max(code));
                     }
-                    // No light has a channel at the top and another at 0: the colour is painted, as the borders of registered scans are.
+                    // No scene has a channel at white and another at 0: the colour is painted, as in the borders of
+                    // registered scans.
                     flags |= if least <= 0.5 && most >= 254.5 { OUTSIDE } else { 0 };
                 }
             }

@@ -1,20 +1,23 @@
-//! Evidence: how far a frame departs from the standard, beyond what noise, response and alignment allow.
+//! Evidence of motion: differences between a frame and the standard beyond errors of noise, response and alignment.
 //!
-//! In: cells of the standard and of a frame. Out: for each cell whether something else is shown. Cost: some 100 ns a cell, and 100 more where there is
-//! a difference.
+//! In: cells of the standard and of a frame. Out: for each cell whether it moved. Cost: some 100 ns per cell, and 100
+//! more where it differs.
 //!
-//! The difference of a cell and channel is divided by its standard deviation, of which the square is the sum of
+//! The difference of a cell and channel is divided by its standard deviation, whose square is the sum of
 //!
-//! - the noise of both codes, through the curve's slope;
-//! - a share of the radiance itself: at least `LEAST`, for the curve and the exposures are not known better, and as much as is
-//!   [usual](super::usual) in the bracket; the usual bias is divided out first. Where another channel clips, more: it is mixed into this one;
-//! - as large a share of what the brightest channel has more: cameras and JPEG mix the channels, by amounts that change with the exposure;
-//! - the gradient times `ASTRAY` pixels: what alignment and sharpness may differ by at an edge.
+//! - the noise of both code values, through the slope of the response;
+//! - a share of the radiance: at least `LEAST`, because response and exposures are not known better, and the spread
+//!   that is [usual](super::usual) in the bracket (the usual bias is divided out first); more where another channel is
+//!   clipped, because it is mixed into this one;
+//! - the same share of the excess of the brightest channel, because cameras and JPEG mix the channels differently at
+//!   each exposure;
+//! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
-//! A bound counts only where it is broken. The differences are averaged over larger and larger cells, and the strongest scale decides how much a cell
-//! differs. What differs surely has moved where the [structure](super::structure) says so too, and so has all that is connected with it and differs
-//! half as much, if the ratio changes all along the border of that; and so has what differs half as much without a sure place, if its border is long
-//! and the ratio changes half as much all along it.
+//! A bound counts only if it is violated. Differences are averaged over larger and larger cells, and the strongest
+//! scale decides how much a cell differs. A cell that certainly differs has moved if the [structure](super::structure)
+//! differs there too. So has everything connected with it that differs half as much, if the ratio changes all along its
+//! border; and so has a region that differs half as much without such a cell, if its border is long and the ratio
+//! changes half as much all along it.
 
 use super::cells::{Cell, Meaning};
 use super::region;
@@ -24,31 +27,33 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
-/// The least share of the radiance by which frames may differ, and that of the brightest channel that may be mixed into another: in a lamp's
-/// light on wood there is sixteen times as much red as blue.
+/// Smallest share of the radiance by which frames may differ, and share of the brightest channel that may be mixed into
+/// another: lamp light on wood has sixteen times as much red as blue.
 const LEAST: f32 = 0.06;
-/// ... and that by which they may where a channel clips: the camera has mixed it into the others. Seen on saturated colours of four cameras.
+/// The same where a channel is clipped, because the camera has mixed it into the others. Measured on saturated colours
+/// of four cameras.
 const SHIFTED: f32 = 0.25;
 /// Octaves for each share of 1, of small ones.
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
-/// Pixels by which an edge may be astray.
+/// Pixels by which an edge may be displaced.
 const ASTRAY: f32 = 1.2;
-/// Differences beyond so many standard deviations are no surer.
+/// Differences are limited to this many standard deviations.
 const ENOUGH: f32 = 8.0;
-/// What the mean difference is multiplied by, from the smallest scale to the largest: means over more cells vary less.
+/// Factor on the mean difference, from the smallest scale to the largest, because means over more cells vary less.
 const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
-/// By how much the mean over four times as many cells may be stronger than a cell, to be that of the cell: what is around a mover differs less, and the
-/// mean there is the mover's.
+/// Largest factor by which the mean over four times as many cells may exceed that of a cell: beside a moving object the
+/// larger mean is that of the object.
 const RAISE: f32 = 2.0;
 
-/// By how much, as a share of the limit of what surely moved, the ratio has to change on average at the border of what moved: by more than the one
-/// standard deviation that is explained. On twelve truth brackets it does by 1.3 to 11, at walls of another colour and where the exposures are wrong
-/// by 0.6 to 1.1.
+/// Smallest mean change of the ratio at the border of a motion mask, relative to the limit of certain motion: more than
+/// one standard deviation. On twelve rendered brackets it is 1.3 to 11 at motion, and 0.6 to 1.1 at walls of another
+/// colour and where exposures are wrong.
 const EXPLAINED: f32 = 0.3;
-/// Cells of a border along which half the limit is sure enough: at chance level, the mean of so many has a spread below a fifth, if ten neighbours are but one.
+/// Border cells from which on half the limit is enough: by chance the mean of this many has a spread below a fifth, if
+/// ten neighbours count as one.
 const LONG: usize = 100;
 
-/// A standard and a frame, and what is usual between them.
+/// A standard and a frame, and their usual ratio.
 struct Pair<'a> {
     standard: &'a Plane<Cell>,
     frame: &'a Plane<Cell>,
@@ -65,9 +70,9 @@ struct Channel {
     noise: [f32; 2],
     /// The usual spread of their ratio.
     spread: f32,
-    /// What may be mixed into it of the others, as radiance.
+    /// Radiance of other channels that may be mixed into it.
     mixed: f32,
-    /// Whether the one lies within what the other says.
+    /// Whether the value of one is within the bound of the other.
     is_within: bool,
 }
 
@@ -89,7 +94,7 @@ impl Pair<'_> {
         Channel { radiance: [a, b], noise: noise.map(|n| n * n), spread, mixed, is_within }
     }
 
-    /// How far each cell of the frame differs from the standard, in standard deviations, brighter being positive.
+    /// The difference of each cell from the standard, in standard deviations; positive if brighter.
     fn differences(&self) -> Plane<[f32; 3]> {
         let (width, height) = (self.standard.width(), self.standard.height());
         let astray = (ASTRAY / self.side as f32) * (ASTRAY / self.side as f32);
@@ -156,8 +161,8 @@ fn steepness([above, row, below]: [&[Cell]; 3], x: usize) -> [f32; 3] {
     })
 }
 
-/// The plane smoothed by (1, 4, 6, 4, 1) / 16 along both axes; the border stands for what is beyond. [`crate::pyramid::binomial`] is another:
-/// of codes through a table, its sums taken from the outside in, which rounds otherwise.
+/// The plane filtered by (1, 4, 6, 4, 1) / 16 along both axes, with the border repeated. [`crate::pyramid::binomial`]
+/// filters code values by a table and rounds differently.
 fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     let near = |i: usize, d: usize, size: usize| (i + d).saturating_sub(2).min(size - 1);
@@ -185,7 +190,7 @@ fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     smooth
 }
 
-/// The means of 2x2; at an odd border of what there is, which bitmaps ([`crate::pyramid::halve`]) drop.
+/// Means of 2x2 cells; at an odd border of those that exist ([`crate::pyramid::halve`] drops these).
 fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -197,8 +202,8 @@ fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     })
 }
 
-/// For each cell whether `frame` shows something else than `standard`. `limits` are the standard deviations from which it may, and
-/// from which it does.
+/// For each cell whether `frame` shows something else than `standard`. `limits` are the standard deviations from which
+/// it may, and from which it certainly does.
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,
@@ -233,14 +238,14 @@ pub fn moved(
         let plane = if is_mover { &mut moved } else { &mut rest };
         part.iter().filter(|&&(x, y)| is_mover || differs.at(x, y)).for_each(|&(x, y)| plane.row_mut(y)[x] = true);
     }
-    // Of what is wide and faint that which differs surely, by itself: a mover may stand before it.
+    // Within a wide and faint difference, the certain one by itself: a moving object may be in front of it.
     for part in region::parts(&rest).into_iter().filter(|part| is_mover(part, &rest)) {
         part.iter().for_each(|&(x, y)| moved.row_mut(y)[x] = true);
     }
     moved
 }
 
-/// How strongly each cell differs, the three channels and all scales together, in standard deviations.
+/// The difference of each cell over all channels and scales, in standard deviations.
 fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     let mut mean = binomial(differences);
     let mut levels = Vec::new();
@@ -259,7 +264,7 @@ fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     all.unwrap_or_else(|| Plane::filled(differences.width(), differences.height(), 0.0))
 }
 
-/// The greater of `finer` and of `coarse`, which has half the size, interpolated; but no more than [`RAISE`] times `finer`.
+/// The maximum of `finer` and the interpolated `coarse`, which has half the size, but at most [`RAISE`] times `finer`.
 fn stronger(finer: &Plane<f32>, coarse: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (finer.width(), finer.height());
     Plane::from_rows(width, height, |y, row| {

@@ -1,6 +1,7 @@
-//! Ghosts: what is left out of each frame, for merging, as a mask, and for the report.
+//! Motion masks of all frames: for the merge, for `--ghost-mask`, and for the report.
 //!
-//! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns a pixel where something is left out.
+//! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns per
+//! pixel where something moved.
 
 use super::holes::Holes;
 use super::region;
@@ -12,62 +13,66 @@ use serde::Serialize;
 use std::ops::Range;
 use std::path::Path;
 
-/// How far each frame may take part, over a region of the reference.
+/// The motion masks of all frames, over a region of the reference frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ghosts {
     pub(super) region: Rect,
     pub(super) side: usize,
     pub(super) strength: f64,
-    /// One for each placed frame by rising exposure: its path, and for each cell the factor times 255; none for the reference.
+    /// For each merged frame, by rising exposure: its path, and for each cell the factor times 255. Empty for the
+    /// reference frame.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
-    /// What is continued where the reference clips and no frame is left that shows more.
+    /// Radiance continued where the reference frame is clipped and all shorter frames are removed.
     pub(super) holes: Option<Holes>,
 }
 
-/// What was left out, for the report.
+/// The section of the report on motion.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GhostReport {
     /// The strength used.
     pub strength: f64,
-    /// The share of the result, by cells, in which some frame was left out by more than half.
+    /// Share of the result, by cells, where some frame was removed by more than half.
     pub ghost_fraction: f64,
-    /// The share of the result, by cells, in which the reference clips and the frames that show more were left out: radiance is continued from around.
+    /// Share of the result, by cells, where the reference frame is clipped and the shorter frames are removed, so that
+    /// radiance is continued from the surroundings.
     pub continued_fraction: f64,
-    /// The frames that were compared, by rising exposure: neither the reference, nor those of which the place is but assumed.
+    /// The frames that were compared, by rising exposure: all but the reference frame and those with assumed
+    /// transforms.
     pub frames: Vec<GhostFrame>,
-    /// The largest connected parts of the result in which some frame was left out by more than half, the largest first: at most [`MOST_REGIONS`].
+    /// The largest connected regions where some frame was removed by more than half, the largest first: at most
+    /// [`MOST_REGIONS`].
     pub regions: Vec<GhostRegion>,
 }
 
-/// Most regions in a report.
+/// Largest number of regions in a report.
 pub const MOST_REGIONS: usize = 16;
 
-/// Where something moved.
+/// A region where something moved.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GhostRegion {
-    /// The first column and row of the result, in pixels.
+    /// First column, in pixels of the result.
     pub x_px: usize,
     /// See `x_px`.
     pub y_px: usize,
-    /// Columns and rows.
+    /// Number of columns.
     pub width_px: usize,
     /// See `width_px`.
     pub height_px: usize,
-    /// The share of the result, by cells, that moved there.
+    /// Share of the result, by cells, that moved in this region.
     pub ghost_fraction: f64,
 }
 
-/// What was left out of one frame.
+/// The motion in one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GhostFrame {
-    /// The file, as it was named.
+    /// The file, as given.
     pub path: String,
-    /// The share of the result, by cells, in which it was left out by more than half.
+    /// Share of the result, by cells, where the frame was removed by more than half.
     pub ghost_fraction: f64,
 }
 
 impl GhostReport {
-    /// Where in a result of `size` pixels most of it moved, as "at the bottom right"; none where nothing did.
+    /// Where most of the motion is in a result of `size` pixels, as "at the bottom right". `None` if nothing moved.
     pub fn place(&self, size: (usize, usize)) -> Option<String> {
         let most = self.regions.first()?;
         let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
@@ -79,7 +84,7 @@ impl GhostReport {
 }
 
 impl Ghosts {
-    /// Whether they are of this region and of these placed frames by rising exposure.
+    /// Checks that the masks are of this region and of these frames, by rising exposure.
     ///
     /// # Errors
     /// [`Error::Option`] with what they are of.
@@ -98,7 +103,8 @@ impl Ghosts {
         Ok(())
     }
 
-    /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows; nothing where they are 1.
+    /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows;
+    /// nothing where they are 1.
     pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
         let between = |y| between_cells(y, self.side, map.height());
@@ -114,7 +120,8 @@ impl Ghosts {
         kept
     }
 
-    /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips and no frame is left that shows more.
+    /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips
+    /// and no frame is left that shows more.
     pub(crate) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
         if let Some(holes) = &self.holes {
             for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
@@ -123,8 +130,8 @@ impl Ghosts {
         }
     }
 
-    /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the reference are left
-    /// out, in proportion between.
+    /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the
+    /// reference are left out, in proportion between.
     pub fn mask(&self) -> Plane<u8> {
         let others = self.frames.iter().filter(|(_, map)| map.is_some()).count().max(1) as f32;
         Plane::from_rows(self.region.width(), self.region.height(), |y, row| {

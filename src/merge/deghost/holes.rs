@@ -1,13 +1,14 @@
 //! Holes: where the reference clips, and the frames that could show more show something that moved.
 //!
-//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]: radiance that continues what is
-//! around, and how far it counts. Cost: some 100 ns a cell where there are holes, and 20 ns a pixel in them. Source: pull and push of Gortler et al.
-//! 1996, "The Lumigraph", section 3.4.2.
+//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]:
+//! radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and
+//! 20 ns a pixel in them. Source: pull and push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
-//! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before a bright sky, nothing that is left says
-//! more, and the mean would be a grey patch in the mover's shape. What the reference clips about it, connected with it, is about as bright: the
-//! logarithm of that is continued into the hole, by the finest cells that know something, and with its colour, which white has lost. It takes away no light,
-//! and is only where the reference clips.
+//! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before
+//! a bright sky, nothing that is left says more, and the mean would be a grey patch in the mover's shape. What the
+//! reference clips about it, connected with it, is about as bright: the logarithm of that is continued into the hole,
+//! by the finest cells that know something, and with its colour, which white has lost. It takes away no light, and is
+//! only where the reference clips.
 
 use super::cells::Cell;
 use super::region;
@@ -31,7 +32,8 @@ pub(super) struct Holes {
 /// What the frames know that are shorter than the reference.
 #[derive(Debug, Clone, Copy, Default)]
 struct Known {
-    /// What the first frame shows that takes part wholly and does not clip, or else the shortest that takes part wholly: that is a lower bound.
+    /// What the first frame shows that takes part wholly and does not clip, or else the shortest that takes part
+    /// wholly: that is a lower bound.
     radiance: [f32; 3],
     /// Whether it is no bound.
     is_sure: bool,
@@ -188,8 +190,8 @@ fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usiz
     row
 }
 
-/// `values` as far as `weights` (0..=1) know them; elsewhere the mean of what is known around, of as few cells as know something. 0 where nothing is known at
-/// all.
+/// `values` as far as `weights` (0..=1) know them; elsewhere the mean of what is known around, of as few cells as know
+/// something. 0 where nothing is known at all.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {

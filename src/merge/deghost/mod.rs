@@ -1,24 +1,29 @@
-//! Deghosting: where the other frames show something else than the reference.
+//! Deghosting: motion masks, where the other frames show something else than the reference frame.
 //!
-//! In: a bracket, where its frames lie, and what their codes mean. Out: [`Ghosts`], for each frame and pixel how far it may take part.
-//! Cost: some 200 ns of one core for each cell of each frame, and 200 more where something differs: of 12 MP 4 ns a pixel; 156 bytes for each of
-//! at most 262,144 cells (more only beyond 16 MP), whatever the number of frames, and for each cell of each frame a byte, of the shorter ones two. Source:
-//! the reference as the standard, and the frame's departure from it against what noise allows, are those of Ward's hdrgen (option `-g`);
-//! the noise model, the chain of standards, the scales, and that an edge must tell motion from misfit are ours.
+//! In: a bracket, its alignment and the response. Out: [`Ghosts`], for each frame and pixel the share to which it is
+//! merged. Cost: some 200 ns of one core for each cell of each frame, and 200 more if something differs: 4 ns per pixel
+//! of 12 MP. 156 bytes for each of at most 262,144 cells (more beyond 16 MP), for any number of frames, plus one byte
+//! for each cell of each frame, two for shorter frames. Source: comparing each frame with the reference frame in units
+//! of noise is from Ward's hdrgen (option `-g`); the noise model, the chain of standards, the scales and the edge
+//! criterion are ours.
 //!
 //! 1. Every frame is averaged to radiance over cells of 2x2 pixels (4x4 and 8x8 in large pictures): `cells`.
-//! 2. Frame by frame, from the reference towards the shorter and towards the longer exposures, the cells are compared with a standard: the
-//!    reference, and where that clips or is black, the nearest frame that agrees with it. What a clipped or black code says is
-//!    only a bound. What is `usual` between the two in the whole picture is no motion.
-//! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger cells: what alignment,
-//!    noise and JPEG leave cancels, what moved adds up. The strongest scale decides; the three channels have one decision: `evidence`.
-//! 4. A difference is motion where an edge is in one of the two and not in the other: `structure`. All that differs, is connected with that and has such an edge
-//!    all around is left out, wholly, and softly around it: `region`. A still bracket is merged as without all this, to the byte.
-//! 5. Where anything moved, shorter frames that are black are left out too: they agree with anything.
-//! 6. Where the reference clips and the frames that show more are left out, radiance is continued from around: `holes`.
+//! 2. Frame by frame, from the reference towards the shorter and towards the longer exposures, the cells are compared
+//!    with a standard: the reference frame, and where that is clipped or black, the nearest frame that agrees with it.
+//!    A clipped or black code value is only a bound. Differences that are `usual` between the two in the whole picture
+//!    are not motion.
+//! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger
+//!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The strongest scale decides, for all three
+//!    channels together: `evidence`.
+//! 4. A difference is motion if only one of the two has an edge there: `structure`. A connected region that differs and
+//!    has such an edge all around is removed completely, with a soft border: `region`. A bracket without motion gives
+//!    the same bytes as without deghosting.
+//! 5. Where something moved, shorter frames that are black are removed too, because they agree with anything.
+//! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is continued from the
+//!    surroundings: `holes`.
 //!
-//! On five truth brackets with a mover, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 in the place of all this has a PU21-PSNR 2 to 20 dB below
-//! that of leaving the ghosts in: it takes every frame's noise for motion.
+//! On five rendered brackets with motion, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 instead has a PU21-PSNR 2 to 20 dB
+//! lower than no deghosting, because it treats noise as motion.
 
 pub(super) mod cells;
 mod evidence;
@@ -42,37 +47,38 @@ use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 
-/// Most cells of a picture, but that none is larger than `LARGEST`.
+/// Largest number of cells, unless they would be larger than `LARGEST`.
 const MOST_CELLS: usize = Demand::MOST_CELLS as usize;
 /// The longest side of a cell, in pixels.
 const LARGEST: usize = 8;
-/// Half the width of the gaps in what moved that are closed, in cells: a mover may look like what it hides.
+/// Half the width of gaps in a motion mask that are closed, in cells: parts of a moving object may look like the
+/// background.
 const GAP: usize = 3;
-/// How far around what moved a frame is left out, in cells: its edges are mixed with the background.
+/// Margin around a motion mask, in cells, where edges are mixed with the background.
 const MARGIN: usize = 2;
-/// How many cells around what moved are mixed with its edge.
+/// Cells around a motion mask that are mixed with its edge.
 const EDGE: usize = 1;
-/// Over so many cells more it comes back, to both sides of their middle.
+/// Width of the soft border, in cells.
 const FADE: usize = 2;
 
-/// Whether what moved is sought, and how readily a difference is taken for motion.
+/// Strength of deghosting.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Deghost {
     /// With a strength of [`AUTO`].
     #[default]
     Auto,
-    /// All frames take part everywhere.
+    /// No deghosting: all frames are merged everywhere.
     Off,
-    /// 0..=1: how much of a difference is too much. At 0.5 a region is left out that differs by 2 standard deviations, and somewhere by 4;
-    /// 0 takes twice, 1 half as many.
+    /// 0..=1. At 0.5 a region is removed if it differs by 2 standard deviations, and by 4 somewhere; 0 doubles these
+    /// thresholds, 1 halves them.
     Strength(f64),
 }
 
-/// The strength where none is given.
+/// The strength of [`Deghost::Auto`].
 pub const AUTO: f64 = 0.5;
 
 impl Deghost {
-    /// The strength, where what moved is sought.
+    /// The strength, or `None` if deghosting is off.
     pub fn strength(self) -> Option<f64> {
         match self {
             Deghost::Auto => Some(AUTO),
@@ -81,7 +87,7 @@ impl Deghost {
         }
     }
 
-    /// Whether what moved is sought.
+    /// Whether deghosting is on.
     pub fn is_on(self) -> bool {
         self != Deghost::Off
     }
@@ -93,7 +99,7 @@ impl Deghost {
     pub fn validate(self) -> Result<()> {
         match self {
             Deghost::Strength(strength) if !(0.0..=1.0).contains(&strength) => {
-                let reason = format!("{strength} is no strength; give 0 (least) to 1 (most), as in `--deghost=0.5`");
+                let reason = format!("{strength} is not a strength; give 0 (least) to 1 (most), as in --deghost=0.5");
                 Err(Error::Option { option: "--deghost", reason })
             }
             _ => Ok(()),
@@ -123,22 +129,22 @@ impl fmt::Display for Deghost {
     }
 }
 
-/// The standard deviations from which a cell may have moved, and from which it has.
+/// The standard deviations from which a cell may have moved, and from which it certainly has.
 fn limits(strength: f64) -> (f32, f32) {
     let scale = libm::exp2(1.0 - 2.0 * strength) as f32;
     (2.0 * scale, 4.0 * scale)
 }
 
-/// A placed frame as it is compared.
+/// A frame to compare.
 pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
     warp: Transform,
     pub(super) meaning: Meaning,
-    /// Whether its place is but [assumed](Placement::Assumed): it shows what no other does, and is not compared.
+    /// Whether its transform is [assumed](Placement::Assumed): it shows what no other does, so it is not compared.
     is_assumed: bool,
 }
 
-/// The placed frames of `bracket` by rising exposure, and which of them is the reference.
+/// The merged frames of `bracket` by rising exposure, and the index of the reference frame among them.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
     alignment: &Alignment,
@@ -155,14 +161,14 @@ pub(super) fn layers<'a>(
     (alignment.placed(bracket).map(layer).collect(), reference.unwrap_or_default())
 }
 
-/// By what the radiance of frame i (of the placed ones, by rising exposure) is multiplied at rows of the region; nothing where by 1.
+/// Factor on the radiance of frame i (of the merged ones, by rising exposure) at rows of the region; empty if 1.
 pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
 
-/// Where in `region` each placed frame shows something else than the reference. Frames that are locally processed are compared with their
-/// `gain`, where they do not clip.
+/// Finds where in `region` each frame shows something else than the reference frame. Locally processed frames are
+/// compared with their `gain`, where they are not clipped.
 ///
 /// # Errors
-/// [`Error::Option`] where the strength is out of its range; [`Error::Scratch`].
+/// [`Error::Option`] if the strength is out of range; [`Error::Scratch`].
 pub fn find(
     bracket: &Bracket,
     alignment: &Alignment,
@@ -214,7 +220,8 @@ pub fn find(
     Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
 }
 
-/// Where a shorter `frame` is black in all channels and the `reference` does not clip: whatever is there, the frame agrees.
+/// Where a shorter `frame` is black in all channels and the `reference` is not clipped: the frame agrees with anything
+/// there.
 fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     Plane::from_rows(frame.width(), frame.height(), |y, row| {
         for ((is, f), s) in row.iter_mut().zip(frame.row(y)).zip(reference.row(y)) {
@@ -223,8 +230,8 @@ fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     })
 }
 
-/// Leaves frames out where they are `black`, as far as any other frame is left out. Otherwise a wall that is black in a short frame would be merged with a
-/// person who stands before it in another.
+/// Removes frames where they are `black`, to the same share as any other frame is removed. Otherwise a wall that is
+/// black in a short frame would be merged with a person in front of it in another frame.
 fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(usize, Plane<bool>)]) {
     let Some((_, first)) = black.first() else { return };
     let mut least = vec![u8::MAX; first.as_slice().len()];
@@ -239,8 +246,9 @@ fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(
     }
 }
 
-/// Keeps a shorter frame beside what `moved` in it, where the reference is white and the frame shows as much light: without it there would be a white
-/// blob. Where it shows less, as in a mover's soft edge, light is [continued](holes).
+/// Keeps a shorter frame beside what `moved` in it, where the reference frame is white and the frame shows as much
+/// radiance: otherwise a white spot would remain. Where it shows less, as in the soft edge of a moving object, radiance
+/// is [continued](holes).
 fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&Plane<Cell>, &Plane<Cell>)) {
     kept.fill_rows(|y, row| {
         let cells = frame.row(y).iter().zip(reference.row(y));
@@ -263,14 +271,14 @@ fn side(region: Rect) -> usize {
     side
 }
 
-/// Where the standard knows only a bound, or little, and the frame that agrees with it knows more, the frame becomes the standard.
+/// Replaces the standard by a frame that agrees with it, where the standard is only a bound or has little weight.
 fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool>, meanings: &[&Meaning]) {
     standard.fill_rows(|y, row| {
         for ((s, f), moved) in row.iter_mut().zip(frame.row(y)).zip(moved.row(y)) {
             if *moved || f.is_outside() {
                 continue;
             }
-            // All channels or none: a standard has one source.
+            // All channels or none, so that a standard has one source.
             let gain = |c: usize| match (s.is_bound(c), f.is_bound(c)) {
                 (true, false) => 1,
                 (false, true) => -1,

@@ -1,10 +1,10 @@
 //! Regions: from evidence cell by cell to what is left out.
 //!
-//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a factor that rises around it. Cost: some 10 ns
-//! a cell.
+//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a factor that rises around it. Cost:
+//! some 10 ns a cell.
 //!
-//! Of what differs the connected parts that moved are left out, wholly: a mover's middle may look like what it hides, and a tenth of a long exposure's weight may
-//! still be ten times the reference's.
+//! Of what differs the connected parts that moved are left out, wholly: a mover's middle may look like what it hides,
+//! and a tenth of a long exposure's weight may still be ten times the reference's.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{gathered, near};
@@ -16,7 +16,8 @@ pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
     all.map(|at| taken(&mut left, at)).filter(|part| !part.is_empty()).collect()
 }
 
-/// Takes the connected part that `at` is in out of `left`; it is empty where there is none. Cells are connected by sides and corners.
+/// Takes the connected part that `at` is in out of `left`; it is empty where there is none. Cells are connected by
+/// sides and corners.
 fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     let (width, height) = (left.width(), left.height());
     let mut part = Vec::new();
@@ -57,7 +58,8 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// How far a frame takes part, times 255: not at all within `reach` cells of what is true, and more and more over the next `2 fade`.
+/// How far a frame takes part, times 255: not at all within `reach` cells of what is true, and more and more over the
+/// next `2 fade`.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
     // The mean reaches `fade` cells to both sides of the border: what is within `reach` stays out.

@@ -1,17 +1,17 @@
 //! Structure: where a frame shows edges that the standard has not, or lacks some that it has.
 //!
-//! In: for each cell the standard's log radiance, and how far the frame's departs from it. Out: for each cell how surely something moved, in standard
-//! deviations. Cost: some 40 ns a cell, and 0.5 us for each that is asked for.
+//! In: for each cell the standard's log radiance, and how far the frame's departs from it. Out: for each cell how
+//! surely something moved, in standard deviations. Cost: some 40 ns a cell, and 0.5 us for each that is asked for.
 //!
-//! A difference alone does not tell motion from what a curve for all pixels cannot describe: vignetting that changes with the f-number, veiling glare,
-//! saturated colours, a phone's own tone mapping. Those are smooth, or they change at an edge that both frames show. What moved has an edge
-//! that only one of them shows. So from one cell to the next the change of the log ratio is compared with what noise allows and with the
-//! lesser of the two frames' own changes there.
+//! A difference alone does not tell motion from what a curve for all pixels cannot describe: vignetting that changes
+//! with the f-number, veiling glare, saturated colours, a phone's own tone mapping. Those are smooth, or they change at
+//! an edge that both frames show. What moved has an edge that only one of them shows. So from one cell to the next the
+//! change of the log ratio is compared with what noise allows and with the lesser of the two frames' own changes there.
 
 use crate::plane::Plane;
 
-/// The least change of the log ratio from one cell to the next that can be told from none, in octaves: half of the share of the radiance by which frames
-/// may differ anyway.
+/// The least change of the log ratio from one cell to the next that can be told from none, in octaves: half of the
+/// share of the radiance by which frames may differ anyway.
 const LEAST: f32 = 0.04;
 /// By which share of the change that both frames show theirs may differ: response, sharpness and colour processing.
 const COMMON: f32 = 0.35;
@@ -19,7 +19,8 @@ const COMMON: f32 = 0.35;
 const SCALES: usize = 4;
 /// Those of them at which the border of what differs is followed: the cells of the largest are as large as many movers.
 const SMALLER: usize = 3;
-/// The share of the variance that is left in the mean of four cells: between the quarter of independent ones and all of like ones.
+/// The share of the variance that is left in the mean of four cells: between the quarter of independent ones and all of
+/// like ones.
 const LEFT: f32 = 0.5;
 
 /// What is compared of a cell, for each channel.
@@ -67,7 +68,8 @@ fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
     })
 }
 
-/// How surely the ratio changes between the middle two of four cells in a line by more than the frames themselves explain, in standard deviations.
+/// How surely the ratio changes between the middle two of four cells in a line by more than the frames themselves
+/// explain, in standard deviations.
 fn change(line: [&Ratio; 4]) -> f32 {
     let mut most = 0.0f32;
     for c in 0..3 {
@@ -87,7 +89,8 @@ fn change(line: [&Ratio; 4]) -> f32 {
     most.sqrt()
 }
 
-/// How surely something changes between the cell at column `x` and row `y` and one of its neighbours that does not in both frames.
+/// How surely something changes between the cell at column `x` and row `y` and one of its neighbours that does not in
+/// both frames.
 fn change_at(plane: &Plane<Ratio>, x: usize, y: usize) -> f32 {
     let (width, height) = (plane.width(), plane.height());
     let near = |i: usize, d: usize, size: usize| (i + d).saturating_sub(2).min(size - 1);
@@ -155,7 +158,8 @@ mod tests {
         // Only the frame has it; only the standard has it.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
-        // Both have it, and the frame's is a third as high again; none has it, and the frame is brighter towards one side by half.
+        // Both have it, and the frame's is a third as high again; none has it, and the frame is brighter towards one
+        // side by half.
         assert_eq!(found(|x, _| half(x), |x, _| 0.33 * half(x)), 0);
         assert_eq!(found(|_, _| 0.0, |x, _| 0.6 * x as f32 / 32.0), 0);
         // A cell beside it is the same edge.

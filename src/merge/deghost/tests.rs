@@ -72,14 +72,16 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
         assert_eq!(found.rows(150..180), plain.rows(150..180));
         let shares: Vec<f64> = ghosts.report().frames.iter().map(|f| f.ghost_fraction).collect();
         let (moved, other) = if frame == 0 { (shares[0], shares[1]) } else { (shares[1], shares[0]) };
-        // The disc is 4.2 % of the picture; of its tiles some are as bright as it is, and in a margin of up to 14 pixels more is left out.
+        // The disc is 4.2 % of the picture; of its tiles some are as bright as it is, and in a margin of up to 14
+        // pixels more is left out.
         assert!((0.02..0.105).contains(&moved) && other == 0.0, "frame {frame}: {shares:?}");
     }
 }
 
 #[test]
 fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
-    // The reference clips at 1. One frame has a dark mover before the sky, the one before it none; and the other way round.
+    // The reference clips at 1. One frame has a dark mover before the sky, the one before it none; and the other way
+    // round.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let times = [0.0625, 0.25, 1.0, 4.0];
     for frame in [0, 1] {
@@ -102,7 +104,8 @@ fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
 
 #[test]
 fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
-    // A sky that doubles from left to right, and clips in the reference; the only shorter frame has a dark mover before it. Below is ground that no frame clips.
+    // A sky that doubles from left to right, and clips in the reference; the only shorter frame has a dark mover before
+    // it. Below is ground that no frame clips.
     let sky = |x: usize, y: usize| if y < 150 { [2.0 + 2.0 * x as f64 / SIZE.0 as f64; 3] } else { [0.2; 3] };
     let mover = |x: usize, y: usize| if disc(x, y, (120, 90)) { [0.2, 0.15, 0.15] } else { sky(x, y) };
     let times = [0.125, 1.0];
@@ -114,7 +117,8 @@ fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
     let found = merged(&bracket, &alignment, Some(&ghosts));
     let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
     for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
-        // Steps of one in some 120 codes are 2 %; between means over at most 64 pixels the sky rises by a tenth to either side.
+        // Steps of one in some 120 codes are 2 %; between means over at most 64 pixels the sky rises by a tenth to
+        // either side.
         let expected = scale * sky(x, y)[1];
         assert!(
             (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
@@ -147,7 +151,8 @@ fn what_is_continued_has_the_colour_of_what_is_around_and_no_seam() {
     let lit = found.at(10, 90);
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
-        // The shadow's outer edge, brighter than what the reference clips at (a third of the light in red), is no motion: half the light is left.
+        // The shadow's outer edge, brighter than what the reference clips at (a third of the light in red), is no
+        // motion: half the light is left.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The shadow's edge rises by 0.04 a pixel.
@@ -176,7 +181,8 @@ fn what_is_bright_beside_a_mover_keeps_its_form() {
 
 #[test]
 fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it() {
-    // In the reference somebody dark stands before a wall that both others show; in the shortest it has code 4, and might be as dark.
+    // In the reference somebody dark stands before a wall that both others show; in the shortest it has code 4, and
+    // might be as dark.
     let wall = |_: usize, _: usize| [0.03; 3];
     let before = |x: usize, y: usize| if disc(x, y, (100, 80)) { [0.004; 3] } else { wall(x, y) };
     let times = [0.0625, 1.0, 4.0];
@@ -234,7 +240,8 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
 
 #[test]
 fn what_a_locally_processed_frame_clips_is_no_bound() {
-    // The reference clips the sky at 1; the shortest frame shows something darker there, as a phone makes of a window by its gain, or a mover.
+    // The reference clips the sky at 1; the shortest frame shows something darker there, as a phone makes of a window
+    // by its gain, or a mover.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let darker = |x, y| if disc(x, y, (120, 90)) { [0.3, 0.2, 0.2] } else { sky(x, y) };
     let (bracket, alignment) = bracket([&darker, &sky, &sky]);
@@ -333,7 +340,8 @@ fn factors_between_cells_are_bilinear() {
         holes: None,
     };
     let kept = ghosts.kept(0, 1..3);
-    // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2 three quarters right.
+    // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2
+    // three quarters right.
     let (left, right) = (0.25 * 0.4, 0.75);
     assert!((kept[2] - (0.25 * left + 0.75 * right)).abs() < 1e-6, "{kept:?}");
     assert!((kept[0] - 0.1).abs() < 1e-6);
@@ -366,7 +374,8 @@ fn what_is_typed_is_understood_and_told_again() {
 
 #[test]
 fn a_veil_over_a_frame_and_a_saturated_colour_are_no_motion() {
-    // The long frame is brighter by a third at its right border, as by a veil, and its red is so at the edges of the tiles.
+    // The long frame is brighter by a third at its right border, as by a veil, and its red is so at the edges of the
+    // tiles.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));
         [1.15 * r, g, b]

@@ -1,7 +1,8 @@
 //! What is usual between a frame and the standard: how their radiance differs where nothing moved.
 //!
-//! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio, which is the error of the response,
-//! and its spread, which is what noise and alignment leave. Cost: some 10 ns a cell.
+//! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio,
+//! which is the error of the response, and its spread, which is what noise and alignment leave. Cost: some 10 ns a
+//! cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};

@@ -1,13 +1,15 @@
 //! The base of a locally processed frame, and the curve that the phone compressed it by.
 //!
-//! In: the logarithm of each frame's exposure on cells. Out: for each cell how the base follows from a pixel's logarithm, and the curve from the base of a
-//! frame to that of the scene. Cost: two box filters over at most 256 x 256 cells for each frame, and some passes over the cells of each two frames.
-//! Source: base and detail as in Durand & Dorsey 2002; the base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance by itself,
-//! found on cells and interpolated (He & Sun 2015). The curve is recovered as a camera's is (Debevec & Malik 1997), from bases instead of codes.
+//! In: the logarithm of each frame's exposure on cells. Out: for each cell how the base follows from a pixel's
+//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
+//! cells for each frame, and some passes over the cells of each two frames. Source: base and detail as in Durand &
+//! Dorsey 2002; the base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance by itself,
+//! found on cells and interpolated (He & Sun 2015). The curve is recovered as a camera's is (Debevec & Malik 1997),
+//! from bases instead of codes.
 //!
-//! A local tone mapping compresses the base and keeps the details. An edge of some stops is part of the base: else there were halos. A phone renders each
-//! frame by itself: what becomes of a base depends on that base alone, so that one curve holds for all frames and places, and a stop of exposure is a stop
-//! of the base that it had.
+//! A local tone mapping compresses the base and keeps the details. An edge of some stops is part of the base: else
+//! there were halos. A phone renders each frame by itself: what becomes of a base depends on that base alone, so that
+//! one curve holds for all frames and places, and a stop of exposure is a stop of the base that it had.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::gathered;
@@ -16,27 +18,29 @@ use nalgebra::{SMatrix, SVector};
 
 /// The filter's radius as a share of the longer side: a neighbourhood of a twelfth.
 const RADIUS: usize = 24;
-/// The variance from which on half of the differences belong to the base, in square stops: an edge of 2.8 stops. On 12 truth brackets of phones, 4 has a
-/// PU21-PSNR of details lower by 0.4 dB.
+/// The variance from which on half of the differences belong to the base, in square stops: an edge of 2.8 stops. On 12
+/// truth brackets of phones, 4 has a PU21-PSNR of details lower by 0.4 dB.
 const EDGE: f32 = 2.0;
 /// Knots of the curve: one for each stop that a frame of 8 bit shows, or more.
 const KNOTS: usize = 13;
-/// The weight of the curve's squared second derivative beside the mean squared error. On the same brackets the details of a fifth and of five times as much
-/// differ by 0.1 dB.
+/// The weight of the curve's squared second derivative beside the mean squared error. On the same brackets the details
+/// of a fifth and of five times as much differ by 0.1 dB.
 const SMOOTH: f64 = 0.01;
 /// Passes of least squares: in all but the first cells that show what moved have less weight.
 const PASSES: usize = 6;
 /// Tukey's reach in robust standard deviations.
 const REACH: f64 = 4.685;
-/// The standard deviation of a difference of two bases at the least, in stops: half of what deghosting takes a cell to be known by.
+/// The standard deviation of a difference of two bases at the least, in stops: half of what deghosting takes a cell to
+/// be known by.
 const LEAST: f64 = 0.05;
-/// Stops of the scene's base to one of a frame's: a phone compresses and never expands, and more than the second would make noise of nothing.
+/// Stops of the scene's base to one of a frame's: a phone compresses and never expands, and more than the second would
+/// make noise of nothing.
 const SLOPES: (f64, f64) = (1.0, 2.5);
 /// Fewer differences tell no curve.
 const FEWEST: usize = 100;
 
-/// How the base follows from the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the logarithms of the cells, none outside of the
-/// frame.
+/// How the base follows from the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the logarithms
+/// of the cells, none outside of the frame.
 pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
     let longer = stops.width().max(stops.height());
     let radius = (longer as f64 / RADIUS as f64).round().max(1.0) as usize;
@@ -81,7 +85,8 @@ pub(super) struct BaseCurve {
 }
 
 impl BaseCurve {
-    /// That which makes the bases of `pairs` differ by the exposures. It is 0 everywhere where they are too few, or alike.
+    /// That which makes the bases of `pairs` differ by the exposures. It is 0 everywhere where they are too few, or
+    /// alike.
     pub fn of(pairs: &[Pair]) -> BaseCurve {
         BaseCurve::recovered(pairs).unwrap_or(BaseCurve { low: 0.0, step: 1.0, lacks: [0.0; KNOTS] })
     }
@@ -169,7 +174,8 @@ fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
 mod tests {
     use super::*;
 
-    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and all of one elsewhere; every ninth shows what moved.
+    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and all of one elsewhere; every
+    /// ninth shows what moved.
     fn pairs() -> Vec<Pair> {
         let shown = |scene: f32| scene - 0.5 * (scene.clamp(-4.0, 1.0) + 4.0);
         let moved = |i: usize| if i.is_multiple_of(9) { 3.0 } else { 0.0 };

@@ -1,14 +1,17 @@
 //! Local gain: frames that a phone tone-mapped locally, given back the light that it took.
 //!
-//! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by which the radiance of each pixel of
-//! each frame is multiplied, so that it is the scene's. Cost: that of averaging the frames over cells, some 20 ns a pixel and frame, and of a logarithm and
-//! an exponential for each pixel of each frame; nothing where frames are not locally processed.
-//! Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002), whose curve the exposures tell (`base`).
+//! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by
+//! which the radiance of each pixel of each frame is multiplied, so that it is the scene's. Cost: that of averaging the
+//! frames over cells, some 20 ns a pixel and frame, and of a logarithm and an exponential for each pixel of each frame;
+//! nothing where frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey
+//! 2002), whose curve the exposures tell (`base`).
 //!
 //! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base found.
-//! 2. Bases of two frames at the same cell, which differ in the scene by as much as the exposures, tell the curve by which the phone compressed them.
-//! 3. To the logarithm of each pixel is added what its base lacks by that curve: details keep the camera's contrast, and what is larger than a neighbourhood,
-//!    or an edge of some stops, becomes what it was. This is done before merging: what a frame shows too bright because of where it lies agrees with the others.
+//! 2. Bases of two frames at the same cell, which differ in the scene by as much as the exposures, tell the curve by
+//!    which the phone compressed them.
+//! 3. To the logarithm of each pixel is added what its base lacks by that curve: details keep the camera's contrast,
+//!    and what is larger than a neighbourhood, or an edge of some stops, becomes what it was. This is done before
+//!    merging: what a frame shows too bright because of where it lies agrees with the others.
 
 mod base;
 
@@ -33,8 +36,8 @@ use std::path::Path;
 const CELLS: usize = 256;
 /// Rec. 709 luminance: the gain is one for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// The greatest share of an exposure step that frames are taken to keep; what they seem to keep beyond is the steepness of the curve. Of 26 brackets of phones
-/// whose curve is about sRGB's (truth.py) all but three keep 0.46 to 0.58.
+/// The greatest share of an exposure step that frames are taken to keep; what they seem to keep beyond is the steepness
+/// of the curve. Of 26 brackets of phones whose curve is about sRGB's (truth.py) all but three keep 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// By what the radiance of each frame is multiplied over a region of the reference.
@@ -69,7 +72,8 @@ pub struct LocalReport {
     pub exposure_step_fraction: f64,
     /// Standard deviation over the picture of the ratio of two frames at the same code.
     pub variation_stops: f64,
-    /// By how many stops a stop of the frames was expanded where it is larger than a neighbourhood, as the mean over their range; 1 where nothing was.
+    /// By how many stops a stop of the frames was expanded where it is larger than a neighbourhood, as the mean over
+    /// their range; 1 where nothing was.
     pub expansion: f64,
     /// The frames but the reference, by rising exposure; none where they are not locally processed.
     pub frames: Vec<LocalFrame>,
@@ -84,16 +88,16 @@ pub struct LocalFrame {
     pub gain_stops: (f64, f64),
 }
 
-/// The curve by which codes of locally processed frames are read: that of sRGB, of which `evidence` may show that it is too steep. The curve that fits the
-/// frames is not the camera's: it has what was compressed in it.
+/// The curve by which codes of locally processed frames are read: that of sRGB, of which `evidence` may show that it is
+/// too steep. The curve that fits the frames is not the camera's: it has what was compressed in it.
 pub fn curve(evidence: &Evidence) -> ResponseCurve {
     let srgb = ResponseCurve::srgb();
     let power = power(evidence);
     ResponseCurve::new(std::array::from_fn(|c| srgb.ln_exposure(c).map(|g| g / power))).unwrap_or(srgb)
 }
 
-/// How many times as steep as the camera's the sRGB curve is at the least: no place may be brightened by more than the exposures were, and no phone keeps more
-/// than [`MOST_FRACTION`] of a step.
+/// How many times as steep as the camera's the sRGB curve is at the least: no place may be brightened by more than the
+/// exposures were, and no phone keeps more than [`MOST_FRACTION`] of a step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
@@ -123,7 +127,8 @@ fn side(region: Rect, most: usize) -> usize {
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// Whether what a cell shows is known: not where it clips, which a phone leaves white whatever it does around it, nor where all of it is black.
+/// Whether what a cell shows is known: not where it clips, which a phone leaves white whatever it does around it, nor
+/// where all of it is black.
 fn is_known(cell: &Cell) -> bool {
     !(cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)))
 }
@@ -186,8 +191,8 @@ impl LocalGain {
         Err(Error::Option { option: "--crop", reason: reason.to_owned() })
     }
 
-    /// The factors of the cells of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows: those of pixels that are as bright
-    /// as their cell.
+    /// The factors of the cells of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by
+    /// rows: those of pixels that are as bright as their cell.
     pub fn at(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some(frame) = self.frames.get(layer) else { return Vec::new() };
         let mut factors = self.rows(&frame.lacks, |(lacks, _)| lacks, rows);
@@ -205,7 +210,8 @@ impl LocalGain {
         factors
     }
 
-    /// How the base of frame `layer` follows from the logarithm of a pixel's radiance, at `rows` of the region, by rows.
+    /// How the base of frame `layer` follows from the logarithm of a pixel's radiance, at `rows` of the region, by
+    /// rows.
     pub(super) fn base(&self, layer: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
         self.frames.get(layer).map_or_else(Vec::new, |frame| self.rows(&frame.base, |v| v, rows))
     }
@@ -220,13 +226,14 @@ impl LocalGain {
         values
     }
 
-    /// Into `factors` what the radiance of a row of a tile of `layer` is multiplied by, where `base` is the frame's [`base`](LocalGain::base) there.
+    /// Into `factors` what the radiance of a row of a tile of `layer` is multiplied by, where `base` is the frame's
+    /// [`base`](LocalGain::base) there.
     pub(super) fn multiply(&self, layer: &Layer, row: &Row, base: &[[f32; 2]], factors: &mut [f32]) {
         vectorised(Factors { layer, row, base, curve: &self.curve, factors });
     }
 
-    /// What frames that are `photographed` so show of the radiance that they are multiplied to: the lights of the shortest are brighter by what its white lacks, and
-    /// a picture of them is to be exposed by so much less.
+    /// What frames that are `photographed` so show of the radiance that they are multiplied to: the lights of the
+    /// shortest are brighter by what its white lacks, and a picture of them is to be exposed by so much less.
     pub fn photographed(&self, photographed: Photographed) -> Photographed {
         let lacks = self.curve.at(photographed.white_stops as f32);
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }

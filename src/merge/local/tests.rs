@@ -25,8 +25,8 @@ fn base(x: usize, y: usize) -> f64 {
     libm::exp2(x as f64 / 180.0 - 1.0) * if window { 6.0 } else { 0.1 }
 }
 
-/// Three frames two stops apart, the middle one the reference, by the sRGB curve; `phone` keeps so much of a stop of the base that is neither too dark nor
-/// too bright.
+/// Three frames two stops apart, the middle one the reference, by the sRGB curve; `phone` keeps so much of a stop of
+/// the base that is neither too dark nor too bright.
 fn frames(phone: f64) -> (Bracket, Alignment) {
     let frame = |stops: f64| {
         let time = libm::exp2(stops);
@@ -89,7 +89,8 @@ fn gain_gives_back_the_scenes_contrast_small_and_large_and_across_an_edge() {
     for (first, second) in places {
         let truth = libm::log2(scene(second.0, second.1) / scene(first.0, first.1));
         let error = |map| (contrast(map, first, second) - truth).abs();
-        // Of 5.9 stops from the room to the window the frames keep half, and of an edge with as much to either side the base has half.
+        // Of 5.9 stops from the room to the window the frames keep half, and of an edge with as much to either side the
+        // base has half.
         assert!(error(&with) < 0.1 + 0.3 * truth.abs(), "{first:?} {second:?}: {truth}, {} off", error(&with));
         assert!(truth.abs() < 2.0 || error(&without) > 1.1 * error(&with), "{first:?} {second:?}: {}", error(&without));
     }

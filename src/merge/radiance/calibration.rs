@@ -1,20 +1,21 @@
 //! Units: from radiance relative to the reference's exposure to cd/m2.
 //!
-//! In: what the user knows of the camera, the reference frame and the response. Out: the luminance of radiance 1, or none where it stays
-//! relative. Cost: one multiplication a value.
-//! Source: the constant is that of Greg Ward's hdrgen, [`CAMERA_CONSTANT`]; ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t
-//! S) for saturation-based speeds, without the half stop that it leaves for highlights: 85.
+//! In: what the user knows of the camera, the reference frame and the response. Out: the luminance of radiance 1, or
+//! none where it stays relative. Cost: one multiplication a value. Source: the constant is that of Greg Ward's hdrgen,
+//! [`CAMERA_CONSTANT`]; ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for saturation-based speeds,
+//! without the half stop that it leaves for highlights: 85.
 //!
-//! The top code of a frame with exposure time t in s, f-number N and sensitivity S, each the exact step that was rounded to what the
-//! file says and fine-tuned as radiance is, stands for
+//! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S (exact steps, corrected
+//! like the exposures of the merge) stands for
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
 //! ```
 //!
-//! and what lies below is told by the response. This is empirical: makers rate sensitivity and shape curves as they see fit, lenses lose
-//! light, times are rounded; expect half a stop (a factor 0.7 to 1.4), and the same error for every picture of one camera, lens and
-//! aperture. One reading of a luminance meter removes it: the factor is the luminance measured over the luminance reported.
+//! and lower code values follow from the response. This is empirical: manufacturers rate sensitivity and shape curves
+//! differently, lenses lose light, times are rounded. Expect half a stop (a factor of 0.7 to 1.4), and the same error
+//! for all pictures of one camera, lens and aperture. One reading of a luminance meter removes it: the factor is
+//! measured luminance over reported luminance.
 
 use crate::bracket::Frame;
 use crate::error::{Error, Result};
@@ -24,11 +25,11 @@ use crate::response::ResponseCurve;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The luminance of the top code times t S / N^2, in cd/m2 times s.
+/// Luminance of the largest code value times t S / N^2, in cd/m2 s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
-/// A factor on radiance or luminance: finite, above 0, and from 1e-20 to 1e20. From starlight to the sun it is 1e14; beyond, the floats
-/// that it is multiplied with end.
+/// A factor on radiance or luminance, from 1e-20 to 1e20. Starlight to the sun is a factor of 1e14; larger factors
+/// exceed the range of f32.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Factor(f64);
@@ -37,7 +38,7 @@ impl Factor {
     /// 1.
     pub const ONE: Factor = Factor(1.0);
 
-    /// `value` as a factor; none where it is out of range or no number.
+    /// `value` as a factor, or `None` if it is out of range.
     pub fn new(value: f64) -> Option<Factor> {
         (1e-20..=1e20).contains(&value).then_some(Factor(value))
     }
@@ -47,21 +48,21 @@ impl Factor {
         self.0
     }
 
-    /// Both factors together; none where that is out of range.
+    /// The product of both factors, or `None` if it is out of range.
     pub fn times(self, other: Factor) -> Option<Factor> {
         Factor::new(self.0 * other.0)
     }
 
-    /// This factor without the other; none where that is out of range.
+    /// This factor divided by the other, or `None` if it is out of range.
     pub fn over(self, other: Factor) -> Option<Factor> {
         Factor::new(self.0 / other.0)
     }
 }
 
-/// What the values of a radiance map are.
+/// The unit of radiance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub enum Unit {
-    /// Relative: 1 is what gave the reference its middle code (128 of 255).
+    /// Relative: 1 gives the reference frame its middle code value (128 of 255).
     #[default]
     #[serde(rename = "relative")]
     Relative,
@@ -70,30 +71,30 @@ pub enum Unit {
     CdM2,
 }
 
-/// What turns relative radiance into cd/m2. By default nothing does.
+/// Calibration of radiance to cd/m2. By default radiance stays relative.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Calibration {
-    /// Whether the camera's exposure time, f-number and sensitivity tell the luminance, by [`CAMERA_CONSTANT`].
+    /// Whether to compute luminance from exposure time, f-number and sensitivity, by [`CAMERA_CONSTANT`].
     pub camera: bool,
-    /// A [`Factor`] on the result. With [`camera`](Self::camera) its correction, near 1 (measured over reported); by
-    /// itself the luminance of radiance 1 in cd/m2.
+    /// A [`Factor`] on the result. With [`camera`](Self::camera) a correction near 1 (measured over reported
+    /// luminance); without it the luminance of radiance 1 in cd/m2.
     pub factor: Option<f64>,
 }
 
-/// How radiance was calibrated.
+/// The section of the report on calibration.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CalibrationReport {
-    /// The luminance that 87 N^2 / (t S) gives for the reference's top code; null where the camera was not asked.
+    /// 87 N^2 / (t S) of the reference frame; null without `camera`.
     pub camera_top_code_cd_m2: Option<f64>,
-    /// The user's factor, 1 where none was given.
+    /// The factor given, or 1.
     pub factor: f64,
-    /// By what relative radiance was multiplied: the luminance of 1, in cd/m2.
+    /// The luminance of relative radiance 1, in cd/m2.
     pub cd_m2_per_unit: f64,
 }
 
 impl Calibration {
-    /// Whether the factor is one.
+    /// Checks the factor.
     ///
     /// # Errors
     /// [`Error::Option`].
@@ -102,14 +103,14 @@ impl Calibration {
             Some(factor) if Factor::new(factor).is_none() => Err(Error::Option {
                 option: "--calibration-factor",
                 reason: format!(
-                    "{factor} is no factor; give a number above 0, from 1e-20 to 1e20: luminance measured over luminance reported"
+                    "{factor} is not a valid factor; give a number from 1e-20 to 1e20: measured luminance divided by reported luminance"
                 ),
             }),
             _ => Ok(()),
         }
     }
 
-    /// Whether the camera tells what is asked of it: `reference` is the frame that [`settle`](Self::settle) will be given.
+    /// Checks that the EXIF of the reference frame has what [`settle`](Self::settle) needs.
     ///
     /// # Errors
     /// As there.
@@ -118,16 +119,15 @@ impl Calibration {
         if self.camera { top_code_luminance(reference).map(|_| ()) } else { Ok(()) }
     }
 
-    /// Whether radiance is to be in cd/m2.
+    /// Whether radiance is converted to cd/m2.
     pub fn is_asked(&self) -> bool {
         self.camera || self.factor.is_some()
     }
 
-    /// The luminance of radiance 1; none where radiance stays relative.
+    /// The luminance of radiance 1, or `None` if radiance stays relative.
     ///
     /// # Errors
-    /// [`Error::Option`] where the camera is asked but the reference does not say its time, f-number and sensitivity, or where the factor
-    /// is none.
+    /// [`Error::Option`] if the reference frame lacks exposure time, f-number or sensitivity, or the factor is invalid.
     pub fn settle(&self, reference: &Frame, curve: &ResponseCurve) -> Result<Option<CalibrationReport>> {
         self.validate()?;
         let factor = self.factor.unwrap_or(1.0);
@@ -136,7 +136,7 @@ impl Calibration {
             return Ok(self.factor.map(|_| report));
         }
         let top_code = top_code_luminance(reference)?;
-        // The reference's own exposure is the unit of exposure.
+        // The exposure of the reference frame is the unit of exposure.
         let weights = reference.primaries().luminance();
         let top: f64 = (0..3).map(|c| weights[c] * f64::from(curve.exposure(c, 255.0))).sum();
         let cd_m2_per_unit = factor * top_code / top;
@@ -144,8 +144,8 @@ impl Calibration {
     }
 }
 
-/// 87 N^2 / (t S) of `frame`, by the [relative exposure](crate::bracket::exposure::Exposure::relative) that radiance is relative to:
-/// exact steps and fine-tuning included, so that luminance does not depend on which frame is the reference.
+/// 87 N^2 / (t S) of `frame`, from its [relative exposure](crate::bracket::exposure::Exposure::relative) with exact
+/// steps and correction, so that luminance does not depend on the choice of the reference frame.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;
     let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
@@ -156,14 +156,14 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
     Err(Error::Option {
         option: "--absolute",
         reason: format!(
-            "{} does not say its {}; measure one luminance and give --calibration-factor alone, in cd/m2 per unit of radiance",
+            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor without --absolute, in cd/m2 per unit of radiance",
             frame.path().display(),
             missing.join(" and ")
         ),
     })
 }
 
-/// Multiplies `map` by `factor`, into cd/m2 or another unit; what a float does not hold becomes the nearest that it does.
+/// Multiplies `map` by `factor`. Values are limited to the range of f32.
 pub fn calibrate(map: &mut RadianceMap, factor: f64) {
     let band = (BAND_ROWS * map.pixels.width()).max(1);
     let scaled = |v: f32| ((f64::from(v) * factor) as f32).clamp(f32::MIN_POSITIVE, f32::MAX);

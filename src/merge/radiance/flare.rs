@@ -1,16 +1,17 @@
-//! Flare: the veil that lens and sensor scatter over the picture, found and taken off.
+//! Flare (veiling glare): light that lens and sensor scatter over the picture, estimated and subtracted.
 //!
-//! In: radiance. Out: radiance without the veil, and a [`FlareReport`]. Cost: two passes over the picture, and 14 Fourier transforms of 512 x
-//! 512, some 0.3 s of one core. Source: Ward's hdrgen (option `-f`; Reinhard et al., "High Dynamic Range Imaging", 2nd ed. 2010, chapter 4)
-//! bounds a point spread by how dark it is around what is bright, and takes off at most 98 %. That bound is taken here of the whole veil at
-//! once, and only believed where the picture shows it.
+//! In: radiance. Out: radiance without flare, and a [`FlareReport`]. Cost: two passes over the picture, and 14 Fourier
+//! transforms of 512 x 512, some 0.3 s of one core. Source: Ward's hdrgen (option `-f`; Reinhard et al., "High Dynamic
+//! Range Imaging", 2nd ed. 2010, chapter 4) bounds a point spread by the darkness around bright parts, and subtracts at
+//! most 98 %. Here the bound is computed for the whole picture at once, and used only if the picture shows flare.
 //!
-//! The veil is the picture convolved with a point spread that falls off as 1 / r^k over all of it and from 2 cells on, the side of a
-//! cell being 1/256 of the picture's: of light that is scattered less far nothing is known here. No place is darker than the veil over it. So the
-//! share s of the light that is scattered is at most the least of (dark parts of a cell) / (veil there for s = 1). A scene without
-//! anything black has such a least too, though no flare; but then what is darkest has nothing to do with where the veil is strong. So the
-//! cells are sorted into 24 bins by the strength of the veil, and flare is found if in at least 6 of them, over a range of
-//! strengths of a stop, the darkest come near to the same share, and that is one which lenses have. The exponent k is that by which the most do.
+//! Flare is the picture convolved with a point spread that falls off as 1 / r^k from 2 cells on; a cell is 1/256 of the
+//! longer side. Light that is scattered less far is not estimated. No place is darker than the flare over it, so the
+//! share s of scattered light is at most the minimum of (dark parts of a cell) / (flare there for s = 1). A scene
+//! without black parts and without flare has such a minimum too, but then the dark parts do not depend on the strength
+//! of the flare. Therefore the cells are sorted into 24 bins by that strength, and flare is found if in at least 6
+//! bins, over a range of a stop, the darkest cells come close to the same share, and the share is typical of lenses. k
+//! is the exponent for which most bins do.
 
 use crate::merge::radiance::statistics::{BT709, luminance};
 use crate::merge::{FLOOR, RadianceMap};
@@ -20,54 +21,54 @@ use crate::statistics::of_rank;
 use serde::Serialize;
 use std::f64::consts::PI;
 
-/// Cells along the longer side, at most.
+/// Largest number of cells along the longer side.
 const CELLS: usize = 256;
-/// The side of the transforms: twice the cells, so that nothing comes round.
+/// Size of the Fourier transforms: twice the cells, so that the convolution does not wrap around.
 const SIZE: usize = 2 * CELLS;
-/// Cells from which on the point spread is sought.
+/// Smallest distance of the point spread, in cells.
 const NEAREST: f64 = 2.0;
-/// Exponents of the fall-off that are tried.
+/// Exponents k that are tried.
 const EXPONENTS: [f64; 4] = [1.5, 2.0, 2.5, 3.0];
-/// Bins of cells by the strength of the veil.
+/// Bins of cells by the strength of the flare.
 const BINS: usize = 24;
-/// Of a bin's cells, and of a cell's pixels, the share that may be darker than the dark that counts.
+/// Share of the cells of a bin, and of the pixels of a cell, that are ignored as outliers at the dark end.
 const DARKER: (f64, f64) = (0.005, 0.05);
-/// A bin bears witness whose share is within this factor of the least.
+/// A bin supports flare if its share is within this factor of the minimum.
 const NEAR: f64 = 1.35;
-/// Bins that must bear witness.
-const WITNESSES: usize = 6;
-/// The range of veils that they must span, in stops.
+/// Smallest number of supporting bins.
+const FEWEST_BINS: usize = 6;
+/// Range of flare strengths that they must span, in stops.
 const RANGE: f64 = 1.0;
-/// Shares of scattered light that are worth taking off, and that a lens has: ISO 9358 finds 0.5 to 5 %. More is haze, or a scene whose
-/// shadows are lit.
+/// Shares of scattered light that are subtracted. ISO 9358 finds 0.5 to 5 % for lenses; more is haze, or a scene with
+/// bright shadows.
 const SHARES: std::ops::Range<f64> = 0.002..0.1;
-/// How many times as bright as the darkest cell the brightest must be: with less light there is no veil to be seen (Ward's bound).
+/// Smallest ratio of the brightest to the darkest cell at which flare is visible (Ward's bound).
 const BRIGHT: f32 = 500.0;
-/// The most that is taken off a pixel.
+/// Largest share of a pixel that is subtracted.
 const MOST: f32 = 0.98;
 
-/// What was found of flare.
+/// The section of the report on flare.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct FlareReport {
-    /// The share of the light that was scattered, and whose veil was taken off; 0 where none was found.
+    /// The share of scattered light, which was subtracted; 0 if no flare was found.
     pub scattered_fraction: f64,
-    /// The exponent k by which it falls off, as 1 / r^k; none where none was found.
+    /// The exponent k of the fall-off 1 / r^k; `None` if no flare was found.
     pub falloff_exponent: Option<f64>,
 }
 
-/// Takes the veil off `map`, where one is found; every value stays positive.
+/// Subtracts flare from `map`, if any is found. Every value stays positive.
 pub fn remove(map: &mut RadianceMap) -> FlareReport {
     let mut cells = Cells::new(map.pixels.width(), map.pixels.height());
     cells.see(&map.pixels);
-    let Some(veil) = cells.veil() else { return FlareReport::default() };
-    veil.take_off(0, &mut map.pixels);
-    veil.report()
+    let Some(flare) = cells.flare() else { return FlareReport::default() };
+    flare.subtract(0, &mut map.pixels);
+    flare.report()
 }
 
-/// What is seen of a picture, from top to bottom: for each cell its mean and its dark, the luminance that few of its pixels are below.
+/// Statistics of a picture, read from top to bottom: for each cell the mean, and the luminance of its dark pixels.
 #[derive(Debug, Clone)]
 pub struct Cells {
-    /// Of a cell, in pixels.
+    /// Side of a cell, in pixels.
     side: usize,
     columns: usize,
     means: Vec<[f32; 3]>,
@@ -75,18 +76,18 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Those of a picture of `width` x `height` pixels, of which nothing was seen yet.
+    /// An empty statistic for a picture of `width` x `height` pixels.
     pub fn new(width: usize, height: usize) -> Self {
         let side = width.max(height).div_ceil(CELLS).max(1);
         Cells { side, columns: width.div_ceil(side), means: Vec::new(), dark: Vec::new() }
     }
 
-    /// Of a cell, in pixels: what is [seen](Self::see) at a time is a multiple of so many rows.
+    /// Side of a cell, in pixels. [`see`](Self::see) takes a multiple of this number of rows.
     pub fn side(&self) -> usize {
         self.side
     }
 
-    /// Sees the next rows: as many as there are left, or a multiple of [`side`](Self::side).
+    /// Reads the next rows: a multiple of [`side`](Self::side), or all that remain.
     pub fn see(&mut self, pixels: &Plane<[f32; 3]>) {
         let side = self.side;
         let both = Plane::from_rows(self.columns, pixels.height().div_ceil(side), |j, row: &mut [([f32; 3], f32)]| {
@@ -109,8 +110,8 @@ impl Cells {
         }
     }
 
-    /// The veil over what was seen, where there is one.
-    pub fn veil(self) -> Option<Veil> {
+    /// The flare of the picture, if there is any.
+    pub fn flare(self) -> Option<Flare> {
         let size = (self.columns, self.means.len() / self.columns.max(1));
         let brightest = self.means.iter().map(|&mean| luminance(mean, BT709)).fold(0.0, f32::max);
         let darkest = self.dark.iter().fold(f32::MAX, |least, &d| least.min(d));
@@ -122,11 +123,11 @@ impl Cells {
         let channels: [Spectrum; 3] = std::array::from_fn(|c| {
             Spectrum::of(|x, y| if x < size.0 && y < size.1 { f64::from(means.at(x, y)[c]) } else { 0.0 })
         });
-        let grey = channels[0].weighed(0.2126).plus(&channels[1].weighed(0.7152)).plus(&channels[2].weighed(0.0722));
-        let mut best: Option<(Witness, f64)> = None;
+        let grey = channels[0].scaled(0.2126).plus(&channels[1].scaled(0.7152)).plus(&channels[2].scaled(0.0722));
+        let mut best: Option<(Support, f64)> = None;
         for exponent in EXPONENTS {
-            let found = witness(&dark, &grey.times(&spread(exponent)).values(size));
-            // The first of equals: the one that reaches farthest.
+            let found = support(&dark, &grey.times(&spread(exponent)).values(size));
+            // Of equals the first one, which reaches farthest.
             if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
                 best = Some((found, exponent));
             }
@@ -134,24 +135,24 @@ impl Cells {
         let (found, exponent) = best.filter(|(found, _)| found.is_flare())?;
         let spread = spread(exponent);
         let channels = channels.map(|channel| channel.times(&spread).values(size));
-        Some(Veil { side: self.side, share: found.share, exponent, channels })
+        Some(Flare { side: self.side, share: found.share, exponent, channels })
     }
 }
 
-/// A veil that was found.
+/// Flare that was found.
 #[derive(Debug, Clone)]
-pub struct Veil {
+pub struct Flare {
     side: usize,
-    /// The share of the light that is scattered.
+    /// The share of scattered light.
     share: f64,
     exponent: f64,
-    /// The veil for a share of 1, by cells.
+    /// The flare for a share of 1, for each cell.
     channels: [Plane<f64>; 3],
 }
 
-impl Veil {
-    /// Takes it off `pixels`, which begin with row `first` of the picture.
-    pub fn take_off(&self, first: usize, pixels: &mut Plane<[f32; 3]>) {
+impl Flare {
+    /// Subtracts the flare from `pixels`, which start at row `first` of the picture.
+    pub fn subtract(&self, first: usize, pixels: &mut Plane<[f32; 3]>) {
         let size = (self.channels[0].width(), self.channels[0].height());
         pixels.fill_rows(|y, row| {
             let (above, below, fy) = between_cells(first + y, self.side, size.1);
@@ -162,57 +163,57 @@ impl Veil {
                         let (a, b) = (self.channels[c].at(left, row), self.channels[c].at(right, row));
                         a + fx * (b - a)
                     };
-                    let veil = self.share * (along(above) + fy * (along(below) - along(above)));
-                    pixel[c] = (pixel[c] - veil as f32).max((1.0 - MOST) * pixel[c]).max(FLOOR);
+                    let flare = self.share * (along(above) + fy * (along(below) - along(above)));
+                    pixel[c] = (pixel[c] - flare as f32).max((1.0 - MOST) * pixel[c]).max(FLOOR);
                 }
             }
         });
     }
 
-    /// What is told of it.
+    /// The section of the report.
     pub fn report(&self) -> FlareReport {
         FlareReport { scattered_fraction: self.share, falloff_exponent: Some(self.exponent) }
     }
 }
 
-/// What speaks for flare of one fall-off.
-struct Witness {
-    /// The share of the light that is scattered, at most.
+/// Evidence for flare with one exponent.
+struct Support {
+    /// Upper bound of the share of scattered light.
     share: f64,
-    /// How many bins come near to it.
+    /// The number of bins that come close to it.
     bins: usize,
-    /// The range of veils that these span.
+    /// The range of flare strengths of these bins, in stops.
     stops: f64,
 }
 
-impl Witness {
+impl Support {
     fn is_flare(&self) -> bool {
-        self.bins >= WITNESSES && self.stops >= RANGE && SHARES.contains(&self.share)
+        self.bins >= FEWEST_BINS && self.stops >= RANGE && SHARES.contains(&self.share)
     }
 }
 
-/// What the `dark` of the cells says of a veil that is `veil` for a share of 1.
-fn witness(dark: &Plane<f32>, veil: &Plane<f64>) -> Witness {
-    // Rounding leaves the transform's zeros at some 1e-16 of the largest.
-    let least = veil.as_slice().iter().fold(0.0, |a: f64, &b| a.max(b)) * 1e-9;
+/// Compares the `dark` parts of the cells with the flare for a share of 1.
+fn support(dark: &Plane<f32>, flare: &Plane<f64>) -> Support {
+    // Zeros of the transform are rounded to some 1e-16 of the largest value.
+    let least = flare.as_slice().iter().fold(0.0, |a: f64, &b| a.max(b)) * 1e-9;
     let mut cells: Vec<(f64, f64)> =
-        veil.as_slice().iter().zip(dark.as_slice()).map(|(&v, &d)| (v.max(least), f64::from(d))).collect();
+        flare.as_slice().iter().zip(dark.as_slice()).map(|(&v, &d)| (v.max(least), f64::from(d))).collect();
     cells.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let n = cells.len();
     let bins: Vec<(f64, f64)> = (0..BINS)
         .map(|b| &cells[b * n / BINS..(b + 1) * n / BINS])
         .filter_map(|bin| {
-            let shares = bin.iter().map(|(veil, dark)| dark / veil);
+            let shares = bin.iter().map(|(flare, dark)| dark / flare);
             Some((bin.get(bin.len() / 2)?.0, of_rank(shares, (DARKER.0 * bin.len() as f64) as usize)?))
         })
         .collect();
     let share = bins.iter().map(|bin| bin.1).fold(f64::INFINITY, f64::min);
     let near: Vec<f64> = bins.iter().filter(|bin| bin.1 <= NEAR * share).map(|bin| bin.0).collect();
     let stops = near.first().zip(near.last()).map_or(0.0, |(a, b)| libm::log2(b / a));
-    Witness { share, bins: near.len(), stops }
+    Support { share, bins: near.len(), stops }
 }
 
-/// The point spread that falls off as 1 / r^`exponent`, its sum 1, about the first value.
+/// The point spread that falls off as 1 / r^`exponent` around the first value, with sum 1.
 fn spread(exponent: f64) -> Spectrum {
     let away = |i: usize| i.min(SIZE - i) as f64;
     let at = |x: usize, y: usize| {
@@ -226,7 +227,7 @@ fn spread(exponent: f64) -> Spectrum {
 
 type Complex = (f64, f64);
 
-/// The Fourier transform of a picture of [`SIZE`] x [`SIZE`] real values, its axes exchanged.
+/// The Fourier transform of a picture of [`SIZE`] x [`SIZE`] real values, transposed.
 #[derive(Clone)]
 struct Spectrum(Plane<Complex>);
 
@@ -238,7 +239,7 @@ impl Spectrum {
         Spectrum(transformed(transformed(picture, 1.0), 1.0))
     }
 
-    fn weighed(&self, weight: f64) -> Self {
+    fn scaled(&self, weight: f64) -> Self {
         self.with(self, |a, _| (weight * a.0, weight * a.1))
     }
 
@@ -256,7 +257,7 @@ impl Spectrum {
         Spectrum(Plane::from_vec(SIZE, SIZE, both.map(|(&a, &b)| op(a, b)).collect()))
     }
 
-    /// The first values of the picture.
+    /// The top left part of the picture.
     fn values(self, (width, height): (usize, usize)) -> Plane<f64> {
         let picture = transformed(transformed(self.0, -1.0), -1.0);
         let scale = 1.0 / (SIZE * SIZE) as f64;
@@ -266,7 +267,7 @@ impl Spectrum {
     }
 }
 
-/// The rows transformed, then exchanged with the columns.
+/// Transforms the rows and transposes.
 fn transformed(mut plane: Plane<Complex>, sign: f64) -> Plane<Complex> {
     let roots: Vec<Complex> = (0..SIZE / 2)
         .map(|k| {
@@ -310,7 +311,7 @@ mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
 
-    /// A dark scene with bright windows, and black things all over it.
+    /// A dark scene with bright windows, and black objects everywhere.
     fn scene(width: usize, height: usize) -> RadianceMap {
         let pixels = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
             for (x, v) in row.iter_mut().enumerate() {
@@ -328,8 +329,8 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// The veil by the double sum.
-    fn veil(map: &Plane<[f32; 3]>, exponent: f64) -> Plane<[f64; 3]> {
+    /// The flare by a double sum.
+    fn flare(map: &Plane<[f32; 3]>, exponent: f64) -> Plane<[f64; 3]> {
         let of = |dx: i64, dy: i64| match (dx * dx + dy * dy) as f64 {
             r2 if r2 >= 4.0 => r2.powf(-0.5 * exponent),
             _ => 0.0,
@@ -351,12 +352,13 @@ mod tests {
     #[test]
     fn the_convolution_is_the_double_sum() {
         let map = scene(60, 41);
-        let slow = veil(&map.pixels, 2.5);
+        let slow = flare(&map.pixels, 2.5);
         let spectrum = Spectrum::of(|x, y| if x < 60 && y < 41 { f64::from(map.pixels.at(x, y)[1]) } else { 0.0 });
         let fast = spectrum.times(&spread(2.5)).values((60, 41));
         let most = slow.as_slice().iter().fold(0.0, |a: f64, v| a.max(v[1]));
         for (a, b) in fast.as_slice().iter().zip(slow.as_slice()) {
-            // 36 roundings of sums below the energy of all values; 1e-10 of the largest is generous to double precision.
+            // 36 roundings of sums below the energy of all values; 1e-10 of the largest is generous to double
+            // precision.
             assert!((a - b[1]).abs() < 1e-10 * most, "{a} for {}", b[1]);
         }
     }
@@ -365,9 +367,9 @@ mod tests {
     fn a_veil_is_found_and_taken_off() {
         let truth = scene(120, 90);
         for exponent in [2.0, 2.5] {
-            let veil = veil(&truth.pixels, exponent);
+            let flare = flare(&truth.pixels, exponent);
             let mut seen = truth.clone();
-            for (v, add) in seen.pixels.as_mut_slice().iter_mut().zip(veil.as_slice()) {
+            for (v, add) in seen.pixels.as_mut_slice().iter_mut().zip(flare.as_slice()) {
                 *v = std::array::from_fn(|c| (0.97 * f64::from(v[c]) + 0.03 * add[c]) as f32);
             }
             let veiled = seen.clone();
@@ -385,7 +387,7 @@ mod tests {
     #[test]
     fn where_there_is_none_nothing_is_taken_off() {
         let flat = RadianceMap { pixels: Plane::filled(70, 50, [0.4; 3]), primaries: Primaries::SRGB };
-        // Black is found only far from the window: no witness.
+        // Black is found only far from the window: no support.
         let mut grey = scene(120, 90);
         for (i, v) in grey.pixels.as_mut_slice().iter_mut().enumerate() {
             *v = v.map(|e| if i % 120 < 12 { e } else { e.max(0.25) });

@@ -1,10 +1,10 @@
-//! Radiance from one colour space into another.
+//! Conversion of radiance to another colour space.
 //!
-//! In: a radiance map and the space that is wanted. Out: the same scene in numbers of that space, every one of them positive, and how
-//! many pixels had colours that the space has not. Cost: 3 ns a pixel and core. Source: see [`crate::bracket::colour`].
+//! In: a radiance map and a colour space. Out: the radiance in that space, with positive values, and the number of
+//! pixels that were outside it. Cost: 3 ns a pixel and core. Source: see [`crate::bracket::colour`].
 //!
-//! A colour outside the space has a component below 0, which neither RGBE nor most programs can take. It is drawn towards the grey of
-//! its own luminance just until none is: luminance, which is what is measured, stays as it is, and so does the hue, but for saturation.
+//! A colour outside the space has a negative component, which RGBE and most programs cannot represent. It is
+//! desaturated towards the grey of its luminance until no component is negative: luminance and hue are kept.
 
 use crate::bracket::colour::{Conversion, Primaries, Space};
 use crate::error::Warning;
@@ -12,8 +12,8 @@ use crate::merge::{FLOOR, RadianceMap};
 use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 
-/// `rgb` drawn towards the grey of its luminance until no component is below 0, and whether it had to be. `weights` are what red, green
-/// and blue contribute to luminance. Where there is no luminance, [`FLOOR`].
+/// Desaturates `rgb` at its luminance until no component is negative, and returns whether that was necessary. `weights`
+/// are the contributions of red, green and blue to luminance. Without luminance the result is [`FLOOR`].
 #[inline]
 pub fn into_gamut(rgb: [f32; 3], weights: [f32; 3]) -> ([f32; 3], bool) {
     let [r, g, b] = rgb;
@@ -29,13 +29,13 @@ pub fn into_gamut(rgb: [f32; 3], weights: [f32; 3]) -> ([f32; 3], bool) {
     (rgb.map(|c| (y + keep * (c - y)).max(FLOOR)), true)
 }
 
-/// What [`into_gamut`] takes for the luminance of these primaries.
+/// The weights for [`into_gamut`] of these primaries.
 pub fn weights(primaries: &Primaries) -> [f32; 3] {
     primaries.luminance().map(|w| w as f32)
 }
 
-/// `map` in the space `to`, white taken to white, and how many pixels had to be drawn into it. As it was where it is in that space
-/// already, or in none that can be told.
+/// Converts `map` to the space `to`, white to white, and returns the number of pixels that were desaturated. Unchanged
+/// if it is in that space already, or in an unknown one.
 pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
     let target = to.primaries();
     let Some(conversion) =
@@ -54,16 +54,16 @@ pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
         }
         outside
     });
-    // Whole numbers add up to the same in any order.
+    // Sums of integers do not depend on the order.
     let outside = outside.sum();
     map.primaries = target;
     (map, outside)
 }
 
-/// What there is to say of `outside` pixels that were drawn into a colour space.
+/// The warning on `outside` pixels that were desaturated.
 pub fn warning(outside: usize) -> Option<Warning> {
     let detail = format!(
-        "{outside} pixels have colours outside of the colour space asked for; they are drawn to grey until inside, at their luminance"
+        "{outside} pixels have colours outside the requested colour space; they are desaturated at their luminance"
     );
     (outside > 0).then_some(Warning::OutOfGamut { detail })
 }

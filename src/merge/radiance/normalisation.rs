@@ -1,45 +1,47 @@
-//! Normalisation: the radiance of many brackets in one unit, so that they can be laid beside each other.
+//! Normalisation: one unit of radiance for many brackets, so that they can be compared and stitched.
 //!
-//! In: the relative exposure t ISO / N^2 in s that is to be the unit, and the reference frame. Out: the factor on radiance. Cost: one
-//! multiplication a value, by [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
+//! In: the relative exposure t ISO / N^2 in s of the unit, and the reference frame. Out: the factor on radiance. Cost:
+//! one multiplication a value, by [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
-//! Merged radiance r is relative to the reference's exposure h: 1 is what gave the reference its middle code. So r / h does not depend on
-//! the reference, and r u / h is 1 for what gives the middle code at the exposure u. Brackets that share the camera's response and u agree
-//! to within what shutter, diaphragm and noise leave; where each recovered a response of its own, to within the difference of those.
+//! Merged radiance r refers to the exposure h of the reference frame: 1 gives it its middle code value. So r / h does
+//! not depend on the reference frame, and r u / h is 1 for the radiance that gives the middle code value at the
+//! exposure u. Brackets with one response and one u agree within the errors of shutter, aperture and noise; with
+//! separate responses, within the difference of those.
 
 use crate::bracket::Frame;
 use crate::bracket::exposure::ExposureSource;
 use crate::error::{Error, Result};
 use crate::merge::radiance::calibration::Calibration;
 
-/// The option by which it is asked for.
+/// The option that selects it.
 const OPTION: &str = "--normalize";
 
-/// Whether `unit_exposure` is one, and nothing else is asked of the unit, before any work is done.
+/// Checks `unit_exposure`, and that no other unit is requested.
 ///
 /// # Errors
-/// [`Error::Option`] where it is no finite number above 0, or where radiance is to be in cd/m2.
+/// [`Error::Option`] if it is not finite and above 0, or if radiance is calibrated.
 pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
     if !(unit_exposure.is_finite() && unit_exposure > 0.0) {
-        return refused(format!("{unit_exposure} s is no exposure; give t ISO / N^2 in seconds, above 0"));
+        return refused(format!("{unit_exposure} s is not an exposure; give t ISO / N^2 in seconds, above 0"));
     }
     if calibration.camera {
-        return refused("with --absolute brackets are in cd/m2, one unit for all; leave one of the two out".into());
+        return refused("with --absolute all brackets are in cd/m2 already; leave out one of the two options".into());
     }
     if calibration.is_asked() {
         return refused(
-            "--calibration-factor is for the unit of one reference; give --absolute with it, which is one unit for all, or leave it out"
+            "--calibration-factor alone refers to the unit of one reference frame; add --absolute, or leave it out"
                 .into(),
         );
     }
     Ok(())
 }
 
-/// Whether the exposure of `reference` can be laid beside that of other brackets: the camera noted it. Where it noted no f-number or
-/// no ISO in the whole bracket, as with a lens without contacts, those are taken to be the same in all brackets.
+/// Checks that the exposure of `reference` can be compared with that of other brackets: it must be from EXIF. If
+/// f-number or ISO are missing in the whole bracket, as with a lens without contacts, they are assumed to be the same
+/// in all brackets.
 ///
 /// # Errors
-/// [`Error::Option`] where exposures were given or estimated: they are relative within the bracket alone.
+/// [`Error::Option`] if exposures were given or estimated: they are relative within the bracket only.
 pub fn check(reference: &Frame) -> Result<()> {
     let path = reference.path().display();
     let had = match reference.exposure.source {
@@ -48,11 +50,11 @@ pub fn check(reference: &Frame) -> Result<()> {
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {had}, not known from its EXIF, so that its radiance cannot be brought to the unit of other brackets; merge it with `{OPTION} bracket`"
+        "the exposure of {path} is {had} and not from EXIF, so its radiance cannot be compared with that of other brackets; merge it with {OPTION} bracket"
     ))
 }
 
-/// By what radiance relative to `reference_exposure` is multiplied to be relative to `unit_exposure`.
+/// The factor from radiance relative to `reference_exposure` to radiance relative to `unit_exposure`.
 pub fn factor(unit_exposure: f64, reference_exposure: f64) -> f64 {
     unit_exposure / reference_exposure
 }

@@ -1,41 +1,43 @@
-//! What the photographs showed of the radiance: how bright and how contrasty pictures they are, for tone mapping, and for headers.
+//! How the photographs displayed the radiance (brightness and contrast), for tone mapping and for headers.
 //!
-//! In: the exposures of the frames that are merged, and the camera's curve. Out: [`Photographed`], which a header carries as a line for people. Cost:
-//! none.
+//! In: the exposures of the merged frames, and the response. Out: [`Photographed`], which headers carry as a comment.
+//! Cost: none.
 
 use crate::bracket::colour::srgb_to_linear;
 use crate::response::ResponseCurve;
 use std::fmt;
 
-/// The radiances that the photographs show as their middle code, 128, and by what curve.
+/// The radiances that the photographs show as the middle code value 128, and their contrast.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Photographed {
-    /// That of the longest exposure, which shows the shadows.
+    /// Radiance at the middle code value of the longest exposure, which shows the shadows.
     pub longest: f64,
-    /// That of the shortest, which shows the lights; of frames that are locally processed, that of a picture which shows them as it did.
+    /// Radiance at the middle code value of the shortest exposure, which shows the highlights. For locally processed
+    /// frames, that of a picture that shows them alike.
     pub shortest: f64,
-    /// How many stops brighter the photographs are displayed where the scene is a stop brighter, below their middle code: 1 to 1.85. Cameras make more of one, and so
-    /// more of colours.
+    /// Displayed contrast below the middle code value, in stops per stop of the scene: 1 to 1.85. Cameras increase
+    /// contrast, and with it saturation.
     pub contrast: f64,
-    /// How many stops more light than at the middle code give the last one.
+    /// Stops from the middle code value to the last one.
     pub white_stops: f64,
 }
 
-/// Codes below the middle one that tell the contrast: those below say little.
+/// Lowest code value from which the contrast is computed.
 const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
-/// Beyond these codes are no picture for a display: linear ones have 1.93.
+/// Largest contrast; code values with more are not made for a display (linear ones have 1.93).
 const CONTRASTS: (f64, f64) = (1.0, 1.85);
-/// The stops to white that a picture has: a display's own curve has 2.2.
+/// Stops to white of a display curve: 2.2.
 const WHITES: (f64, f64) = (1.2, 6.0);
-/// The last code that is not clipped, and where white is.
+/// The last code value that is not clipped, and white.
 const LAST: usize = 254;
 
-/// What stands before each of the numbers.
+/// The text before each number.
 const WORDS: (&str, &str, &str, &str) =
     ("middle code of the photographs: radiance ", " to ", ", contrast ", ", stops to white ");
 
 impl Photographed {
-    /// Of frames with these relative `exposures`, of which that of the reference is `unit`: there radiance 1 has the middle code. None without exposures.
+    /// For frames with these relative `exposures`; `unit` is that of the reference frame, where radiance 1 has the
+    /// middle code value. `None` without exposures.
     pub fn of(exposures: impl Iterator<Item = f64>, unit: f64, curve: &ResponseCurve) -> Option<Self> {
         let middles: Vec<f64> = exposures.map(|exposure| unit / exposure).filter(|m| m.is_finite()).collect();
         let longest = middles.iter().copied().min_by(f64::total_cmp)?;
@@ -43,12 +45,12 @@ impl Photographed {
         Some(Photographed { longest, shortest, contrast: contrast(curve), white_stops: white(curve) })
     }
 
-    /// In the unit of radiance that is multiplied by `factor`.
+    /// The same for radiance multiplied by `factor`.
     pub fn times(self, factor: f64) -> Self {
         Photographed { longest: self.longest * factor, shortest: self.shortest * factor, ..self }
     }
 
-    /// What one of the `comments` of a header says.
+    /// Parses the `comments` of a header.
     pub fn read<'a>(comments: impl IntoIterator<Item = &'a String>) -> Option<Self> {
         comments.into_iter().find_map(|comment| {
             let (_, numbers) = comment.split_once(WORDS.0)?;
@@ -66,7 +68,8 @@ impl Photographed {
     }
 }
 
-/// The slope of the logarithm of what a display shows over that of the light, least squares over the darker codes; 1 where codes are not made for displays.
+/// The slope of displayed over scene luminance on logarithmic axes, by least squares over the darker code values; 1 if
+/// code values are not made for displays.
 fn contrast(curve: &ResponseCurve) -> f64 {
     let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (channel, code) in (0..3).flat_map(|channel| DARKER.map(move |code| (channel, code))) {
@@ -86,7 +89,7 @@ impl fmt::Display for Photographed {
     }
 }
 
-/// Stops from the middle code to the last, the mean of the channels.
+/// Stops from the middle code value to the last, as the mean of the channels.
 fn white(curve: &ResponseCurve) -> f64 {
     let stops = |c: usize| libm::log2(f64::from(curve.exposures(c)[LAST]) / f64::from(curve.exposures(c)[128]));
     ((0..3).map(stops).sum::<f64>() / 3.0).clamp(WHITES.0, WHITES.1)

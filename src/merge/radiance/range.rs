@@ -1,11 +1,11 @@
-//! The range that a result holds: from where its noise ends to where the shortest frame clips.
+//! The range of a result: from the noise floor to where the shortest frame clips.
 //!
-//! In: a bracket, where its frames lie, and the response. Out: two radiances. Cost: one look at the longest frame (`noise`), 5 ms.
+//! In: a bracket, its alignment and the response. Out: two radiances. Cost: the noise of the longest frame, 5 ms.
 //!
-//! The floor is the radiance at which signal and noise of the merged radiance are equal, where each frame is weighed by the inverse of its variance, as
-//! 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. Of a frame of 8 bits only codes count that tell light from none: JPEG and noise lift black by
-//! up to 6 codes (`LIFT`), so that below them there is a radiance, but not the scene's. What percentiles of the radiance show there is
-//! the toe of the curve. Of 16 bits all count that mean more than code 0 does.
+//! The floor is the radiance at which signal and noise of the merged radiance are equal, with inverse variances as
+//! weights: 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. In frames of 8 bits, JPEG and noise lift black by up to 6
+//! code values (`LIFT`), so code values up to there are not counted: their radiance is not that of the scene. In frames
+//! of 16 bits all code values above that of 0 count.
 
 use crate::align::Alignment;
 use crate::bracket::{Bracket, Frame};
@@ -16,12 +16,12 @@ use crate::merge::radiance::statistics::{BT709, Statistics};
 use crate::response::{CODES, ResponseCurve};
 use serde::Serialize;
 
-/// Steps in which the floor is sought, to a stop.
+/// Steps per stop of the search for the floor.
 const PER_STOP: usize = 16;
-/// As far down from where the longest frame clips, in stops: beyond 16 bits.
+/// Range of the search below the clipping of the longest frame, in stops: more than 16 bits.
 const DEEPEST: usize = 20;
 
-/// Between which radiances the merge tells light, in the unit of the radiance.
+/// The limits of reliable radiance, in the unit of the radiance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
     /// The radiance of grey at which signal and noise are equal.
@@ -31,10 +31,10 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Those of the placed frames of `bracket`; none where there is no frame, or the frames tell no light from none.
+    /// The limits of the merged frames of `bracket`, or `None` if no radiance is above the noise.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if frames are on disk and cannot be read.
     pub fn of(bracket: &Bracket, alignment: &Alignment, curve: &ResponseCurve) -> Result<Option<Limits>> {
         let reference = bracket.reference().exposure.relative();
         let placed: Vec<&Frame> = alignment.placed(bracket).map(|(_, frame, _)| frame).collect();
@@ -45,7 +45,7 @@ impl Limits {
         let time = |frame: &Frame| frame.exposure.relative() / reference;
         let times: Vec<f64> = placed.iter().map(|frame| time(frame)).collect();
         let clips = |frame: &Frame| grey(|c| f64::from(curve.exposures(c)[CLIPS.1])) / time(frame);
-        // The squares of signal over noise of the frames that tell the radiance, added up.
+        // Sum over the frames of the squares of signal over noise.
         let told = |radiance: f64| -> f64 {
             let of_frame = |time: &f64| {
                 let codes: [f64; 3] = std::array::from_fn(|c| f64::from(curve.code(c, (radiance * time) as f32)));
@@ -63,13 +63,13 @@ impl Limits {
         Ok(floor.map(|noise_floor| Limits { noise_floor, clipping: clips(shortest) }))
     }
 
-    /// The same in a unit of which one of before is `factor`.
+    /// The limits in a unit that is `factor` times smaller.
     pub fn times(self, factor: f64) -> Limits {
         Limits { noise_floor: self.noise_floor * factor, clipping: self.clipping * factor }
     }
 
-    /// The range of radiance of these `statistics` that is within, in stops; the darkest thousandth of the pixels and the brightest ten-thousandth do not
-    /// count.
+    /// The range of `statistics` within the limits, in stops, without the darkest thousandth and the brightest
+    /// ten-thousandth of the pixels.
     pub fn stops(&self, statistics: &Statistics) -> f64 {
         let darkest = f64::from(statistics.p0_1).max(self.noise_floor);
         let brightest = f64::from(statistics.p99_99).min(self.clipping);
@@ -77,12 +77,12 @@ impl Limits {
     }
 }
 
-/// The luminance of what red, green and blue have of it.
+/// The luminance of red, green and blue.
 fn grey(of: impl Fn(usize) -> f64) -> f64 {
     (0..3).map(|c| f64::from(BT709[c]) * of(c)).sum()
 }
 
-/// dX/dZ at a code.
+/// dX/dZ at a code value.
 fn slope(curve: &ResponseCurve, channel: usize, code: f64) -> f64 {
     let x = curve.exposures(channel);
     let below = (code as usize).min(CODES - 2);
@@ -101,8 +101,8 @@ mod tests {
         [libm::exp2(x as f64 / 20.0 - 9.0); 3]
     }
 
-    /// By hand: of sRGB code 250 has 0.956 of the light of white and code 6 has 6 / 255 / 12.92, 9.04 stops less; the floor is sought in
-    /// sixteenths. Every stop of the bracket adds one.
+    /// By hand: of sRGB code 250 has 0.956 of the light of white and code 6 has 6 / 255 / 12.92, 9.04 stops less; the
+    /// floor is sought in sixteenths. Every stop of the bracket adds one.
     #[test]
     fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
         let curve = ResponseCurve::srgb();
@@ -127,7 +127,8 @@ mod tests {
         assert_eq!(stops(20.0, 20.0), 0.0);
     }
 
-    /// Linear codes of 16 bits: with a noise of 2 (of 255) code 250 is 6.97 stops above it; with next to none what code 0 means ends the range.
+    /// Linear codes of 16 bits: with a noise of 2 (of 255) code 250 is 6.97 stops above it; with next to none what code
+    /// 0 means ends the range.
     #[test]
     fn fine_codes_hold_what_their_noise_leaves() {
         let noisy = |time: f64, sigma: f64| {

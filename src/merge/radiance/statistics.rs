@@ -1,27 +1,27 @@
 //! Statistics of a radiance map.
 //!
-//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass.
-//! The percentiles are from a histogram whose bins are the floats that share exponent and first seven bits: 128 to the octave, without
-//! a logarithm, and the same on any machine.
+//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass. Percentiles are from a histogram
+//! whose bins are floats with equal exponent and first seven bits: 128 per octave, without logarithms, and the same on
+//! any machine.
 
 use crate::merge::radiance::calibration::Unit;
 use crate::plane::{BAND_ROWS, Plane};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Bits of a float that do not count.
+/// Bits of a float that are ignored.
 const DROPPED: u32 = 16;
-/// Bins: one for each positive float without those.
+/// Number of bins: one for each positive float without these bits.
 const BINS: usize = 1 << (31 - DROPPED);
 
 /// Range and percentiles of luminance, in the unit of the map.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Statistics {
-    /// What the values are: `relative`, or `cd/m2`.
+    /// The unit: `relative` or `cd/m2`.
     pub unit: Unit,
-    /// The least.
+    /// The minimum.
     pub min: f32,
-    /// The greatest.
+    /// The maximum.
     pub max: f32,
     /// The 0.1st percentile; percentiles are within 0.4 %.
     pub p0_1: f32,
@@ -33,23 +33,23 @@ pub struct Statistics {
     pub p99: f32,
     /// The 99.9th percentile.
     pub p99_9: f32,
-    /// The 99.99th percentile: lamps are few pixels, hot pixels fewer.
+    /// The 99.99th percentile, which includes lamps but not hot pixels.
     pub p99_99: f32,
     /// log2 of the ratio of the 99.9th percentile to the 0.1st.
     pub dynamic_range_stops: f64,
-    /// A = max / min, which single pixels decide.
+    /// max / min, which depends on single pixels.
     pub contrast: f64,
 }
 
 /// ITU-R BT.709.
 pub(crate) const BT709: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-/// The luminance of a pixel, where its channels contribute `weights`.
+/// The luminance of a pixel whose channels contribute by `weights`.
 pub(crate) fn luminance([r, g, b]: [f32; 3], weights: [f32; 3]) -> f32 {
     weights[0] * r + weights[1] * g + weights[2] * b
 }
 
-/// What was seen of a picture's luminance.
+/// A histogram of luminance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tally {
     min: f32,
@@ -64,20 +64,21 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// Sees `pixels`, all values of which are positive and finite, where red, green and blue contribute `weights` to luminance.
+    /// Adds `pixels`, whose values are positive and finite; `weights` are the contributions of red, green and blue to
+    /// luminance.
     pub fn see(&mut self, pixels: &Plane<[f32; 3]>, weights: [f32; 3]) {
         let band = (BAND_ROWS * pixels.width()).max(1);
         let add = |mut part: Tally, pixels| {
             part.add(pixels, weights);
             part
         };
-        // Whole numbers, the least and the greatest are the same in any order: each thread may count what comes to it.
+        // Integers, minimum and maximum do not depend on the order, so each thread may have its own histogram.
         let all = pixels.as_slice().par_chunks(band).fold(Tally::default, add).reduce(Tally::default, Tally::and);
         *self = std::mem::take(self).and(all);
     }
 
     fn add(&mut self, pixels: &[[f32; 3]], weights: [f32; 3]) {
-        // As many as fill some vectors, so that the luminances are had at once, and then counted.
+        // Blocks, so that luminances are computed with vector instructions before they are counted.
         let mut values = [0.0f32; 64];
         for pixels in pixels.chunks(values.len()) {
             let values = &mut values[..pixels.len()];
@@ -98,7 +99,7 @@ impl Tally {
         self
     }
 
-    /// What that amounts to, in `unit`; the same in whatever parts it was seen.
+    /// The statistics in `unit`.
     pub fn statistics(&self, unit: Unit) -> Statistics {
         let at = |share: f64| percentile(&self.bins, share).clamp(self.min, self.max);
         Statistics {
@@ -118,14 +119,14 @@ impl Tally {
 }
 
 impl Tally {
-    /// How many pixels have a luminance in each of the steps of `1 / per_stop` stops that hold any, or lie between such: the number of the
-    /// first step (0 begins at a luminance of 1), and the counts.
+    /// The histogram in steps of `1 / per_stop` stops, from the first that is not empty to the last: the index of the
+    /// first step (0 begins at a luminance of 1) and the counts.
     ///
     /// # Panics
-    /// When `per_stop` is 0.
+    /// If `per_stop` is 0.
     pub fn by_stops(&self, per_stop: usize) -> (i64, Vec<u64>) {
         assert!(per_stop > 0);
-        // A bin is far smaller than a step: its middle tells.
+        // Bins are far smaller than steps, so their middle decides.
         let step = |bin: usize| {
             let middle = f32::from_bits(((bin as u32) << DROPPED) | (1 << (DROPPED - 1)));
             (libm::log2(f64::from(middle)) * per_stop as f64).floor() as i64
@@ -140,8 +141,7 @@ impl Tally {
 }
 
 impl Statistics {
-    /// Those of `pixels` in `unit`, all values of which are positive and finite, where red, green and blue contribute `weights` to
-    /// luminance.
+    /// The statistics in `unit` of `pixels`, whose values are positive and finite; `weights` as in [`Tally::see`].
     pub fn measured(pixels: &Plane<[f32; 3]>, weights: [f32; 3], unit: Unit) -> Self {
         let mut tally = Tally::default();
         tally.see(pixels, weights);
@@ -149,7 +149,7 @@ impl Statistics {
     }
 }
 
-/// The middle of the bin in which the value of this rank lies.
+/// The middle of the bin that contains the value of this rank.
 fn percentile(bins: &[u64], share: f64) -> f32 {
     let rank = (share * bins.iter().sum::<u64>() as f64) as u64;
     let mut below = 0;

@@ -10,7 +10,7 @@ use crate::error::{Result, Warning};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::local::LocalGain;
 use crate::merge::radiance::calibration::{self, CalibrationReport, Unit};
-use crate::merge::radiance::flare::{self, FlareReport, Veil};
+use crate::merge::radiance::flare::{self, Flare, FlareReport};
 use crate::merge::radiance::range::Limits;
 use crate::merge::radiance::statistics::{Statistics, Tally};
 use crate::merge::radiance::{gamut, normalisation};
@@ -63,11 +63,11 @@ pub(crate) fn merged(
     let limits = if local.is_none() { Limits::of(bracket, alignment, curve)? } else { None };
     let mut flare = None;
     if options.flare {
-        let veil = veil(&rows)?;
-        flare = Some(veil.as_ref().map_or_else(FlareReport::default, Veil::report));
-        if let Some(veil) = veil {
+        let found = found(&rows)?;
+        flare = Some(found.as_ref().map_or_else(FlareReport::default, Flare::report));
+        if let Some(found) = found {
             rows = rows.changed(|first, mut map| {
-                veil.take_off(first, &mut map.pixels);
+                found.subtract(first, &mut map.pixels);
                 map
             })?;
         }
@@ -110,13 +110,13 @@ pub(crate) fn merged(
 }
 
 /// The flare over `rows`; none where there is none to be found.
-fn veil(rows: &RadianceRows) -> Result<Option<Veil>> {
+fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
     let mut cells = flare::Cells::new(rows.size().0, rows.size().1);
     rows.each(|_, map| {
         cells.see(&map.pixels);
         Ok(())
     })?;
-    Ok(cells.veil())
+    Ok(cells.flare())
 }
 
 /// How many rows of radiance are in memory at a time.
