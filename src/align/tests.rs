@@ -58,7 +58,7 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
 }
 
 #[test]
-fn a_frame_of_another_scene_is_rejected_and_told() {
+fn a_frame_of_another_scene_is_rejected_and_reported() {
     let own = Scene::new(41);
     let take = |scene: &Scene, transform: &Transform, ev| scene.photograph(SIZE, transform, Shot::at(ev));
     let frames = vec![

@@ -59,7 +59,7 @@ pub struct Step {
     pub page: Option<PathBuf>,
     /// The report, as JSON; the step's record is in it.
     pub report: PathBuf,
-    /// Where it is told, as JSON, why the step failed, if it does.
+    /// The JSON file that is written if the job fails, with the reason.
     pub failure: PathBuf,
     /// The response that is used; none where the bracket's own is recovered.
     pub response: Option<PathBuf>,

@@ -46,7 +46,7 @@ pub enum Ending {
     NotBegun,
 }
 
-/// What is going on; told from any thread.
+/// An event of a batch, reported from any thread.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// A step begins.

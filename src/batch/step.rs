@@ -261,7 +261,7 @@ fn as_value(report: &impl Serialize) -> Value {
 /// Does `step` as a whole; and whether there was something to do.
 ///
 /// # Errors
-/// Those of [`begin`] and [`Made::commit`]; they are told in [`Step::failure`] too.
+/// Those of [`begin`] and [`Made::commit`]; they are also written to [`Step::failure`].
 pub fn run(step: &Step, options: &Options, force: bool, watch: Watch) -> Result<(Brief, bool)> {
     let outcome = begin(step, options, force, watch).and_then(|begun| match begun {
         Begun::Unchanged(brief) => Ok((brief, false)),
@@ -285,7 +285,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// The failure of `step`, if one is told.
+    /// The recorded failure of `step`, if any.
     pub fn read(step: &Step) -> Option<Failure> {
         let failure: Failure =
             serde_json::from_slice(&intake::whole(&step.failure, intake::MOST_OF_A_TEXT).ok()?).ok()?;

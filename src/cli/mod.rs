@@ -112,7 +112,7 @@ fn run_command() -> ExitCode {
         Err(asked) => {
             let command = std::env::args_os().nth(1);
             let command = command.as_deref().and_then(OsStr::to_str);
-            return answer(&usage::told(asked, &mut Cli::command(), command));
+            return answer(&usage::clear(asked, &mut Cli::command(), command));
         }
     };
     process::allocator::give_back_soon(&matches);
@@ -155,8 +155,8 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
 
 /// Prints the help or the version on stdout, or an error of the arguments on stderr.
 fn answer(asked: &clap::Error) -> ExitCode {
-    let told = asked.print().and_then(|()| std::io::stdout().flush());
-    match told.map_or_else(lost, Ok) {
+    let printed = asked.print().and_then(|()| std::io::stdout().flush());
+    match printed.map_or_else(lost, Ok) {
         Err(error) if !asked.use_stderr() => {
             say(format_args!("hdralign: {error}"));
             ExitCode::FAILURE

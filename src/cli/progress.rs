@@ -1,8 +1,8 @@
 //! The progress bar: on a terminal only, and on stderr.
 //!
-//! In: what the photographs are, and the stages as they begin. Out: a bar, the stage, and the time left. The stages say when they begin,
-//! and not how far they are; so what each takes is estimated from the number of photographs and their size, by the machine's speed as the
-//! stages before have shown it, and a thread moves the bar five times a second. The share done never goes back.
+//! In: the photographs, and the stages as they start. Out: a bar, the stage, and the time left. Stages report when they start, but not their progress.
+//! The time of each is estimated from the number and size of the photographs and from the speed of earlier stages; a thread moves the bar five times
+//! a second. The bar never moves back.
 
 use super::terminal::Terminal;
 use hdralign::bracket::header::Header;
@@ -15,17 +15,17 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Steps of the bar.
+/// Number of steps of the bar.
 const STEPS: u64 = 1000;
-/// Between two looks at the clock.
+/// Interval between updates.
 const TICK: Duration = Duration::from_millis(200);
-/// Where the size of a photograph cannot be told before it is read, in megapixels.
+/// Assumed size of a photograph that is unknown before it is read, in megapixels.
 const USUAL_MEGAPIXELS: f64 = 12.0;
 
-/// A stage, and what it takes on two cores, in seconds.
+/// A stage, and its time on two cores, in seconds.
 type Planned = (Stage, f64);
 
-/// The stages of a command and what they take, as far as that is known before.
+/// The stages of a command and their estimated times.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     frames: usize,
@@ -33,7 +33,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// For `merge`; seeking what moved takes longer.
+    /// For `merge`, with or without deghosting.
     pub fn merge(images: &[PathBuf], seeks_ghosts: bool) -> Plan {
         let (frames, megapixels) = size(images);
         let all = frames * megapixels;
@@ -63,7 +63,7 @@ impl Plan {
         plan
     }
 
-    /// For `tonemap`: a radiance map has about four bytes a pixel.
+    /// For `tonemap`: a radiance map has about four bytes per pixel.
     pub fn tonemap(input: &Path) -> Plan {
         let bytes = std::fs::metadata(input).map_or(4e6 * USUAL_MEGAPIXELS, |m| m.len() as f64);
         let megapixels = bytes / 4e6;
@@ -71,42 +71,42 @@ impl Plan {
         Plan { frames: 0, stages: stages.map(|(stage, each)| (stage, each * megapixels)).to_vec() }
     }
 
-    /// For `response`, where nobody knows how many brackets there are: no time left is told.
+    /// For `response`, where the number of brackets is unknown: no time left is shown.
     pub fn unknown() -> Plan {
         Plan { frames: 0, stages: Vec::new() }
     }
 }
 
-/// How many photographs there are, and how large they are, in megapixels, as the first one says.
+/// The number of photographs, and their size in megapixels, from the header of the first.
 fn size(images: &[PathBuf]) -> (f64, f64) {
-    // By our own reader of headers: it unfolds nothing, and takes nothing out of a pipe.
+    // Our own header reader decompresses nothing and does not read from pipes.
     let header = images.first().and_then(|path| Header::read(path, &Limits::default()).ok());
     let megapixels = header.map_or(USUAL_MEGAPIXELS, |header| header.width as f64 * header.height as f64 / 1e6);
     (images.len() as f64, megapixels)
 }
 
-/// What is done, and what is left.
+/// Progress of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Estimate {
     /// 0 to 1.
     done: f64,
-    /// In seconds; none where nothing is known of the machine's speed yet.
+    /// In seconds; `None` until the speed of the machine is known.
     left_s: Option<f64>,
 }
 
-/// How far a run is, by its clock.
+/// Computes progress from elapsed time.
 #[derive(Debug, Clone)]
 struct Course {
     plan: Plan,
-    /// The stage that is going on, and its place in the plan.
+    /// The current stage, and its index in the plan.
     stage: Option<(Stage, Option<usize>)>,
-    /// Seconds that the stages before it took, and that they were planned to take.
+    /// Measured and estimated seconds of the earlier stages.
     spent: f64,
     planned: f64,
-    /// When the stage began, in seconds of the run.
+    /// Start of the stage, in seconds of the run.
     began: f64,
     decoded: usize,
-    /// The most that was shown.
+    /// The largest share shown so far.
     shown: f64,
 }
 
@@ -115,14 +115,14 @@ impl Course {
         Course { plan, stage: None, spent: 0.0, planned: 0.0, began: 0.0, decoded: 0, shown: 0.0 }
     }
 
-    /// A stage begins, `now` seconds after the run did.
+    /// Starts a stage, `now` seconds after the start of the run.
     fn begins(&mut self, stage: Stage, now: f64) {
         if self.stage.is_some_and(|(current, _)| current == stage) {
             return;
         }
         let place = self.plan.stages.iter().position(|(planned, _)| *planned == stage);
         let first = self.stage.and_then(|(_, place)| place).unwrap_or(0);
-        // What lies between was not needed, and says nothing of the speed.
+        // Stages in between were skipped and do not count for the speed.
         if place.is_some_and(|place| place > first) {
             self.spent += now - self.began;
             self.planned += self.plan.stages[first].1;
@@ -130,7 +130,7 @@ impl Course {
         (self.stage, self.began) = (Some((stage, place)), now);
     }
 
-    /// Seconds of this machine in a planned one; none while nothing was measured.
+    /// Measured over estimated time; `None` before the first measurement.
     fn speed(&self, in_stage: f64) -> Option<f64> {
         let loads = matches!(self.stage, Some((Stage::Load, _)));
         if loads && self.decoded > 0 && self.plan.frames > 0 {
@@ -140,14 +140,14 @@ impl Course {
         (self.planned > 0.0).then(|| self.spent / self.planned)
     }
 
-    /// How far it is, `now` seconds after it began.
+    /// The progress `now` seconds after the start of the run.
     fn estimate(&mut self, now: f64) -> Estimate {
         let Some((_, Some(place))) = self.stage else { return Estimate { done: self.shown, left_s: None } };
         let in_stage = now - self.began;
         let Some(speed) = self.speed(in_stage) else { return Estimate { done: self.shown, left_s: None } };
         let speed = speed.clamp(0.02, 50.0);
         let expected = speed * self.plan.stages[place].1;
-        // A stage that takes longer than expected takes a little longer still.
+        // A stage that exceeds its estimate is assumed to need a little more time.
         let rest = (expected - in_stage).max(0.15 * in_stage);
         let later: f64 = self.plan.stages[place + 1..].iter().map(|(_, planned)| speed * planned).sum();
         let left = rest + later;
@@ -155,7 +155,7 @@ impl Course {
         Estimate { done: self.shown, left_s: Some(left) }
     }
 
-    /// What is going on, and which of how many stages that is.
+    /// The current stage, with its number.
     fn words(&self) -> String {
         let Some((stage, place)) = self.stage else { return String::new() };
         let doing = match stage {
@@ -177,7 +177,7 @@ impl Course {
     }
 }
 
-/// Time left, in words; rounded the more the longer it is, as it is known.
+/// The time left as text, rounded more if it is longer.
 pub fn left(left_s: Option<f64>) -> String {
     match left_s {
         None => String::new(),
@@ -189,7 +189,7 @@ pub fn left(left_s: Option<f64>) -> String {
     }
 }
 
-/// What the thread that moves the bar and the stages share.
+/// State shared by the stages and the thread that moves the bar.
 struct Shared {
     course: Mutex<Course>,
     is_over: Mutex<bool>,
@@ -204,13 +204,13 @@ pub struct Bar {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What is behind a lock is whole even where a thread died: it only draws.
+/// Ignores poisoning: the state is only used for drawing.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Bar {
-    /// A bar for `plan`; nothing is shown when `quiet`, when stderr is no terminal, or one that cannot redraw.
+    /// A bar for `plan`. Nothing is shown if `quiet`, or if stderr is not a terminal that can redraw.
     pub fn new(plan: Plan, quiet: bool) -> Self {
         let terminal = Terminal::of_stderr();
         let is_shown = terminal.can_redraw && !quiet;
@@ -232,7 +232,7 @@ impl Bar {
         bar
     }
 
-    /// The thread that moves the bar; without one it moves when a stage begins.
+    /// Starts the thread that moves the bar. Without it the bar moves when a stage starts.
     fn ticker(&self) -> Option<JoinHandle<()>> {
         let (bar, began, shared) = (self.bar.clone(), self.began, Arc::clone(&self.shared));
         let tick = move || {
@@ -245,7 +245,7 @@ impl Bar {
         std::thread::Builder::new().name("hdralign bar".into()).spawn(tick).ok()
     }
 
-    /// Shows how far the work is; never cancels it.
+    /// Shows the progress. Never cancels the run.
     pub fn show(&self, progress: Progress) -> ControlFlow<()> {
         let mut course = locked(&self.shared.course);
         match progress {
@@ -256,12 +256,12 @@ impl Bar {
         ControlFlow::Continue(())
     }
 
-    /// Takes the bar off the screen.
+    /// Removes the bar from the screen.
     pub fn clear(&mut self) {
         *locked(&self.shared.is_over) = true;
         self.shared.wake.notify_all();
         if let Some(thread) = self.thread.take() {
-            // It only draws; that it died is no loss.
+            // The thread only draws, so its failure is ignored.
             let _ = thread.join();
         }
         self.bar.finish_and_clear();

@@ -1,61 +1,61 @@
-//! The terminal at stderr: how wide it is, whether it has colours, and text that keeps within it.
+//! The terminal at stderr: its width, colours, and wrapped text.
 
 use console::{Term, measure_text_width};
 use std::io::IsTerminal;
 
-/// Columns of a terminal that does not tell.
+/// Columns of a terminal of unknown width.
 const COLUMNS: usize = 80;
-/// A file is as wide as its lines: nothing in it is broken or shortened, so that it can be searched.
+/// Columns of a file: lines are not wrapped or shortened, so that they can be searched.
 const NO_TERMINAL: usize = 1 << 20;
-/// Less than this is not minded: words need room.
+/// Smallest width that is used.
 const LEAST: usize = 40;
 
-/// What stderr is.
+/// Properties of stderr.
 #[derive(Debug, Clone, Copy)]
 pub struct Terminal {
     /// Columns.
     pub width: usize,
     has_colours: bool,
-    /// Whether its cursor can be moved.
+    /// Whether the cursor can be moved.
     pub can_redraw: bool,
 }
 
 impl Terminal {
-    /// That of this process. Colours are for a terminal alone, and not where NO_COLOR is set, CLICOLOR is 0, or TERM is dumb.
+    /// stderr of this process. Colours are used on a terminal only, unless NO_COLOR is set, CLICOLOR is 0, or TERM is dumb.
     pub fn of_stderr() -> Terminal {
         if !std::io::stderr().is_terminal() {
             return Terminal { width: NO_TERMINAL, has_colours: false, can_redraw: false };
         }
-        let told = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
-        let is = |name: &str, value: &str| told(name).is_some_and(|found| found == value);
+        let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+        let is = |name: &str, value: &str| variable(name).is_some_and(|found| found == value);
         let can_redraw = !is("TERM", "dumb");
-        let has_colours = can_redraw && told("NO_COLOR").is_none() && !is("CLICOLOR", "0");
+        let has_colours = can_redraw && variable("NO_COLOR").is_none() && !is("CLICOLOR", "0");
         let width = Term::stderr().size_checked().map_or(COLUMNS, |(_, columns)| usize::from(columns));
         Terminal { width: width.max(LEAST), has_colours, can_redraw }
     }
 
-    /// Of `width` columns, without colours.
+    /// A terminal of `width` columns without colours.
     #[cfg(test)]
     pub fn plain(width: usize) -> Terminal {
         Terminal { width, has_colours: false, can_redraw: false }
     }
 
-    /// In green, where there are colours.
+    /// `text` in green, if there are colours.
     pub fn good(&self, text: &str) -> String {
         self.coloured("32", text)
     }
 
-    /// In red.
+    /// `text` in red.
     pub fn bad(&self, text: &str) -> String {
         self.coloured("31", text)
     }
 
-    /// In yellow.
+    /// `text` in yellow.
     pub fn doubtful(&self, text: &str) -> String {
         self.coloured("33", text)
     }
 
-    /// Bold.
+    /// `text` in bold.
     pub fn strong(&self, text: &str) -> String {
         self.coloured("1", text)
     }
@@ -64,13 +64,12 @@ impl Terminal {
         if self.has_colours { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
-    /// Columns beside `indent`. The last one stays free: some terminals go on to the next line when it is written.
+    /// Columns available after `indent`. The last one is not used, because some terminals then start a new line.
     pub fn room(&self, indent: usize) -> usize {
         self.width.saturating_sub(indent + 1).max(LEAST / 2)
     }
 
-    /// `text` in lines that leave `indent` columns free, broken at spaces; a word that is wider by itself, as paths are, loses its middle.
-    /// Never empty.
+    /// Wraps `text` at spaces to lines that leave `indent` columns free. Longer words, such as paths, are shortened in the middle. Never empty.
     pub fn wrapped(&self, text: &str, indent: usize) -> Vec<String> {
         let room = self.room(indent);
         let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
@@ -95,7 +94,7 @@ impl Terminal {
     }
 }
 
-/// `text` in at most `room` columns: where it has more, its middle gives way to dots, and the end, which names files, has the larger part.
+/// Shortens `text` to at most `room` columns, with dots in the middle. The end, which has the file name, keeps the larger part.
 pub fn shortened(text: &str, room: usize) -> String {
     let clean: String = text.chars().map(|c| if c.is_control() { '?' } else { c }).collect();
     if measure_text_width(&clean) <= room {

@@ -7,7 +7,7 @@ use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};
 
 /// Returns `error` with the usage of `command` in `program`, and with likely suggestions only.
-pub fn told(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
+pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
     for (typed, tip) in [
         (ContextKind::InvalidArg, ContextKind::SuggestedArg),
         (ContextKind::InvalidSubcommand, ContextKind::SuggestedSubcommand),

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_told_with_its_sign() {
+    fn a_gain_is_reported_with_its_sign() {
         let gain = libm::exp2(-0.02) as f32;
         let found = measure(&ramp(1.0), &ramp(gain), &Metadata::default());
         let gain = found.radiance.unwrap();

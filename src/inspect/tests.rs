@@ -134,14 +134,14 @@ fn a_rejected_frame_is_drawn_without_an_after() {
 }
 
 #[test]
-fn bitmaps_that_speak_against_a_place_are_told() {
+fn bitmaps_that_speak_against_a_place_are_reported() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
-    let told = "the bitmaps differ more after alignment than before";
-    assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(told));
+    let warning = "the bitmaps differ more after alignment than before";
+    assert!(!inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text().contains(warning));
     alignment.placements[0] = Placement::by_user(rigid(-40.0, 30.0, -3.0));
     let text = inspect(&bracket, &alignment, &options, &warnings).unwrap().tables().to_text();
-    assert!(text.contains(&format!("dark <1>.png: {told}")) && !text.contains(&format!("bright.png: {told}")));
+    assert!(text.contains(&format!("dark <1>.png: {warning}")) && !text.contains(&format!("bright.png: {warning}")));
 }
 
 #[test]

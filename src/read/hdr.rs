@@ -78,7 +78,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let scan = take_line(&mut rest)
         .and_then(|l| Scan::parse(&l))
         .ok_or("its resolution is not of the form `-Y height +X width`, with any signs and order")?;
-    // A scanline takes 4 bytes at least (old repetitions, 8 pixels and more): an absurd size must not be believed before it is filled.
+    // A scanline has at least 4 bytes (old run lengths, 8 pixels and more): check the claimed size before reserving memory.
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
     }

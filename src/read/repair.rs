@@ -80,7 +80,7 @@ mod tests {
     use crate::plane::Plane;
 
     #[test]
-    fn what_no_stage_takes_is_mended_and_counted() {
+    fn what_no_stage_takes_is_corrected_and_counted() {
         let odd = vec![
             [f32::NAN, 1.0, 1.0],
             [f32::INFINITY, 2.0, 7.0],
@@ -90,15 +90,15 @@ mod tests {
             [f32::NEG_INFINITY, 1.0, 1.0],
         ];
         let map = RadianceMap { pixels: Plane::from_vec(6, 1, odd), primaries: Primaries::SRGB };
-        let (mended, done) = repair(map);
+        let (repaired, done) = repair(map);
         assert_eq!(done, Repaired { not_numbers: 1, infinite: 2, negative: 3 });
-        assert!(mended.pixels.as_slice().as_flattened().iter().all(|v| *v >= FLOOR && v.is_finite()));
-        assert_eq!((mended.pixels.at(0, 0), mended.pixels.at(1, 0)), ([FLOOR; 3], [7.0, 2.0, 7.0]));
-        assert_eq!((mended.pixels.at(4, 0), mended.pixels.at(3, 0)), ([FLOOR, 0.5, 0.5], [FLOOR; 3]));
-        let [r, g, b] = mended.pixels.at(2, 0);
+        assert!(repaired.pixels.as_slice().as_flattened().iter().all(|v| *v >= FLOOR && v.is_finite()));
+        assert_eq!((repaired.pixels.at(0, 0), repaired.pixels.at(1, 0)), ([FLOOR; 3], [7.0, 2.0, 7.0]));
+        assert_eq!((repaired.pixels.at(4, 0), repaired.pixels.at(3, 0)), ([FLOOR, 0.5, 0.5], [FLOOR; 3]));
+        let [r, g, b] = repaired.pixels.at(2, 0);
         let luminance = 0.2126 * r + 0.7152 * g + 0.0722 * b;
         assert!((luminance - (0.7874 - 0.02126)).abs() < 1e-5 && r == FLOOR && g == b);
-        assert_eq!(repair(mended.clone()), (mended, Repaired::default()));
+        assert_eq!(repair(repaired.clone()), (repaired, Repaired::default()));
         assert_eq!(done.warnings(Path::new("a.exr")).len(), 3);
     }
 }

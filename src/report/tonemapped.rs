@@ -110,7 +110,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
 
     #[test]
-    fn the_unit_is_told() {
+    fn the_unit_is_reported() {
         let map = RadianceMap { pixels: Plane::filled(4, 2, [0.5; 3]), primaries: Primaries::BT2020 };
         let json = |luminance| -> serde_json::Value {
             let metadata = Metadata { cd_m2_per_unit: Option::and_then(luminance, Factor::new), ..Metadata::default() };

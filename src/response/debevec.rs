@@ -23,7 +23,7 @@
 //!   to the sRGB curve than to a straight line. On brackets of film curves the error falls from 0.05 and 0.2 stops to 0.03.
 //! - That difference is a cubic spline with 47 coefficients, not 256 values: the same curve, fifty times faster.
 
-use super::fit::{self, Found, Told, between};
+use super::fit::{self, Fitted, Found, between};
 use super::samples::Sample;
 use super::{CODES, MID, ResponseCurve, hat};
 use crate::error::{Error, Result};
@@ -62,7 +62,7 @@ impl Options {
 }
 
 /// g of one channel, or why it cannot be had.
-pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<Found> {
+pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     fit::check(samples)?;
     let (srgb, basis) = (ResponseCurve::srgb(), Basis::cubic());
     let solve = |trust: &[f64]| solve(samples, trust, options.smoothness, &basis, srgb.ln_exposure(0));
@@ -81,7 +81,7 @@ fn solve(
     smoothness: f64,
     basis: &Basis,
     about: &[f64; CODES],
-) -> Told<([f64; CODES], f64)> {
+) -> Fitted<([f64; CODES], f64)> {
     let (unknowns, width) = (basis.count(), basis.count() + 1);
     let mut equations = LeastSquares::new(unknowns);
     let weights = samples.iter().map(|s| s.views.iter().map(fit::square).sum::<f64>());
@@ -125,7 +125,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     /// The curve that is used, and its fit.
-    fn channel(samples: &[Sample], options: &Options) -> Told<([f64; CODES], Fit)> {
+    fn channel(samples: &[Sample], options: &Options) -> Fitted<([f64; CODES], Fit)> {
         fit::judge(samples, super::channel(samples, options)?)
     }
 

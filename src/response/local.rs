@@ -4,7 +4,7 @@
 //! varies over the picture at the same code. Cost: some milliseconds, whatever the size of the frames.
 //! Source: the components of variance are those of a one-way analysis of variance (Fisher 1925); the rest is ours.
 //!
-//! Phones brighten what is dark and darken what is bright, by neighbourhoods, in every frame anew. Two things follow.
+//! Phones brighten dark and darken bright neighbourhoods, differently in every frame. This has two effects.
 //!
 //! 1. A stop more of exposure brightens a frame by less than a stop. A camera's curve alone may do that too, but has bounds: under the sRGB
 //!    curve, the steps between frames rendered by the 100 measured curves of DoRF (Grossberg & Nayar 2004) are 0.8 to 2.2 times as large as

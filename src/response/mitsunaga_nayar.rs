@@ -8,18 +8,18 @@
 //! O = sum_qp [f(M_pq) - R_{q,q+1} f(M_p,q+1)]^2
 //! ```
 //!
-//! over consecutive exposures q and places p; then each R_{q,q+1} is had from the f found, the mean of f(M_pq) / f(M_p,q+1), and again until f
+//! over consecutive exposures q and places p; then each R_{q,q+1} is computed from f, as the mean of f(M_pq) / f(M_p,q+1), and again until f
 //! stays. The degree is the least that does. Six things differ from the paper:
 //!
 //! - The sum is of relative errors: each is divided by R f(M_p,q+1), with the f before. In absolute terms bright codes have all the say.
 //! - f is 1 at code 128 rather than at 255, which no unclipped sample has.
 //! - f is a sum of Chebyshev polynomials: the same polynomial, from equations that are ten orders of magnitude better conditioned.
 //! - Places that contradict the others lose their weight, as with the other models.
-//! - The R found take the place of those given only where they leave clearly less error. What they are is told in any case.
+//! - The estimated R replace the given ones only if the error is clearly smaller. They are reported in any case.
 //! - f^u with R^u fits as f with R, for any u, and alternation drifts along it. When it has ended, f and R are raised to the power by which
 //!   R agrees best with the exposures as they were given.
 
-use super::fit::{self, Found, Told};
+use super::fit::{self, Fitted, Found};
 use super::samples::{Sample, View};
 use super::{CODES, MID, ResponseCurve, hat};
 use crate::error::{Error, Result};
@@ -89,11 +89,11 @@ pub struct Ratio {
 }
 
 /// g of one channel and the ratios that go with it, or why they cannot be had.
-pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<(Found, Vec<Ratio>)> {
+pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<(Found, Vec<Ratio>)> {
     fit::check(samples)?;
     let degrees = options.degree.map_or(DEGREES, |degree| degree..=degree);
     let pairs = Pairs::of(samples);
-    let mut best: Told<Polynomial> = Err(fit::undetermined(f64::INFINITY));
+    let mut best: Fitted<Polynomial> = Err(fit::undetermined(f64::INFINITY));
     for degree in degrees {
         let found = pairs.clone().alternate(samples, degree, false);
         match (&best, &found) {
@@ -173,7 +173,7 @@ impl Pairs {
     }
 
     /// f and, if they are to be `refined`, R in turn.
-    fn alternate(mut self, samples: &[Sample], degree: usize, refined: bool) -> Told<Polynomial> {
+    fn alternate(mut self, samples: &[Sample], degree: usize, refined: bool) -> Fitted<Polynomial> {
         let values: [Terms; CODES] = std::array::from_fn(|z| chebyshev(z as f64));
         let srgb = ResponseCurve::srgb();
         let mut f = srgb.ln_exposure(0).map(libm::exp);
@@ -213,7 +213,7 @@ impl Pairs {
     }
 
     /// The coefficients of f for the ratios at hand, errors relative to the `f` before, and the condition of the problem.
-    fn solve(&self, f: &[f64; CODES], trust: &[f64], degree: usize) -> Told<(Vec<f64>, f64)> {
+    fn solve(&self, f: &[f64; CODES], trust: &[f64], degree: usize) -> Fitted<(Vec<f64>, f64)> {
         let mid = chebyshev(MID as f64);
         let mut equations = LeastSquares::new(degree);
         let mut row = vec![0.0; degree + 1];
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn rough_exposures_are_mended() {
+    fn rough_exposures_are_corrected() {
         // The middle of three exposures two stops apart is said to be 0.2 stops longer than it was.
         let mut samples = scene(800, &[-2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / 2.2));
         let said = 0.2;

@@ -23,7 +23,7 @@ use crate::align::Alignment;
 use crate::bracket::Bracket;
 use crate::bracket::colour::srgb_to_linear;
 use crate::error::{Result, Warning};
-use fit::Told;
+use fit::Fitted;
 use mitsunaga_nayar::Ratio;
 use rayon::prelude::*;
 use samples::{Places, Sample};
@@ -221,7 +221,7 @@ pub struct Fit {
     /// The degree of the polynomial, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
-    /// Whether the channel told no curve, so that it has the mean curve of the others; the numbers above are then 0.
+    /// Whether the response of the channel could not be recovered, so that it has the mean of the others; the numbers above are then 0.
     pub borrowed: bool,
 }
 
@@ -282,15 +282,16 @@ pub fn recover_from(
         ResponseModel::MitsunagaNayar(options) => options.validate().map(|()| options.samples)?,
     };
     let drawn = samples::draw(places, count);
-    let channels: Vec<Told<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();
+    let channels: Vec<Fitted<Channel>> = drawn.channels.par_iter().map(|samples| channel(samples, model)).collect();
     Ok(match together(&channels, drawn.black) {
         Ok((curve, fits)) => {
             let ratios: Vec<&Ratio> = channels.iter().flatten().flat_map(|channel| &channel.ratios).collect();
             let exposure_ratios = (!ratios.is_empty()).then(|| pooled(&ratios));
             let report = ResponseReport { model: name, channels: Some(fits), exposure_ratios, fallback: None };
             let failed = channels.into_iter().zip(["red", "green", "blue"]);
-            let warnings = failed
-                .filter_map(|(told, channel)| told.err().map(|reason| Warning::ResponseBorrowed { channel, reason }));
+            let warnings = failed.filter_map(|(fitted, channel)| {
+                fitted.err().map(|reason| Warning::ResponseBorrowed { channel, reason })
+            });
             (curve, report, warnings.collect())
         }
         Err(reason) => {
@@ -309,7 +310,7 @@ struct Channel {
 }
 
 /// What a channel's samples tell by `model`, or why they do not.
-fn channel(samples: &[Sample], model: &ResponseModel) -> Told<Channel> {
+fn channel(samples: &[Sample], model: &ResponseModel) -> Fitted<Channel> {
     let (found, ratios) = match model {
         ResponseModel::Robertson(options) => (robertson::channel(samples, options)?, Vec::new()),
         ResponseModel::MitsunagaNayar(options) => mitsunaga_nayar::channel(samples, options)?,
@@ -322,10 +323,10 @@ fn channel(samples: &[Sample], model: &ResponseModel) -> Told<Channel> {
 
 /// The camera's curve from those of the channels. One that the scene lacks (a room in yellow light has no blue) has the mean curve of the
 /// others; if all do, there is none.
-fn together(channels: &[Told<Channel>], black: [f64; 3]) -> Told<(ResponseCurve, [Fit; 3])> {
+fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCurve, [Fit; 3])> {
     let known: Vec<&Channel> = channels.iter().flatten().collect();
     if known.is_empty() {
-        return Err(channels.iter().find_map(|told| told.as_ref().err().cloned()).unwrap_or_default());
+        return Err(channels.iter().find_map(|fitted| fitted.as_ref().err().cloned()).unwrap_or_default());
     }
     let mean = std::array::from_fn(|z| known.iter().map(|channel| channel.g[z]).sum::<f64>() / known.len() as f64);
     let g = std::array::from_fn(|c| channels[c].as_ref().map_or(mean, |channel| channel.g));

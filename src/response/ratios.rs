@@ -60,7 +60,7 @@ const SMOOTHNESS: f64 = 3e-5;
 const ROUNDS: usize = 3;
 /// How many places count as independent of each other: what is wrong with the model is common to many.
 const INDEPENDENT: f64 = 50.0;
-/// Root mean square misfit that is not believed to be less, in stops.
+/// Lower bound of the root mean square misfit, in stops.
 const NOISE: f64 = 0.01;
 /// Corrections of which none is larger are none, in stops: over 27 rendered brackets with exact exposures, 25 come out within 0.006.
 const STILL: f64 = 0.025;

@@ -19,7 +19,7 @@
 //! - The sweeps begin with the sRGB curve, where the paper begins with a line, and end when they gain less than a thousandth, so that what the
 //!   frames leave open stays as it was.
 
-use super::fit::{self, Found, Told, between};
+use super::fit::{self, Fitted, Found, between};
 use super::samples::{Sample, View};
 use super::{CODES, MID, ResponseCurve};
 use crate::error::{Error, Result};
@@ -67,7 +67,7 @@ impl Options {
 }
 
 /// g of one channel, or why it cannot be had.
-pub(super) fn channel(samples: &[Sample], options: &Options) -> Told<Found> {
+pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     fit::check(samples)?;
     let seen: Vec<Vec<Seen>> = samples.iter().map(|s| s.views.iter().map(Seen::of).collect()).collect();
     let mut g = *ResponseCurve::srgb().ln_exposure(0);
@@ -113,7 +113,7 @@ impl Seen {
 }
 
 /// One step for the x and one for the I; the new ln I, and the root mean square of 1 - t x / I that the old one had.
-fn sweep(samples: &[Vec<Seen>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Told<([f64; CODES], f64)> {
+fn sweep(samples: &[Vec<Seen>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
     let exposure = g.map(libm::exp);
     let (mut change, mut count) = ([0.0; CODES], [0.0; CODES]);
     let (mut square, mut weight) = (0.0, 0.0);

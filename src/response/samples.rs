@@ -31,7 +31,7 @@ const DARKER: f64 = 2.0;
 /// Codes by which a stop more of exposure must brighten a patch, at least, as a share of its code and absolutely: where it does not,
 /// the shorter exposure is at the black of the film or the sensor, and says nothing. A camera's curve rises by a fifth to a third.
 const RISE: (f64, f64) = (0.05, 0.5);
-/// Black is believed where this many patches show it, and lies above this share of them.
+/// Black is estimated if this many patches show it, and is above this share of them.
 const BLACK: (usize, f64) = (20, 0.95);
 /// Codes from here on are not black, whatever they say.
 const DARK: f64 = 64.0;
@@ -154,8 +154,8 @@ impl Places {
         let next = |i: usize| (i + 1..self.frames.len()).find(|&j| stops(i, j) >= least).map(|j| (i, j));
         let pairs = (0..self.frames.len()).filter_map(next);
         let of = |place: &Candidate, channel: usize, i: usize, j: usize| {
-            let told = telling(place, &self.frames, channel);
-            let patch = |k: usize| place.patches[k].filter(|_| told.contains(&k)).map(|patch| patch[channel]);
+            let usable = telling(place, &self.frames, channel);
+            let patch = |k: usize| place.patches[k].filter(|_| usable.contains(&k)).map(|patch| patch[channel]);
             let (shorter, longer) = (patch(i)?, patch(j)?);
             let seen = shorter.seen && longer.seen;
             seen.then_some(Step { at: place.at, channel, codes: (shorter.mean, longer.mean) })

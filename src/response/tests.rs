@@ -86,7 +86,7 @@ fn every_model_tells_the_curve_and_its_name() {
 }
 
 #[test]
-fn a_channel_that_tells_nothing_borrows_aloud() {
+fn a_channel_that_tells_nothing_borrows_with_a_warning() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], |x, y| {
         let [r, g, _] = tiles(x, y);
         [r, g, 0.0]

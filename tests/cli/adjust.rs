@@ -132,7 +132,7 @@ fn merge_and_tonemap_give_the_same_adjusted_picture_on_any_threads() {
 }
 
 #[test]
-fn white_that_was_found_is_told_and_gives_the_same_picture() {
+fn white_that_was_found_is_reported_and_gives_the_same_picture() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     for white in ["auto", "spot:150,150"] {

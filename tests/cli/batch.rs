@@ -81,7 +81,7 @@ fn csv_rows(folder: &Folder) -> Vec<String> {
 }
 
 #[test]
-fn what_would_be_done_is_told_first() {
+fn what_would_be_done_is_reported_first() {
     let folder = Folder::empty();
     let mut card = Card::new(96);
     card.brackets(2, 3, 2.0).single(0.0);
@@ -186,7 +186,7 @@ fn one_response_is_recovered_for_a_camera() {
     card(&folder, 3);
     let run = folder.line("batch in -d out --shared-response --formats exr").done();
     assert_eq!(counts(&folder), [4, 0, 0, 0]);
-    assert!(run.stderr.contains("steps      4 done of 4"), "{}", run.stderr);
+    assert!(run.stderr.contains("jobs       4 done of 4"), "{}", run.stderr);
     let response = "out/response-hdralign_Card_One.response.json";
     assert!(folder.at(response).is_file());
     let report: Value = serde_json::from_slice(&folder.bytes("out/b/IMG_0007-IMG_0009.json")).unwrap();

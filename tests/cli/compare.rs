@@ -86,7 +86,7 @@ fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
     let mean = json["radiance"]["mean_stops"].as_f64().unwrap();
     // What is under the floor is told as less, by at most 0.1 % of the values.
     assert!((mean - 0.02).abs() < 1e-4, "{mean}");
-    assert!(run.stderr.contains("brighter throughout, by 0.020 stops"), "{}", run.stderr);
+    assert!(run.stderr.contains("uniformly brighter, by 0.020 stops"), "{}", run.stderr);
     assert_eq!(code(&folder, "a.exr gain.exr --tolerance-stops 0.021"), 0);
 
     put(&folder, "swapped.exr", changed(|_, _, [r, g, b]| [b, g, r]), &float());
@@ -346,7 +346,7 @@ fn with_white(bytes: &[u8], value: f32) -> Vec<u8> {
 
 /// Found by a review: such a file became black as `.hdr`, and all black passed for the same.
 #[test]
-fn a_unit_that_is_no_number_is_not_believed_and_black_is_not_the_same() {
+fn a_unit_that_is_no_number_is_not_used_and_black_is_not_the_same() {
     let folder = Folder::empty();
     let put_in = |name: &str, unit: Option<f64>, pixels: Plane<[f32; 3]>| {
         let map = RadianceMap { pixels, primaries: Primaries::SRGB };
@@ -379,7 +379,7 @@ fn a_unit_that_is_no_number_is_not_believed_and_black_is_not_the_same() {
 
 /// Alpha, depth and a second view, as renderers write them beside the colours.
 #[test]
-fn what_is_not_compared_of_an_exr_or_a_tiff_is_told() {
+fn what_is_not_compared_of_an_exr_or_a_tiff_is_reported() {
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
     let folder = Folder::empty();
     let write = |name: &str, parts: &[(&str, &[&str])]| {

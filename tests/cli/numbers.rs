@@ -16,7 +16,7 @@ fn range(folder: &Folder, name: &str) -> (f32, f32) {
 
 /// Every writer, at both ends of what factors may be: clamped values are counted and told, and there are no others.
 #[test]
-fn what_a_format_does_not_hold_is_clamped_and_told() {
+fn what_a_format_does_not_hold_is_clamped_and_reported() {
     let folder = Folder::with_bracket();
     for (factor, at_half) in [("1e20", 65504.0), ("1e-20", 1.0)] {
         let outputs =

@@ -99,7 +99,7 @@ fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
 
 /// Read by its profile, a picture of any colours looks like that of sRGB; taken for sRGB it does not.
 #[test]
-fn colours_of_the_picture_are_told_by_its_profile_in_every_format() {
+fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     for line in ["tonemap a.exr -q --force", &format!("{MERGE} --tmo mertens")] {

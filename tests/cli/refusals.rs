@@ -139,7 +139,7 @@ fn what_exists_is_kept_unless_forced() {
 }
 
 #[test]
-fn an_extension_that_is_not_written_is_told_which_are() {
+fn an_extension_that_is_not_written_is_reported_which_are() {
     let folder = Folder::with_bracket();
     refused(&folder, "merge w1.jpg w2.jpg -o a.bmp", 2, &["a.bmp", ".exr", ".hdr", ".tif", ".png"]);
     refused(&folder, "merge w1.jpg w2.jpg -o a.exr -o noextension", 2, &["noextension", ".exr"]);

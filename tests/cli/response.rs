@@ -75,7 +75,7 @@ fn without_a_name_the_curve_goes_beside_the_photographs_named_after_the_camera()
     let run = folder.line("response night church --align none").done();
     let path = run.stdout.trim();
     assert!(path.starts_with("night/") && path.ends_with(".json") && folder.at(path).is_file(), "{path}");
-    assert!(run.stderr.contains("10 frames in 2 bracket(s)"), "{}", run.stderr);
+    assert!(run.stderr.contains("10 frames in 2 brackets"), "{}", run.stderr);
     let again = folder.line("response night church --align none");
     assert!(again.code == 1 && again.stderr.contains("--force"), "{again:?}");
     let report = json(&String::from_utf8(folder.bytes(path)).expect("text"));
@@ -124,7 +124,7 @@ fn a_file_that_is_no_response_is_named_with_the_remedy() {
 }
 
 #[test]
-fn a_curve_that_cannot_be_had_is_told_before_any_work() {
+fn a_curve_that_cannot_be_had_is_reported_before_any_work() {
     let folder = Folder::with_bracket();
     folder.put("bad.json", b"{}");
     // The photographs, of which one is missing, have not been looked at.
@@ -204,7 +204,7 @@ fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so()
 
 /// A response that is another camera's is told of where it is used.
 #[test]
-fn a_response_that_misses_the_photographs_is_told_of() {
+fn a_response_that_misses_the_photographs_is_reported_of() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --align none --exposures as-given --json --force -o a.exr";
     let report = |options: &str| json(&folder.line(&format!("{merge} {options}")).done().stdout);

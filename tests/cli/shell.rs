@@ -7,7 +7,7 @@ pub const COMMANDS: [&str; 9] =
     ["merge", "batch", "align", "response", "inspect", "tonemap", "compare", "completions", "man"];
 
 #[test]
-fn every_shell_is_told_every_command_and_option() {
+fn every_shell_is_reported_every_command_and_option() {
     let folder = Folder::empty();
     for shell in ["bash", "zsh", "fish", "powershell"] {
         let script = folder.line(&format!("completions {shell}")).done().stdout;

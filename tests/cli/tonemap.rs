@@ -55,7 +55,7 @@ fn every_format_gives_nearly_the_same_picture() {
 }
 
 #[test]
-fn it_is_named_told_and_kept() {
+fn it_is_named_reported_and_kept() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o room.exr")).done();
     let run = folder.line("tonemap room.exr").done();
@@ -92,7 +92,7 @@ fn what_is_no_radiance_is_refused_with_a_remedy() {
 
 /// A map of another program: NaN, infinity and a colour that sRGB has not.
 #[test]
-fn odd_values_are_told_and_the_rest_is_shown() {
+fn odd_values_are_reported_and_the_rest_is_shown() {
     let folder = Folder::empty();
     let mut values = vec![0.5f32; 3 * 64];
     values[0] = f32::NAN;
@@ -146,7 +146,7 @@ fn every_operator_has_its_look_and_its_settings() {
     refused(folder.line("align --tmo-set help"), 2, "--tmo-set");
     refused(folder.line("tonemap room.exr --tmo-set brightness=7"), 2, "from 0.1 to 0.9");
     refused(folder.line("tonemap room.exr --tmo-set brightness"), 2, "KEY=VALUE");
-    refused(folder.line("tonemap room.exr --tmo-set brightness=much"), 2, "is no number");
+    refused(folder.line("tonemap room.exr --tmo-set brightness=much"), 2, "is not a number");
     refused(folder.line("tonemap room.exr --tmo mertens"), 2, "merge --tmo mertens");
 }
 

@@ -5,6 +5,7 @@ mod support;
 
 mod accuracy;
 mod architecture;
+mod language;
 mod licences;
 mod progress;
 mod properties;

@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_nearest_of_two_suitors_is_taken() {
+    fn only_the_nearest_of_two_candidates_is_taken() {
         let mut near = descriptor(5);
         near[0] ^= 1;
         let a = Features { keypoints: features(&[1, 2], 0.0).keypoints, descriptors: vec![near, descriptor(5)] };

@@ -185,7 +185,7 @@ mod tests {
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for (h, is_another) in [(h, false), (h, false), (away, false), (h, true)] {
             if is_another {
-                patches = patches.anew();
+                patches = patches.reset();
             }
             residuals(&pair, &mut patches, &h, &mut out);
             if is_another {

@@ -110,7 +110,7 @@ impl<'a> FramePair<'a> {
     ///
     /// The positions of the [`fine_points`](Self::fine_points) change little, so most patches can be reused.
     pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
-        self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::anew)
+        self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::reset)
     }
 
     /// Keeps `patches` for the next refinement.

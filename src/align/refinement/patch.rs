@@ -99,7 +99,7 @@ impl Patches {
     }
 
     /// These patches at the start of a new refinement.
-    pub(crate) fn anew(mut self) -> Self {
+    pub(crate) fn reset(mut self) -> Self {
         self.is_placed.fill(false);
         self
     }

@@ -98,7 +98,7 @@ fn reasons(found: &Found) -> Vec<(String, Reason)> {
 }
 
 #[test]
-fn two_bodies_at_once_a_flash_and_a_stray_are_told_apart() {
+fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 100, &MIDDLE);
     // The other body in the midst of it, and the frame with the flash that real-estate photographers add.

@@ -47,13 +47,13 @@ fn one_bad_step_stops_nothing_but_what_needs_it() {
 }
 
 #[test]
-fn on_a_full_disk_nothing_more_is_begun_and_that_is_told_once() {
+fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
     let dir = tempfile::tempdir().unwrap();
     let steps = steps(&[("a", &[]), ("b", &[]), ("c", &["b"])], dir.path());
     let (stop, limits) = (AtomicBool::new(false), limits(2, None));
-    let (told, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let (reports, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let watch = |event: Event| match event {
-        Event::Fills(step) => assert_eq!((step.id.as_str(), told.fetch_add(1, Ordering::SeqCst)), ("a", 0)),
+        Event::Fills(step) => assert_eq!((step.id.as_str(), reports.fetch_add(1, Ordering::SeqCst)), ("a", 0)),
         Event::Ends(..) => assert_eq!(ended.fetch_add(1, Ordering::SeqCst), 0),
         Event::Begins(_) => {}
     };
@@ -69,10 +69,10 @@ fn on_a_full_disk_nothing_more_is_begun_and_that_is_told_once() {
     board.fill(0);
     assert!(board.take(|| ()).is_none());
     assert!(matches!(&board.endings()[..], [Ending::Failed(_), Ending::NotBegun, Ending::NotBegun]));
-    assert_eq!((told.into_inner(), ended.into_inner()), (1, 1));
+    assert_eq!((reports.into_inner(), ended.into_inner()), (1, 1));
 }
 
-/// A step that was not begun for want of room is not waited for by those that go to other disks.
+/// A job that was not started because its disk is full does not delay jobs for other disks.
 #[test]
 fn what_needs_a_step_that_is_not_begun_is_not_begun() {
     let steps = steps(&[("a", &[]), ("b", &["a"])], Path::new("/none"));

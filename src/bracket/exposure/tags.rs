@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn printed_times_are_told_from_measured_ones_by_their_form() {
+    fn printed_times_are_distinguished_from_measured_ones_by_their_form() {
         let printed = |num, denom| read(&[(Tag::ExposureTime, ratio(num, denom))]).is_time_printed;
         assert!(
             [(1, 60), (10, 600), (13, 10), (30, 1), (10, 13), (2, 5), (1, 8000)].map(|(n, d)| printed(n, d))

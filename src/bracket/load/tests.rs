@@ -167,7 +167,7 @@ fn one_missing_exposure_is_anchored_by_the_others() {
 }
 
 #[test]
-fn exif_that_contradicts_the_pixels_is_not_believed() {
+fn exif_that_contradicts_the_pixels_is_not_used() {
     let files = Files::new();
     let same = [time(1, 60), f_number(80)];
     let a = files.add("a.jpg", &shot(-1.0, &same));
@@ -192,7 +192,7 @@ fn equal_pictures_without_exposures_are_refused() {
 }
 
 #[test]
-fn a_missing_f_number_is_assumed_aloud() {
+fn a_missing_f_number_is_assumed_with_a_warning() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(-1.0, &[time(1, 100), f_number(40)]));
     let b = files.add("b.jpg", &shot(1.0, &[time(1, 25)]));

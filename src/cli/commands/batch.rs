@@ -351,7 +351,7 @@ fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> 
                 done += 1;
                 degraded |= brief.degraded;
                 if !args.work.quiet {
-                    crate::cli::say(night::told(&step.id, &brief, is_new));
+                    crate::cli::say(night::described(&step.id, &brief, is_new));
                 }
                 results.extend(step.outputs.iter().map(|path| format!("{}\n", path.display())));
             }

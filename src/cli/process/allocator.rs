@@ -1,8 +1,8 @@
-//! The allocator: where memory is limited, what is freed goes back to the system soon.
+//! The allocator: with a memory limit, freed memory is returned to the system at once.
 //!
-//! mimalloc keeps freed pages for a second, so that how much is resident depends on how fast the machine is, and is up to twice what is in use. In a
-//! millisecond no machine fills more than a few megabytes of other pages. It reads its settings from the environment before `main` begins; so the
-//! program begins anew, in the same process, with the setting, which costs 2 ms.
+//! mimalloc keeps freed pages for a second, so that resident memory depends on the speed of the machine and is up to twice the memory in use. With a
+//! delay of a millisecond the excess is a few megabytes. mimalloc reads its settings from the environment before `main`, so the program executes itself
+//! again in the same process, with the setting. This costs 2 ms.
 
 use clap::ArgMatches;
 
@@ -10,8 +10,8 @@ use clap::ArgMatches;
 #[cfg(unix)]
 const DELAY: (&str, &str) = ("MIMALLOC_PURGE_DELAY", "1");
 
-/// Begins this program anew where memory is limited, by `--max-memory` or by an engine that begins the steps of a plan, and freed pages would be
-/// kept. Whoever sets the delay in the environment has it so; where the system does not let the program begin anew it goes on.
+/// Executes this program again if memory is limited, by `--max-memory` or in a job of a plan, and freed pages would be kept. A delay that is set in the
+/// environment is respected. If the system cannot execute the program again, the run goes on.
 #[cfg(unix)]
 pub fn give_back_soon(matches: &ArgMatches) {
     use std::env;
@@ -30,10 +30,10 @@ pub fn give_back_soon(matches: &ArgMatches) {
     if let Some(name) = args.next() {
         again.arg0(name);
     }
-    // It gives only an error.
+    // Returns only on failure.
     let _ = again.args(args).env(name, value).exec();
 }
 
-/// Elsewhere a process cannot begin anew.
+/// Other systems cannot replace a process.
 #[cfg(not(unix))]
 pub fn give_back_soon(_: &ArgMatches) {}

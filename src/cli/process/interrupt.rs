@@ -1,14 +1,14 @@
 //! Signals: Ctrl-C, termination, and limits of the process. No incomplete file is left.
 //!
-//! A command stops at once, and its temporary files are taken away. A batch first ends what it has begun; asked a second time it stops
-//! at once too. What the process was started to ignore, as `nohup` does, it ignores. A file that grows beyond `ulimit -f` is an error of
-//! the writing, not the end of the process.
+//! A command stops at once and removes its temporary files. A batch first finishes the brackets in progress; a second signal stops it at once
+//! too. Signals that the process was started to ignore, as by `nohup`, are ignored. A file that exceeds `ulimit -f` is a write error and does not
+//! end the process.
 
 use crate::cli::say;
 use hdralign::write;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// What a shell adds to the number of the signal that ended a process.
+/// Shells report a process ended by signal n with exit code 128 + n.
 const ENDED_BY: i32 = 128;
 
 static IS_BATCH: AtomicBool = AtomicBool::new(false);
@@ -37,27 +37,27 @@ fn heard(signal: i32) {
     std::process::exit(ENDED_BY + signal);
 }
 
-/// Returns at once, or never where a signal is just ending the process: what failed because of that is not to be told, nor to give the exit code.
+/// Returns at once, or never if a signal is ending the process: failures caused by that are not reported and do not set the exit code.
 pub fn give_way() {
     while IS_ENDING.load(Ordering::SeqCst) {
         std::thread::park();
     }
 }
 
-/// From here on signals are heard. Where they cannot be they act as they always do.
+/// Starts to handle signals. If that fails, they have their default effects.
 #[cfg(unix)]
 pub fn listen() {
     use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXCPU, SIGXFSZ};
-    // Rust aborts where the system refuses memory, and has said so by then: exit code 1, as of all that fails.
+    // Rust aborts, with a message, if the system refuses memory: exit code 1, as for other failures.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, &ABORT_IS_FAILURE);
-    // Heard, it ends nothing: the system refuses the write, and that is told as an error of the file.
+    // Handled, the signal does not end the process: the write fails, which is reported as an error of the file.
     let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);
     let of_end = [(SIGINT, "INT"), (SIGTERM, "TERM"), (SIGHUP, "HUP"), (SIGXCPU, "XCPU")];
     let heard_of: Vec<i32> = of_end.iter().filter(|(n, name)| !is_ignored(*n, name)).map(|(n, _)| *n).collect();
     let (registered, is_registered) = std::sync::mpsc::channel();
     let hear = move || {
         let signals = signal_hook::iterator::Signals::new(heard_of);
-        // Whoever waits goes on when this is dropped, too.
+        // The waiting thread also continues when this is dropped.
         drop(registered);
         if let Ok(mut signals) = signals {
             signals.forever().for_each(heard);
@@ -87,7 +87,7 @@ fn is_ignored(signal: i32, name: &str) -> bool {
     }
 }
 
-/// From here on Ctrl-C is heard. Where it cannot be it acts as it always does.
+/// Starts to handle Ctrl-C. If that fails, it has its default effect.
 #[cfg(not(unix))]
 pub fn listen() {
     /// Ctrl-C's number.
@@ -95,7 +95,7 @@ pub fn listen() {
     let _ = ctrlc::set_handler(|| heard(INTERRUPT));
 }
 
-/// Set when a batch should begin nothing more; the first signal does that from now on.
+/// Set when a batch should start no further job. From now on the first signal sets it.
 pub fn stopping() -> &'static AtomicBool {
     IS_BATCH.store(true, Ordering::SeqCst);
     &STOP

@@ -1,6 +1,6 @@
-//! Leftovers: what runs that were killed left in the folders that this one writes to, taken away before it begins.
+//! Leftovers: temporary files of killed runs in the folders of the results, removed at the start.
 //!
-//! Steps of a plan (`batch --run`) leave them alone: engines run them on many machines, and locks do not reach others everywhere.
+//! Jobs of a plan (`batch --run`) do not remove them, because jobs run on many machines and locks do not reach other machines on every file system.
 
 use hdralign::write;
 use std::collections::BTreeSet;

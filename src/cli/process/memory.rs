@@ -1,21 +1,21 @@
-//! Memory: how much there is, and how much the user allows.
+//! Memory: how much is free, and sizes given by the user.
 
 use crate::cli::process::cgroup;
 use std::fs;
 use std::path::Path;
 
-/// Bytes of memory that are free for this process, as far as Linux tells; none elsewhere.
+/// Bytes of memory that are free for this process, on Linux; `None` on other systems.
 pub fn free() -> Option<u64> {
     let of_machine = available(&fs::read_to_string("/proc/meminfo").ok()?)?;
     let of_groups = cgroup::free(Path::new("/"));
     let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
     let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
-    // Allocators and the stacks of threads reserve more addresses than they use.
+    // Allocators and thread stacks reserve more addresses than they use.
     let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)) / 2);
     [of_groups, of_process].into_iter().flatten().chain([of_machine]).min()
 }
 
-/// The bytes of addresses that /proc/self/limits allows (`ulimit -v`); none where there is no limit.
+/// The limit of the address space in /proc/self/limits (`ulimit -v`), if any.
 fn address_space(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_whitespace().next()?.parse().ok()
@@ -32,7 +32,7 @@ fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
-/// What the program takes before it has a photograph, in bytes: it cannot be allowed less.
+/// Memory of the program without photographs, in bytes: the smallest limit.
 const LEAST: u64 = 64_000_000;
 
 /// Bytes, as `300000000`, `256MB`, `256MiB` or `1.5GB`.

@@ -1,4 +1,4 @@
-//! Panics: those of other people's decoders, which the library catches, stay silent; one of the program itself ends it with a message.
+//! Panics: those of decoders, which the library catches, print nothing; others end the program with a message.
 
 use crate::cli::say;
 use std::backtrace::{Backtrace, BacktraceStatus};
@@ -6,13 +6,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 use std::sync::Mutex;
 
-/// The last panic in words, with its place.
+/// The message and position of the last panic.
 static LAST: Mutex<String> = Mutex::new(String::new());
 
 /// The exit code of Rust programs that panic.
 const PANICKED: u8 = 101;
 
-/// What `run` gives. Nothing is printed of a panic that is caught below; where one arrives here, it is told.
+/// Returns the result of `run`. Panics that are caught below print nothing; one that arrives here is reported.
 pub(crate) fn guarded(run: impl FnOnce() -> ExitCode) -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         let trace = Backtrace::capture();

@@ -14,7 +14,7 @@ use std::f64::consts::LN_2;
 use std::io;
 use std::path::Path as FilePath;
 
-/// Colours that are told apart by those who do not see red and green, too: Okabe & Ito's vermilion, green and blue.
+/// Colours that can be distinguished with red-green colour blindness: Okabe & Ito's vermilion, green and blue.
 const CHANNELS: [(Colour, &str); 3] =
     [(Colour(213, 94, 0), "red"), (Colour(0, 158, 115), "green"), (Colour(0, 114, 178), "blue")];
 const SRGB: Colour = Colour(70, 70, 70);

@@ -364,7 +364,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
 }
 
 #[test]
-fn what_is_typed_is_understood_and_told_again() {
+fn what_is_typed_is_understood_and_reported_again() {
     for (text, expected) in [("auto", Deghost::Auto), ("off", Deghost::Off), ("0.25", Deghost::Strength(0.25))] {
         assert_eq!((text.parse(), expected.to_string().as_str()), (Ok(expected), text));
     }
@@ -373,8 +373,8 @@ fn what_is_typed_is_understood_and_told_again() {
 }
 
 #[test]
-fn a_veil_over_a_frame_and_a_saturated_colour_are_no_motion() {
-    // The long frame is brighter by a third at its right border, as by a veil, and its red is so at the edges of the
+fn flare_over_a_frame_and_a_saturated_colour_are_no_motion() {
+    // The long frame is brighter by a third at its right border, as by flare, and its red is so at the edges of the
     // tiles.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));

@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_veil_is_found_and_taken_off() {
+    fn flare_is_found_and_taken_off() {
         let truth = scene(120, 90);
         for exponent in [2.0, 2.5] {
             let flare = flare(&truth.pixels, exponent);

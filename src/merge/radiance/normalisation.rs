@@ -44,13 +44,13 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
 /// [`Error::Option`] if exposures were given or estimated: they are relative within the bracket only.
 pub fn check(reference: &Frame) -> Result<()> {
     let path = reference.path().display();
-    let had = match reference.exposure.source {
+    let origin = match reference.exposure.source {
         ExposureSource::Exif => return Ok(()),
         ExposureSource::Given => "given by -e",
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {had} and not from EXIF, so its radiance cannot be compared with that of other brackets; merge it with {OPTION} bracket"
+        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with that of other brackets; merge it with {OPTION} bracket"
     ))
 }
 

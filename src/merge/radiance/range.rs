@@ -46,7 +46,7 @@ impl Limits {
         let times: Vec<f64> = placed.iter().map(|frame| time(frame)).collect();
         let clips = |frame: &Frame| grey(|c| f64::from(curve.exposures(c)[CLIPS.1])) / time(frame);
         // Sum over the frames of the squares of signal over noise.
-        let told = |radiance: f64| -> f64 {
+        let ratio = |radiance: f64| -> f64 {
             let of_frame = |time: &f64| {
                 let codes: [f64; 3] = std::array::from_fn(|c| f64::from(curve.code(c, (radiance * time) as f32)));
                 if (0..3).any(|c| codes[c] <= least[c] || codes[c] > CLIPS.1 as f64) {
@@ -59,7 +59,7 @@ impl Limits {
         };
         let from = clips(longest);
         let down = |i: usize| from * libm::exp2(-(i as f64) / PER_STOP as f64);
-        let floor = (1..PER_STOP * DEEPEST).map(down).take_while(|&radiance| told(radiance) >= 1.0).last();
+        let floor = (1..PER_STOP * DEEPEST).map(down).take_while(|&radiance| ratio(radiance) >= 1.0).last();
         Ok(floor.map(|noise_floor| Limits { noise_floor, clipping: clips(shortest) }))
     }
 

@@ -25,7 +25,7 @@ const LEAST_OVERLAY: usize = 360;
 const EDGES: u8 = 58;
 /// Maximum number of lines between matches; more would hide each other.
 const LINES: usize = 120;
-/// Units of a keypoint's drawing across: twice the photograph's pixels, so that half of one can be told.
+/// Width of a keypoint drawing in units: twice the pixels of the photograph, so that half a pixel can be distinguished.
 const UNITS: usize = 2;
 
 /// Colours of dark, bright and excluded pixels.

@@ -27,7 +27,7 @@ const MAKE_ONE: &str = "; make one by `hdralign response`, or give its own exten
 /// The version of the format; a reader refuses any other.
 pub const SCHEMA: &str = "hdralign-response/1";
 
-/// The formats of response files, told by the extension.
+/// The formats of response files, found by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// `.json`: everything, to the last bit.
@@ -281,13 +281,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_told_from_a_hundredth_of_a_stop_and_refused_from_half_a_stop() {
+    fn what_is_lost_is_distinguished_from_a_hundredth_of_a_stop_and_refused_from_half_a_stop() {
         let judged = |luminance_stops: f64, blue: f64| {
             Loss { luminance_stops, channel_stops: [0.001, 0.001, blue] }.judged(Path::new("c.rsp"))
         };
         assert_eq!(judged(0.004, 0.009).unwrap(), None);
-        let told = judged(0.012, 0.34).unwrap().unwrap().to_string();
-        assert!(told.contains("c.rsp") && told.contains("off by 0.01 stops") && told.contains("blue 0.34"), "{told}");
+        let found = judged(0.012, 0.34).unwrap().unwrap().to_string();
+        assert!(
+            found.contains("c.rsp") && found.contains("off by 0.01 stops") && found.contains("blue 0.34"),
+            "{found}"
+        );
         let refused = judged(0.1, 0.6).unwrap_err().to_string();
         assert!(refused.contains("c.rsp") && refused.contains("blue 0.60") && refused.contains(".json"), "{refused}");
     }

@@ -7,7 +7,7 @@
 //! Rows are folded into a triangle R by Householder's reflections: R has the singular values of the whole matrix, and the same solution, to the rounding of an
 //! `f64`. The normal equations A'A have their squares, and half of the digits. The singular values decide whether there is a solution: see [`fit::determined`].
 
-use crate::response::fit::{self, Told};
+use crate::response::fit::{self, Fitted};
 use nalgebra::{DMatrix, SVD};
 
 /// Rows that are folded into the triangle at once: with it they fit the cache of a core.
@@ -47,7 +47,7 @@ impl LeastSquares {
     }
 
     /// The unknowns, and the ratio of the largest to the least singular value of the equations.
-    pub fn solve(mut self) -> Told<(Vec<f64>, f64)> {
+    pub fn solve(mut self) -> Fitted<(Vec<f64>, f64)> {
         self.fold();
         let n = self.rows.ncols() - 1;
         let right = self.rows.view((0, n), (n, 1)).into_owned();

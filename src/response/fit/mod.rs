@@ -16,7 +16,7 @@ use std::f64::consts::LN_2;
 
 /// The least rise of g from one code to the next: far below what matters, and enough that g can be inverted.
 const RISE: f64 = 1e-5;
-/// Samples below which a channel's curve is not believed.
+/// Smallest number of samples from which a channel's response is recovered.
 const FEWEST: usize = 24;
 /// Codes that the samples must span.
 const SPAN: f64 = 96.0;
@@ -34,7 +34,7 @@ const FLAT: (usize, f64) = (64, 0.1);
 pub(super) const RESIDUAL: f64 = 0.5;
 
 /// A result, or why there is none, in words.
-pub type Told<T> = std::result::Result<T, String>;
+pub type Fitted<T> = std::result::Result<T, String>;
 
 /// What a model found in a channel's samples.
 #[derive(Debug, Clone)]
@@ -50,7 +50,7 @@ pub struct Found {
 }
 
 /// The curve of what was found, made to rise, and how well it is known.
-pub fn judge(samples: &[Sample], found: Found) -> Told<([f64; CODES], Fit)> {
+pub fn judge(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
     let Found { g, trust, condition, degree } = found;
     if g.iter().any(|v| !v.is_finite()) {
         return Err("the curve found is not finite".to_owned());
@@ -94,7 +94,7 @@ pub fn enough(samples: usize) -> Result<()> {
 }
 
 /// Whether samples can tell a curve at all.
-pub fn check(samples: &[Sample]) -> Told<()> {
+pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
             "only {} flat places of the scene are unclipped in two frames, and {FEWEST} are needed",
@@ -112,7 +112,7 @@ pub fn check(samples: &[Sample]) -> Told<()> {
 }
 
 /// Whether the curve may be a camera's.
-fn verdict(g: &[f64; CODES], fit: &Fit) -> Told<()> {
+fn verdict(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let contrast = stops(g[240] - g[16]);
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
@@ -128,7 +128,7 @@ fn verdict(g: &[f64; CODES], fit: &Fit) -> Told<()> {
 }
 
 /// Whether equations of this condition have a solution that is not noise.
-pub fn determined(condition: f64) -> Told<()> {
+pub fn determined(condition: f64) -> Fitted<()> {
     if condition.is_nan() || condition > CONDITION { Err(undetermined(condition)) } else { Ok(()) }
 }
 

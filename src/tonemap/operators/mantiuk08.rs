@@ -84,7 +84,7 @@ const DAYLIGHT: f64 = 1000.0;
 /// Weight of a gap between luminances that occur, as a share of all contrasts (section 6, disconnected parts).
 const BRIDGE: f64 = 0.1;
 
-/// Largest number of rounds, each with responses linearised anew, and the change (log10) below which the curve has converged.
+/// Largest number of rounds, each with responses linearised again, and the change (log10) below which the curve has converged.
 const ROUNDS: usize = 60;
 const SETTLED: f64 = 5e-4;
 

@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn too_bright_for_a_half_is_told() {
+    fn too_bright_for_a_half_is_reported() {
         let bright = Plane::filled(2, 2, [65504.0, 65505.0, 1e-30]);
         let halves = Options { sample: Sample::Half, ..Options::default() };
         let (_, warnings, map, _) = written(&bright, &Metadata::default(), &halves, 2);

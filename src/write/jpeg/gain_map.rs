@@ -250,9 +250,9 @@ mod tests {
         for stops in [found.most_stops, found.least_stops, found.headroom_stops] {
             assert_eq!((stops * GRAIN).fract(), 0.0);
         }
-        let told = rendition(&radiance, &shown, Some(20.0));
-        assert_eq!(told.white, 20.0);
-        assert!((told.most_stops - found.most_stops - 1.0).abs() < 0.05, "{told:?}");
+        let given = rendition(&radiance, &shown, Some(20.0));
+        assert_eq!(given.white, 20.0);
+        assert!((given.most_stops - found.most_stops - 1.0).abs() < 0.05, "{given:?}");
     }
 
     #[test]

@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_is_told() {
+    fn what_is_beyond_is_reported() {
         let mut map = picture(1.0);
         map.pixels.row_mut(3)[5] = [1e6; 3];
         map.pixels.row_mut(3)[6] = [1e-6; 3];

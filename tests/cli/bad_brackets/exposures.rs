@@ -22,7 +22,7 @@ fn window(folder: &Folder, exif: [usize; 3]) -> String {
 }
 
 #[test]
-fn exif_that_is_reversed_or_equal_is_not_believed() {
+fn exif_that_is_reversed_or_equal_is_not_used() {
     for exif in [[4, 3, 2], [3, 3, 3]] {
         let folder = Folder::empty();
         let names = window(&folder, exif);
@@ -53,7 +53,7 @@ fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
 
 /// One frame's time is a million times what it was, or a millionth.
 #[test]
-fn exif_that_is_off_by_a_million_is_not_believed() {
+fn exif_that_is_off_by_a_million_is_not_used() {
     for (num, denom) in [(125_000, 1), (1, 8_000_000)] {
         let folder = Folder::empty();
         let times = [(1, 128), (1, 32), (num, denom)];
@@ -67,7 +67,7 @@ fn exif_that_is_off_by_a_million_is_not_believed() {
 }
 
 #[test]
-fn exif_that_is_off_by_a_stop_is_mended_in_part_and_told() {
+fn exif_that_is_off_by_a_stop_is_corrected_in_part_and_reported() {
     let folder = Folder::empty();
     for (i, denom) in [128, 32, 16].into_iter().enumerate() {
         folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
@@ -99,7 +99,7 @@ fn what_the_user_says_is_done_and_doubted() {
 
 /// Under two names, with one exposure: the same light, as good as one of them, and a warning.
 #[test]
-fn a_copy_adds_nothing_and_is_told() {
+fn a_copy_adds_nothing_and_is_reported() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(3), 3), (&frame(3), 3)]);
     let merged = merged(&folder, &names);
@@ -141,7 +141,7 @@ fn a_copy_among_others_has_the_exposure_of_its_pixels() {
 
 /// A frame of another scene that is too dark for its exposure: the two that agree are believed, and merged as by themselves.
 #[test]
-fn one_frame_that_is_at_odds_does_not_spoil_the_others() {
+fn one_frame_that_is_at_odds_does_not_affect_the_others() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(1), 5)]);
     let merged = merged(&folder, &names);
@@ -160,7 +160,7 @@ fn equal_frames_without_exif_are_asked_for_exposures() {
 
 /// Nothing but one frame is neither black nor burnt out: there is nothing to merge.
 #[test]
-fn all_but_one_burnt_out_or_black_is_refused() {
+fn all_but_one_clipped_or_black_is_refused() {
     let (white, black) = (RgbImage::from_pixel(300, 200, Rgb([255; 3])), RgbImage::new(300, 200));
     let middle = frame(3);
     for pictures in [

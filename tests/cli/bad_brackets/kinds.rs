@@ -113,7 +113,7 @@ fn a_palette_is_looked_up() {
 
 /// Two tones have neither exposure nor place; the frame is placed or left out, and the others are good.
 #[test]
-fn a_frame_of_one_bit_spoils_nothing() {
+fn a_frame_of_one_bit_affects_nothing() {
     let grey = colour(4).to_luma8();
     let bit = |x: u32, y: u32| u8::from(x < 300 && grey.get_pixel(x.min(299), y).0[0] > 120);
     let rows: Vec<u8> = (0..200)
@@ -140,7 +140,7 @@ fn a_cmyk_jpeg_is_taken_to_rgb() {
 }
 
 #[test]
-fn another_profile_is_told_and_a_damaged_one_ignored() {
+fn another_profile_is_reported_and_a_damaged_one_ignored() {
     let with_profile = |profile: Vec<u8>| {
         let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(small_jpeg(4).to_vec())).expect("a JPEG");
         file.set_icc_profile(Some(profile.into()));

@@ -77,7 +77,7 @@ fn hot_pixels_do_not_lead() {
 
 /// A shutter or a flash that left half of a frame black: where that half is placed, the other frames show what it does not.
 #[test]
-fn a_half_black_frame_spoils_nothing() {
+fn a_half_black_frame_affects_nothing() {
     let folder = Folder::empty();
     let mut half = frame(4);
     (0..300 * 100).for_each(|i| half.put_pixel(i % 300, 100 + i / 300, Rgb([0; 3])));

@@ -102,9 +102,9 @@ fn what_is_no_plan_is_refused_with_the_line() {
     let run = |options: &str| refused(folder.line(&format!("batch --run plan.jsonl {options}")));
     assert!(run("--id nothing").contains("no step \"nothing\""));
     assert!(run("").contains("--id"));
-    assert!(run(&format!("--id {id} --tmo drago")).contains("plan again"));
+    assert!(run(&format!("--id {id} --tmo drago")).contains("must be given with --plan"));
     folder.put("plan.jsonl", line.to_string().replace("hdralign 0", "hdralign 99").as_bytes());
-    assert!(run(&format!("--id {id}")).contains("plan again"));
+    assert!(run(&format!("--id {id}")).contains("must be given with --plan"));
     folder.put("plan.jsonl", b"\n{\"schema\": 1}\n");
     assert!(run(&format!("--id {id}")).contains("line 2"));
     folder.put("plan.jsonl", b"");

@@ -96,8 +96,9 @@ fn a_full_disk_is_named_with_what_to_do() {
         let line = line.replace("FRAMES", FRAMES);
         let run = on_disk(&folder, size, &format!("{{ $H {line}; echo $?; ls -A full; }}"));
         assert_eq!(run.stdout, "1\n", "{line}: {run:?}");
-        let is_told = run.stderr.contains("full/") && run.stderr.contains("free space there, or write to another disk");
-        assert!(is_told && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
+        let is_reported =
+            run.stderr.contains("full/") && run.stderr.contains("free space there, or write to another disk");
+        assert!(is_reported && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
     }
     let line =
         format!("$H merge {FRAMES} -q --threads 16 --max-memory 64MB --scratch full -o c.exr; echo $?; ls -A full");

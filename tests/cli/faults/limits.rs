@@ -5,7 +5,7 @@ use crate::support::Folder;
 use crate::support::card::Card;
 
 #[test]
-fn few_open_files_are_enough_and_fewer_are_told() {
+fn few_open_files_are_enough_and_fewer_are_reported() {
     let folder = bracket();
     let outputs = "-o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr";
     // Photographs are read one after the other: of two at a time the second would be the one that fails.

@@ -199,7 +199,7 @@ fn a_folder_that_vanishes_is_named() {
          while kill -0 $! 2>/dev/null && [ -z \"$(ls -A sub)$(ls -l /proc/$!/fd 2>/dev/null | grep /sub/)\" ]; do :; done; rm -rf sub; wait $!"
     );
     let run = shell(&folder, &script);
-    let is_told = run.stderr.contains("sub/a.") && run.stderr.contains("cannot be written");
-    assert!((run.code, is_told) == (1, true) || run.code == 0, "{run:?}");
+    let is_reported = run.stderr.contains("sub/a.") && run.stderr.contains("cannot be written");
+    assert!((run.code, is_reported) == (1, true) || run.code == 0, "{run:?}");
     assert!(!run.stderr.contains("panicked"), "{run:?}");
 }

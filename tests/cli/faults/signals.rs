@@ -134,7 +134,7 @@ fn a_pause_changes_nothing() {
 
 /// The second signal stops a batch at once.
 #[test]
-fn a_batch_told_twice_stops_at_once() {
+fn a_batch_reported_twice_stops_at_once() {
     let folder = Folder::empty();
     crate::support::card::Card::new(300).brackets(6, 3, 2.0).write(&folder.at("in"));
     // A batch that is quicker than the look at its folder is begun again.

@@ -48,7 +48,7 @@ fn a_reader_that_is_gone_and_a_closed_stdout_are_no_failure() {
 /// Nobody hears it: the work goes on, and the exit code is the same.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /dev/full")]
-fn what_nobody_can_be_told_stops_nothing() {
+fn what_nobody_can_be_reported_stops_nothing() {
     let folder = bracket();
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
     let heard = shell(&folder, &format!("$H merge {FRAMES} -v -o a.exr"));

@@ -34,7 +34,7 @@ fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
 }
 
 #[test]
-fn the_median_gives_way_where_it_is_burnt_out_or_black() {
+fn the_median_gives_way_where_it_is_clipped_or_black() {
     let spread: Vec<(u8, usize)> = (40..140).map(|v| (v, 4)).collect();
     let normal = histogram(&spread);
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
@@ -117,7 +117,7 @@ fn what_no_rotation_can_follow_is_part_of_the_error() {
 
 #[test]
 fn a_smooth_slope_does_not_pull() {
-    // All is brighter at the top, as in fog; the frame is burnt out in its upper third and cut elsewhere by its own
+    // All is brighter at the top, as in fog; the frame is clipped in its upper third and cut elsewhere by its own
     // median. Small things move.
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);

@@ -28,7 +28,7 @@ fn differences(samples: &[u16], width: usize, per_pixel: usize) -> Vec<u16> {
 #[test]
 fn tiff_with_alpha_or_extra_samples_has_its_colours_with_a_predictor_or_without() {
     let size = (5, 3);
-    // Grey, white at 0, and RGB; with alpha, and with one and two samples of no told meaning.
+    // Grey, white at 0, and RGB; with alpha, and with one and two samples of unknown meaning.
     for (photometric, colours) in [(1, 1), (0, 1), (2, 3)] {
         for (extra, has_alpha) in
             [(vec![1], true), (vec![2], true), (vec![0], false), (vec![0, 0], false), (vec![], true)]

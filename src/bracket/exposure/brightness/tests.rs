@@ -74,7 +74,7 @@ fn steps_of_rendered_pairs_are_right_to_a_twentieth_whatever_they_are() {
 }
 
 #[test]
-fn steps_of_a_camera_are_within_the_uncertainty_that_is_told() {
+fn steps_of_a_camera_are_within_the_uncertainty_that_is_reported() {
     for curve in [(1.0, 1.2), (4.0, 1.45), (8.0, 1.5), (8.0, 1.7), (32.0, 1.65)] {
         let estimate = estimate(&[seen(-2.0, curve, 0), seen(-0.3, curve, 5)]).unwrap();
         let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
@@ -83,7 +83,7 @@ fn steps_of_a_camera_are_within_the_uncertainty_that_is_told() {
 }
 
 #[test]
-fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_told() {
+fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_reported() {
     for contrast in [0.2, 0.5, 0.8] {
         let curve = |light: f64| {
             let code = linear_to_srgb(light);

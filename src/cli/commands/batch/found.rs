@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// The version of the format of `--dry-run --json`: keys are only ever added to it.
 const SCHEMA: &str = "hdralign-found/1";
 /// Photographs in no bracket that are listed for each reason; `--json` lists all.
-const TOLD: usize = 20;
+const LISTED: usize = 20;
 /// Brackets with more frames are listed with the range of their exposures only.
 const EXPOSURES: usize = 9;
 
@@ -96,12 +96,12 @@ pub fn table(found: &Found, steps: &[Step]) -> String {
         let common = reasons.first().filter(|_| reasons.len() == 1);
         let heading = common.map(|reason| format!(": {reason}")).unwrap_or_default();
         text += &format!("left over, {}{heading}\n", many(shots.len(), "photograph"));
-        for shot in shots.iter().take(TOLD) {
+        for shot in shots.iter().take(LISTED) {
             let own = if common.is_some() { String::new() } else { format!(": {}", shot.reason) };
             text += &format!("  {}{own}\n", one_line(&shot.path.display().to_string()));
         }
-        if shots.len() > TOLD {
-            text += &format!("  and {} more; --json names them\n", shots.len() - TOLD);
+        if shots.len() > LISTED {
+            text += &format!("  and {} more; --json names them\n", shots.len() - LISTED);
         }
     }
     text + &counted(found, found.brackets.len()) + "\n"

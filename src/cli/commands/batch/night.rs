@@ -102,8 +102,8 @@ impl Board {
         let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
         let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
         let line = match ending {
-            Ending::Done(brief) => Some(format!("{number} {}", told(&step.id, brief, true))),
-            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", told(&step.id, brief, false))),
+            Ending::Done(brief) => Some(format!("{number} {}", described(&step.id, brief, true))),
+            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", described(&step.id, brief, false))),
             Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", step.id)),
             Ending::NotBegun => None,
         };
@@ -148,7 +148,7 @@ fn full(step: &Step) -> String {
 }
 
 /// A line on a job that is done.
-pub fn told(id: &str, brief: &Brief, is_new: bool) -> String {
+pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
     let mut words = Vec::new();
     match brief.time_s.filter(|_| is_new) {
         Some(time) => words.push(format!("done in {}", duration(time))),
