@@ -168,8 +168,8 @@ fn base(code: f64) -> f64 {
     libm::log(srgb_to_linear(code.max(0.25) / 255.0))
 }
 
-/// The first of the four coefficients that count at a code, and what each counts: cubic B-splines on even knots, at any code, where those of
-/// `spline.rs` have knots of their own and are told at whole codes alone.
+/// Returns the first of the four coefficients that have a weight at a code, and the four weights: cubic B-splines on evenly spaced knots, at any
+/// code. `spline.rs` has other knots and is evaluated at whole codes.
 fn spline(code: f64) -> (usize, [f64; 4]) {
     let x = (code / 255.0 * INTERVALS as f64).clamp(0.0, INTERVALS as f64 - 1e-9);
     let f = x - x.floor();

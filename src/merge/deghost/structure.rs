@@ -10,8 +10,8 @@
 
 use crate::plane::Plane;
 
-/// The least change of the log ratio from one cell to the next that can be told from none, in octaves: half of the
-/// share of the radiance by which frames may differ anyway.
+/// Smallest change of the log ratio from one cell to the next that counts as a change, in octaves: half of the share of
+/// the radiance by which frames may differ anyway.
 const LEAST: f32 = 0.04;
 /// By which share of the change that both frames show theirs may differ: response, sharpness and colour processing.
 const COMMON: f32 = 0.35;

@@ -200,7 +200,7 @@ mod tests {
         let corrected = of(&both, &frame(Some(0.125), Some(8.0), Some(100.0))).unwrap().unwrap();
         assert_eq!(corrected.cd_m2_per_unit, 1.25 * report.cd_m2_per_unit);
         let error = of(&camera, &frame(Some(0.1), None, None)).unwrap_err();
-        assert!(error.is_usage() && error.to_string().contains("does not say its f-number and ISO"), "{error}");
+        assert!(error.is_usage() && error.to_string().contains("the EXIF has no f-number and ISO"), "{error}");
         assert!(camera.check(&frame(Some(0.1), None, None)).is_err_and(|e| e.to_string() == error.to_string()));
         assert!(camera.check(&frame(Some(0.125), Some(8.0), Some(100.0))).is_ok());
         assert!(Calibration::default().check(&frame(None, None, None)).is_ok());

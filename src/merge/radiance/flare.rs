@@ -39,8 +39,7 @@ const NEAR: f64 = 1.35;
 const FEWEST_BINS: usize = 6;
 /// Range of flare strengths that they must span, in stops.
 const RANGE: f64 = 1.0;
-/// Shares of scattered light that are subtracted. ISO 9358 finds 0.5 to 5 % for lenses; more is haze, or a scene with
-/// bright shadows.
+/// Shares of scattered light that are subtracted. ISO 9358 finds 0.5 to 5 % for lenses; more is haze or bright shadows.
 const SHARES: std::ops::Range<f64> = 0.002..0.1;
 /// Smallest ratio of the brightest to the darkest cell at which flare is visible (Ward's bound).
 const BRIGHT: f32 = 500.0;
