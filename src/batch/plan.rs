@@ -371,7 +371,7 @@ impl Step {
         let all = self.inputs.iter().chain(&self.outputs).chain([&self.report, &self.summary]).chain(&self.response);
         if let Some(path) = all.into_iter().find(|path| path.to_str().is_none()) {
             let reason = format!(
-                "{}: the name is no UTF-8, which a plan cannot hold; rename it, or merge without a plan",
+                "{}: the name is not valid UTF-8, so a plan cannot contain it; rename the file, or run the batch without a plan",
                 path.display()
             );
             return Err(Error::Option { option: "--plan", reason });

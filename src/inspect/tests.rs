@@ -124,7 +124,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
     let (by, reason) = (RejectedBy::Alignment, Some("a reason".into()));
     alignment.placements[0] = Placement::Rejected { by, confidence: 0.0, reason };
     let inspection = inspect(&bracket, &alignment, &options, &[]).unwrap();
-    assert!(inspection.tables().to_text().contains("dark <1>.png: left out: a reason"));
+    assert!(inspection.tables().to_text().contains("dark <1>.png: rejected: a reason"));
     let merged = inspection.tables().frames[0].features.merged;
     assert_eq!((merged.off_px, merged.verdict), (None, Some(tables::KindVerdict::NoPlace)));
     let edges = drawn(inspection.sheet(0, SheetKind::Edges).unwrap()).to_svg();

@@ -162,7 +162,7 @@ pub(crate) fn status_word(status: Status) -> &'static str {
         Status::Aligned => "aligned",
         Status::Unmoved => "unmoved",
         Status::Assumed => "assumed",
-        Status::Rejected => "left out",
+        Status::Rejected => "rejected",
         Status::Excluded | Status::Flash => "excluded",
     }
 }

@@ -25,11 +25,11 @@ impl Repaired {
     /// In words, if anything was done.
     pub fn warnings(&self, path: &Path) -> Vec<Warning> {
         let all = [
-            (self.not_numbers, "pixels hold values that are no numbers (NaN); they are shown black"),
-            (self.infinite, "pixels hold infinite values; they are shown as bright as the brightest other"),
+            (self.not_numbers, "pixels are not numbers (NaN); they are shown black"),
+            (self.infinite, "pixels are infinite; they are shown as bright as the brightest other pixel"),
             (
                 self.negative,
-                "pixels hold negative values, colours outside of their primaries; they are drawn to grey until inside",
+                "pixels have negative values (colours outside the gamut); they are desaturated until they are inside",
             ),
         ];
         let found = all.into_iter().filter(|(count, _)| *count > 0);

@@ -137,7 +137,7 @@ fn floats(decoder: &mut Bytes, photometric: Option<u16>) -> Parsed<Vec<[f32; 3]>
         DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
         _ => {
             return Err(
-                "it holds whole numbers, which are encoded for a display; radiance is in floats, or LogLuv".into()
+                "its samples are integers, which are encoded for a display; a radiance map has floating-point samples or LogLuv".into()
             );
         }
     };
@@ -327,7 +327,7 @@ mod tests {
         let grey = file(&|encoder| encoder.write_image::<Gray32Float>(37, 130, &values[..37 * 130]).unwrap());
         assert_eq!(parsed(grey).unwrap().0.pixels.at(1, 0), [values[1]; 3]);
         let codes = file(&|encoder| encoder.write_image::<RGB8>(2, 1, &[1, 2, 3, 4, 5, 6]).unwrap());
-        assert!(parsed(codes).unwrap_err().contains("whole numbers"));
+        assert!(parsed(codes).unwrap_err().contains("are integers"));
     }
 
     /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, drawn by hand.

@@ -188,7 +188,7 @@ fn picture_is_what_picture_names_whatever_the_extension() {
     for (line, said) in [
         ("--picture a.exr", &["--picture", "a.exr holds radiance", "-o"][..]),
         ("--picture a.bmp", &["a.bmp", ".tif"]),
-        ("--picture w2.jpg", &["--picture", "w2.jpg", "one of the files that are read"]),
+        ("--picture w2.jpg", &["--picture", "w2.jpg", "also an input file"]),
         ("-o x.png --picture x.png", &["--picture", "named twice, also by -o"]),
         ("--picture a.jpg --picture-colour adobe-rgb", &["--picture-colour", "a.jpg", "--gain-map none"]),
         ("-o a.exr --picture-colour display-p3", &["--picture-colour", "no picture is written"]),

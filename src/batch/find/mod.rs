@@ -135,10 +135,7 @@ impl fmt::Display for Reason {
             Reason::Result(by) => write!(f, "a result, written by {by}"),
             Reason::Unreadable(why) => write!(f, "{why}"),
             Reason::NoExposure => {
-                write!(
-                    f,
-                    "its EXIF does not say how it was exposed; say what belongs together by --bracket N or --by-folder"
-                )
+                write!(f, "its EXIF has no exposure; group the photographs with --bracket N or --by-folder")
             }
             Reason::Flash => write!(f, "the flash fired, and not in the photographs around it"),
             Reason::Single => write!(

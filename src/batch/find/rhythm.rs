@@ -6,6 +6,13 @@
 
 use crate::statistics::of_rank;
 
+/// Longest pause within a bracket unless the user gives one, in seconds. Changing a dial by hand in the dark takes more than a minute.
+pub(super) const GAP_S: f64 = 120.0;
+/// Longest pause between the brackets of a panorama, in seconds: only the head is turned.
+pub(super) const SET_S: f64 = 60.0;
+/// Longest pause within a burst, in seconds.
+pub(super) const BURST_S: f64 = 10.0;
+
 /// One exposure.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Beat {

@@ -19,22 +19,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// The longest pause in a bracket where the user names none: hands at a dial in the dark need more than a minute.
-const GAP_S: f64 = 120.0;
-/// The longest pause in a panorama: the head is turned, nothing else.
-const SET_S: f64 = 60.0;
-/// A burst has no longer pauses, in seconds.
-const BURST_S: f64 = 10.0;
-
 /// Refuses what cannot be looked for.
 pub(super) fn check(options: &FindOptions) -> Result<()> {
     if let Some(frames @ (0 | 1)) = options.frames {
-        let reason = format!("{frames} photographs are no bracket; give how many each has, from 2 on");
+        let reason = format!("a bracket has at least 2 photographs, and {frames} were given");
         return Err(Error::Option { option: "--bracket", reason });
     }
     match options.gap_s {
         Some(gap) if gap.is_nan() || gap < 0.0 => {
-            let reason = format!("{gap} s is no pause; give the longest one in a bracket, in seconds");
+            let reason = format!("{gap} s is not a valid pause; give the longest pause within a bracket, in seconds");
             Err(Error::Option { option: "--gap", reason })
         }
         _ => Ok(()),
@@ -166,7 +159,7 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     sort(&mut photographs);
     let beats = beats(&photographs);
     let clock = rhythm::clock(&beats);
-    let rules = Rules { frames: options.frames, gap_s: options.gap_s.unwrap_or(GAP_S) };
+    let rules = Rules { frames: options.frames, gap_s: options.gap_s.unwrap_or(rhythm::GAP_S) };
     let ranges = segment::brackets(&beats, clock, &rules);
     let sets = sets(&beats, clock, &ranges);
     let bursts = bursts(&beats, clock, &ranges);
@@ -246,7 +239,7 @@ fn beats(photographs: &[Placed]) -> Vec<Beat> {
         .collect()
 }
 
-/// The panorama of each bracket, counted from 0: brackets of the same steps and focal length that follow each other within [`SET_S`].
+/// The panorama of each bracket, counted from 0: brackets of the same steps and focal length that follow each other within [`rhythm::SET_S`].
 fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     let steps = |range: &Range<usize>| {
         let mut evs: Vec<f64> = beats[range.clone()].iter().filter_map(|b| b.ev).collect();
@@ -265,7 +258,7 @@ fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
         if i > 0 {
             let earlier = &ranges[i - 1];
             let (last, first) = (&beats[earlier.end - 1], &beats[range.start]);
-            let is_soon = rhythm::gap(last, first, clock).is_some_and(|pause| pause <= SET_S);
+            let is_soon = rhythm::gap(last, first, clock).is_some_and(|pause| pause <= rhythm::SET_S);
             if !(is_soon && segment::is_one_view(last, first) && is_one_pattern(earlier, range)) {
                 set += 1;
             }
@@ -285,7 +278,7 @@ fn bursts(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<u
         let goes_on = end < beats.len() && is_free[end - 1] && is_free[end] && {
             let (a, b) = (&beats[end - 1], &beats[end]);
             let is_same = matches!((a.ev, b.ev), (Some(a), Some(b)) if (a - b).abs() < SAME_STOPS);
-            is_same && rhythm::gap(a, b, clock).is_none_or(|gap| gap <= BURST_S)
+            is_same && rhythm::gap(a, b, clock).is_none_or(|gap| gap <= rhythm::BURST_S)
         };
         if !goes_on {
             if end - begin > 1 {

@@ -40,8 +40,8 @@ pub(super) fn settle(
     let mut exposures = by_tags;
     if accepted.len() < order.len() {
         let what = contradiction.clone().unwrap_or_else(|| match missing.len() {
-            1 => format!("{} does not say how it was exposed", pictures[missing[0]].path.display()),
-            n => format!("{n} of {} files do not say how they were exposed", pictures.len()),
+            1 => format!("{} has no exposure in its EXIF", pictures[missing[0]].path.display()),
+            n => format!("{n} of {} files have no exposure in their EXIF", pictures.len()),
         });
         let unknown = |reason: &str| match missing.first() {
             Some(&first) => Error::NoExposure {
@@ -60,9 +60,9 @@ pub(super) fn settle(
             false => brightness::estimate(&seen(&order)),
         };
         let estimate = estimate
-            .ok_or_else(|| unknown("the pictures are too dark, too bright or too plain to tell it from the pixels"))?;
+            .ok_or_else(|| unknown("it cannot be estimated from the pixels, because the frames are too dark, too bright or have too few tones"))?;
         if accepted.is_empty() && brightness::all_alike(&estimate.evs) && !is_one {
-            return Err(unknown("the pictures are equally bright"));
+            return Err(unknown("the frames are equally bright"));
         }
         let places = Places::new(&order, &estimate.evs, &written, &accepted);
         for (at, &i) in order.iter().enumerate().filter(|(_, i)| !accepted.contains(i)) {

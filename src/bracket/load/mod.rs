@@ -112,7 +112,7 @@ pub(crate) fn load_for(
     }
     if paths.len() > MOST_FRAMES {
         let reason = format!(
-            "{} photographs are no bracket, which has {MOST_FRAMES} at most; name those of one, or let `hdralign batch FOLDER` find the brackets",
+            "{} photographs were given, and a bracket has {MOST_FRAMES} at most; name the photographs of one bracket, or run `hdralign batch FOLDER`, which finds the brackets",
             paths.len()
         );
         return Err(Error::Option { option: "IMAGES", reason });
@@ -260,7 +260,7 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
         if let Some(scratch) = scratch {
             picture.store.put_on(scratch)?;
         }
-        let detail = "it is of 8 bit among frames of 16 bit, and was spread to 16".into();
+        let detail = "it has 8 bits per channel and other frames have 16; it was converted to 16 bits".into();
         picture.warnings.push(Warning::Metadata { path: picture.path.clone(), detail });
     }
     Ok(())

@@ -27,7 +27,7 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
         (&curves.by_dx, "shift to the right, px", dx, format!("{dx:.2} px")),
         (&curves.by_dy, "shift down, px", dy, format!("{dy:.2} px")),
     ];
-    let found = if placed { "the alignment" } else { "the bitmaps' own best; the frame was left out" };
+    let found = if placed { "the alignment" } else { "best match of the bitmaps; the frame was rejected" };
     let legend = [
         Entry { mark: Mark::Patch, colour: CURVE, words: "differing pixels".into() },
         Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },
@@ -92,6 +92,6 @@ mod tests {
         ] {
             assert!(svg.contains(words), "{words}");
         }
-        assert!(draw("t", &curves, false).to_svg().contains("left out"));
+        assert!(draw("t", &curves, false).to_svg().contains("rejected"));
     }
 }

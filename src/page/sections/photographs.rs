@@ -37,12 +37,12 @@ pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
             Status::Reference => "the reference",
             Status::Unmoved => "as photographed",
             Status::Aligned | Status::Assumed => "aligned",
-            Status::Rejected | Status::Excluded | Status::Flash => "left out, shown as photographed",
+            Status::Rejected | Status::Excluded | Status::Flash => "not used, shown as photographed",
         };
         let ghosts =
             report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
         let left_out = ghosts.map_or_else(String::new, |ghost| {
-            format!("<div><dt>left out</dt><dd>{}, because of movement</dd></div>\n", percent(ghost.ghost_fraction))
+            format!("<div><dt>not used</dt><dd>{}, because of movement</dd></div>\n", percent(ghost.ghost_fraction))
         });
         let share = shown.share.as_ref().map_or_else(String::new, |(share, _)| {
             format!("<div><dt>share</dt><dd>{} of the result</dd></div>\n", percent(*share))

@@ -18,7 +18,7 @@ pub(in crate::page) fn facts(report: &Report) -> String {
         (aligned, "aligned"),
         (count(Status::Unmoved), "unmoved"),
         (count(Status::Assumed), "position assumed"),
-        (count(Status::Rejected), "left out"),
+        (count(Status::Rejected), "rejected"),
         (count(Status::Excluded) + count(Status::Flash), "excluded"),
     ];
     let became: Vec<String> = words.iter().filter(|(n, _)| *n > 0).map(|(n, word)| format!("{n} {word}")).collect();

@@ -2,7 +2,7 @@
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
-use crate::align::Status;
+use crate::align::{AlignMode, Status};
 use crate::bracket::exposure::ExposureSource;
 use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
@@ -57,7 +57,7 @@ fn frames(report: &Report) -> String {
     let what = if report.radiance.is_some() { "merged" } else { "aligned" };
     let mut words = match count == all {
         true => format!("All {all} frames were {what}."),
-        false => format!("{count} of {all} frames were {what}, {} left out.", all - count),
+        false => format!("{count} of {all} frames were {what}."),
     };
     let stops = |frame: &FrameReport| libm::log2(frame.relative_exposure);
     let span = taken.iter().map(|f| stops(f)).fold(f64::MIN, f64::max)
@@ -114,7 +114,12 @@ fn alignment(report: &Report) -> String {
             };
         }
     } else {
-        words += "The camera did not move: the frames did not have to be aligned.";
+        let was_off = report.options.as_ref().is_some_and(|options| options.align == AlignMode::None);
+        words += match (was_off, with(report, Status::Unmoved).next()) {
+            (true, _) => "The frames were not aligned, as set by <code>--align none</code>.",
+            (false, Some(_)) => "The camera did not move: the frames did not have to be aligned.",
+            (false, None) => "No frame was aligned to the reference.",
+        };
     }
     let assumed = with(report, Status::Assumed);
     let count = assumed.clone().count();
@@ -136,12 +141,11 @@ fn alignment(report: &Report) -> String {
 fn crop(report: &Report) -> Option<String> {
     let all = report.width_px * report.height_px;
     let share = 1.0 - (report.crop.width_px * report.crop.height_px) as f64 / all.max(1) as f64;
-    (share > WORTH).then(|| {
-        format!(
-            "{} of the reference was cut off, because not every frame covers it. <code>--crop none</code> keeps it.",
-            percent(share)
-        )
-    })
+    let why = match report.options.as_ref().map_or("common", |options| &options.crop) {
+        "common" => "because not every frame covers it. <code>--crop none</code> keeps it.",
+        _ => "as set by <code>--crop</code>.",
+    };
+    (share > WORTH).then(|| format!("{} of the reference was cut off, {why}", percent(share)))
 }
 
 /// Describes what moved in the scene. Returns `None` if the frames were only aligned.
@@ -149,7 +153,8 @@ fn movement(report: &Report) -> Option<String> {
     report.radiance.as_ref()?;
     let Some(ghosts) = &report.ghosts else {
         return Some(
-            "Movement was not looked for: people, leaves and water may show through. <code>--deghost=auto</code> removes them."
+            "Movement was not looked for: people, leaves and water may appear twice or show through. With \
+             <code>--deghost=auto</code> one frame is used there."
                 .into(),
         );
     };

@@ -31,7 +31,8 @@ pub(super) struct Strip {
 impl Strip {
     /// Encodes complete rows of `width` pixels; `quality` is 1..=100.
     pub(super) fn encode(pixels: &[[u8; 3]], width: usize, quality: u8) -> io::Result<Self> {
-        let side = |n: usize| u16::try_from(n).map_err(|_| io::Error::other("JPEG holds no side of 65536 pixels"));
+        let side =
+            |n: usize| u16::try_from(n).map_err(|_| io::Error::other("a side of a JPEG has at most 65535 pixels"));
         let mut bytes = Vec::with_capacity(pixels.len());
         let mut encoder = Encoder::new(&mut bytes, quality);
         encoder.set_sampling_factor(SamplingFactor::F_1_1);
@@ -149,7 +150,8 @@ impl Strips {
 
     /// The file, with `segments` before the tables: put out in two parts, that the data need not be copied.
     pub(super) fn end(self, segments: &[u8]) -> io::Result<[Vec<u8>; 2]> {
-        let side = |n: usize| u16::try_from(n).map_err(|_| io::Error::other("JPEG holds no side of 65536 pixels"));
+        let side =
+            |n: usize| u16::try_from(n).map_err(|_| io::Error::other("a side of a JPEG has at most 65535 pixels"));
         let (width, height) = (side(self.size.0)?, side(self.size.1)?);
         let interval = side(self.size.0.div_ceil(8) * self.rows.min(self.size.1.next_multiple_of(8)) / 8)?;
         let mut head = vec![0xFF, SOI];

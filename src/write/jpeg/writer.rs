@@ -42,7 +42,7 @@ impl Writer {
     /// Begins a file of `size` pixels, a picture of `colours`, of which the [`profile`](Metadata::profile) is; without one it is sRGB and marked as such.
     ///
     /// # Errors
-    /// [`Error::Write`]: JPEG holds no side longer than 65500.
+    /// [`Error::Write`]: a side is longer than 65500 px.
     pub fn new(
         file: Pending,
         size: (usize, usize),
@@ -162,8 +162,9 @@ fn check_size(path: &Path, (width, height): (usize, usize)) -> Result<()> {
     if width.max(height) <= MOST_SIDE {
         return Ok(());
     }
-    let reason =
-        format!("JPEG holds no side longer than {MOST_SIDE} pixels, and this has {width} x {height}; name a .png");
+    let reason = format!(
+        "a side of a JPEG has at most {MOST_SIDE} pixels, and this picture has {width} x {height}; write a .png instead"
+    );
     Err(Error::Write { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) })
 }
 

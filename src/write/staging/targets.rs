@@ -59,7 +59,7 @@ pub fn check_targets(targets: &[Target], inputs: &[PathBuf], overwrite: bool) ->
     for target in targets {
         let folder = folder(target)?;
         if identity(&target.path).is_some_and(|file| sources.contains(&file)) {
-            return Err(target.usage("is one of the files that are read; give the result another name"));
+            return Err(target.usage("is also an input file; choose another name for the result"));
         }
         let name = target.path.file_name().unwrap_or_default().to_owned();
         if let Some(other) = named.insert((folder, name), target) {
@@ -124,7 +124,7 @@ mod tests {
             assert!(message.contains(said), "{message}");
         };
         fails(&["a.exr", "sub.exr/../a.exr"], true, "a.exr is named twice; ");
-        fails(&["sub.exr/../in.png"], true, "one of the files that are read");
+        fails(&["sub.exr/../in.png"], true, "also an input file");
         fails(&["none/a.exr"], true, "make it first");
         fails(&["in.png/a.exr"], true, "not a folder");
         fails(&["sub.exr"], true, "it is a folder");

@@ -69,7 +69,7 @@ fn without_exposures_plain_frames_are_asked_for_them() {
     for colour in [[0; 3], [255; 3], [90, 120, 60]] {
         let folder = Folder::empty();
         let names = lossless(&folder, &[&flat(colour), &flat(colour)]);
-        refused(&folder, &names, &["f1.png", "no usable exposure", "too dark, too bright or too plain", "-e"]);
+        refused(&folder, &names, &["f1.png", "no usable exposure", "too dark, too bright or have too few tones", "-e"]);
         let given = merged(&folder, &format!("{names} -e=-1,1"));
         assert_eq!(given.status("f2.png"), if given.status("f1.png") == "reference" { "unmoved" } else { "reference" });
     }

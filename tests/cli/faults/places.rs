@@ -26,7 +26,7 @@ fn a_link_is_replaced_and_what_it_points_to_is_left() {
     // But never onto a photograph that is read, by whatever name.
     symlink("w2.jpg", folder.at("in.jpg")).expect("a link");
     for name in ["in.jpg", "./w2.jpg", "\"$PWD\"/w2.jpg"] {
-        fails(&folder, &format!("$H merge {FRAMES} --force -o {name}"), 2, &["one of the files that are read"]);
+        fails(&folder, &format!("$H merge {FRAMES} --force -o {name}"), 2, &["also an input file"]);
     }
 }
 
@@ -92,7 +92,7 @@ fn input_under_another_name_is_refused_by_the_option_that_names_it() {
         fs::create_dir_all(folder.at("look")).expect("a folder");
         fs::hard_link(folder.at(file), folder.at(alias)).expect("another name");
         let line = line.replace("FRAMES", FRAMES).replace("ALIAS", alias);
-        let said = format!("{option}: {alias} is one of the files that are read");
+        let said = format!("{option}: {alias} is also an input file");
         fails(&folder, &format!("$H {line} --force"), 2, &[&said]);
         fs::remove_file(folder.at(alias)).expect("another name");
     }
@@ -119,10 +119,7 @@ fn batch_that_would_replace_a_photograph_is_refused_by_its_name_option() {
     let first = fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph");
     let run = folder.line("batch in --name {first} --formats jpg --force");
     let said = "--name: ";
-    assert!(
-        run.code == 1 && run.stderr.contains(said) && run.stderr.contains("one of the files that are read"),
-        "{run:?}"
-    );
+    assert!(run.code == 1 && run.stderr.contains(said) && run.stderr.contains("also an input file"), "{run:?}");
     assert!(fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph") == first);
 }
 
