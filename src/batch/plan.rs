@@ -420,7 +420,7 @@ impl Step {
             Some(step) if step.software != super::SOFTWARE => refused(
                 "--run",
                 format!(
-                    "{}: was planned by {}, and this is {}, which may give other bytes; plan again",
+                    "{}: this plan is from {}, and this is {}, whose results may have other bytes; create the plan again",
                     path.display(),
                     step.software,
                     super::SOFTWARE

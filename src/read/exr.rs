@@ -1,10 +1,12 @@
-//! OpenEXR, of any writer.
+//! OpenEXR files of any writer.
 //!
-//! In: a file. Out: the radiance of its first part with R, G and B, or else with Y, and what its header tells. Halves, floats and whole
-//! numbers, scan lines and tiles (the finest level), every compression of the `exr` crate (all but HTJ2K), one part or several. Of a
-//! data window that is not the display window's, the pixels there are; alpha is left out, as colours are premultiplied: what shows is
-//! laid over black; other channels and parts are [named](Contents::unread). Deep data and the halved chroma of luminance-chroma files are refused. Cost: that of the crate's codecs; blocks
-//! are unpacked in parallel. Source: as for [`crate::write::exr`].
+//! In: a file. Out: the radiance of its first part with R, G and B, or otherwise with Y, and its metadata. Supported:
+//! half, float and integer samples; scan lines and tiles (the finest level); every compression of the `exr` crate
+//! (all except HTJ2K); one or several parts. If the data window is not the display window, the pixels of the data
+//! window are used. Alpha is dropped: colours are premultiplied, so the picture is shown over black. Other channels
+//! and parts are [listed](Contents::unread). Deep data and the subsampled chroma of luminance-chroma files are
+//! rejected. Cost: that of the crate's codecs; blocks are decompressed in parallel. Source: see
+//! [`crate::write::exr`].
 
 use super::Contents;
 use crate::bracket::colour::Primaries;
@@ -25,23 +27,24 @@ use rayon::prelude::*;
 use std::collections::HashSet;
 use std::io::Cursor;
 
-/// The picture in the `bytes` of an `.exr` file, as stored, with its chromaticities (BT.709 where there are none). Values may be anything.
+/// Reads the picture in the `bytes` of an `.exr` file as stored, with its chromaticities (BT.709 if there are none).
+/// Values may be anything.
 ///
 /// # Errors
-/// The reason for damaged files, for those without colour or luminance, and for those that ask for more than `limits` allow.
+/// The reason, for damaged files, files without colour or luminance, and files that exceed `limits`.
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let failed = |e| match e {
-        ::exr::error::Error::Io(_) => "it is cut short; copy it again".into(),
+        ::exr::error::Error::Io(_) => "it is truncated; copy it again".into(),
         ::exr::error::Error::NotSupported(what) if what.contains("subsampl") => {
             format!("{what}; convert it to RGB first")
         }
         ::exr::error::Error::NotSupported(what) if what.contains("deep") => {
-            "it holds deep data, several samples to a pixel; flatten it first".into()
+            "it contains deep data (several samples per pixel); flatten it first".into()
         }
         ::exr::error::Error::NotSupported(what) => format!("{what}; save it with ZIP compression"),
         other => match compression(bytes).filter(|&code| code > LAST_COMPRESSION) {
             Some(code) => format!("its compression, number {code}, is newer than this program; save it with ZIP"),
-            None => format!("{other}; if it is cut short or damaged, copy it again"),
+            None => format!("{other}; if it is truncated or damaged, copy it again"),
         },
     };
     check(&MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?, bytes.len(), limits)?;
@@ -54,7 +57,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         return Err(format!("it has neither R, G and B nor Y, only {}", names.join(", ")));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
-        return Err("its channels are halved in size; convert it to RGB first".into());
+        return Err("its chroma channels are subsampled; convert it to RGB first".into());
     }
     let (width, height) = (layer.size.width(), layer.size.height());
     let pixels = Plane::from_rows(width, height, |y, row| {
@@ -95,10 +98,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     Ok(contents)
 }
 
-/// The number of the last compression that the crate knows by name, DWAB's and HTJ2K's among them.
+/// Number of the last compression that the crate knows by name; includes those of DWAB and HTJ2K.
 const LAST_COMPRESSION: u8 = 11;
 
-/// The number of the compression that the first header names.
+/// Returns the number of the compression in the first header.
 fn compression(bytes: &[u8]) -> Option<u8> {
     let attribute = b"compression\0compression\0\x01\0\0\0";
     let header = &bytes[..bytes.len().min(1 << 16)];
@@ -106,7 +109,8 @@ fn compression(bytes: &[u8]) -> Option<u8> {
     header.get(at + attribute.len()).copied()
 }
 
-/// Checks the headers of all parts, which are all read, against the length of the file and the limits: the crate trusts them.
+/// Checks the headers of all parts, which are all read, against the length of the file and the limits, because the
+/// crate does not.
 fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> {
     let (mut needed, mut blocks, mut size) = (length as u64, 0, (0, 0));
     for header in &meta.headers {
@@ -117,27 +121,27 @@ fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
         let most = match header.compression {
             Compression::Uncompressed => 1,
             Compression::RLE => 64,
-            // PXR24 drops a byte of four; PIZ has 255 repetitions of 2 bytes in 9 bits, and so less.
+            // PXR24 drops one byte of four; PIZ stores 255 repetitions of 2 bytes in 9 bits, which is less.
             Compression::ZIP1 | Compression::ZIP16 | Compression::PIZ => DEFLATE,
             Compression::PXR24 => DEFLATE * 4 / 3,
             _ => u64::MAX,
         };
-        // Halved channels have a quarter of the values.
+        // Subsampled channels have a quarter of the values.
         limits::check_length(length, pixels * each / 4, most)?;
         blocks += header.chunk_count as u64;
         needed = needed.saturating_add(pixels.saturating_mul(each));
     }
-    // A place in the table, and at least the number and the length of the block itself.
+    // An entry in the table, and at least the number and the length of the block itself.
     limits::check_length(length, blocks.saturating_mul(8 + 8), 1)?;
     let pixels = meta.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
     limits.check_memory(size, needed.saturating_add(12 * pixels))
 }
 
-/// Blocks that are unpacked side by side: enough for any number of threads, and some MB.
+/// Blocks that are decompressed in parallel: enough for any number of threads, and some MB.
 const AT_ONCE: usize = 64;
 
-/// The headers of the file, and its parts. The loop of the crate unpacks in threads of its own, where a panic on a damaged block ends the
-/// process, because no other thread joins them.
+/// Reads the headers and the parts of the file. The crate's own loop decompresses in threads that no other thread
+/// joins, where a panic on a damaged block ends the process.
 fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<FlatSamples>>)> {
     let wanted = reader().no_deep_data().largest_resolution_level().all_channels().all_layers();
     let file = ::exr::block::read(Cursor::new(bytes), false)?;
@@ -154,7 +158,7 @@ fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<
             some.into_par_iter().map(|chunk| UncompressedBlock::decompress_chunk(chunk, &meta, false)).collect();
         for block in blocks {
             let block = block?;
-            // Where one is there twice another is not, and would be black.
+            // If one block is present twice, another is missing, and would be black.
             if !seen.insert((block.index.layer, block.index.pixel_position)) {
                 return Err(::exr::error::Error::Invalid("table of blocks".into()));
             }
@@ -166,7 +170,7 @@ fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<
 type Channel = AnyChannel<FlatSamples>;
 type Layer = ::exr::image::Layer<AnyChannels<FlatSamples>>;
 
-/// R, G and B, by themselves or all with one prefix and a dot before.
+/// Returns R, G and B, either without prefix or all with the same prefix and a dot.
 fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
     let named = |name: String| channels.iter().find(|c| c.name.to_string() == name);
     let prefixes = channels.iter().filter_map(|c| c.name.to_string().strip_suffix(".R").map(|p| format!("{p}.")));
@@ -176,23 +180,23 @@ fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
     })
 }
 
-/// Y for all three, where there is no chroma beside it.
+/// Returns Y for all three channels, if there is no chroma.
 fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
     let named = |name: &str| channels.iter().find(|c| c.name.to_string() == name);
-    // With chroma the sampling tells, and is refused.
+    // Chroma is recognised by its sampling and rejected.
     Some(match (named("Y")?, named("RY"), named("BY")) {
         (y, Some(ry), Some(by)) => [ry, y, by],
         (y, ..) => [y; 3],
     })
 }
 
-/// The shortest decimal that is rounded to this float: 5.6, where the float itself is 5.599999904632568.
+/// Returns the shortest decimal that is rounded to this float: 5.6 instead of 5.599999904632568.
 fn decimal(v: f32) -> f64 {
     v.to_string().parse().unwrap_or(f64::from(v))
 }
 
-/// The channels that are not `chosen` of `layer`, and the other layers: parts, by number where they have no name, and what stands before
-/// the dot in the names of channels.
+/// Returns the names of the channels of `layer` that are not `chosen`, and of the other layers: parts, by number if
+/// they have no name, and the text before the dot in the names of channels.
 fn unread(layers: &[Layer], layer: &Layer, chosen: [&Channel; 3]) -> Vec<String> {
     let mut found = Vec::new();
     for (number, other) in layers.iter().enumerate() {
@@ -215,7 +219,7 @@ fn unread(layers: &[Layer], layer: &Layer, chosen: [&Channel; 3]) -> Vec<String>
     found
 }
 
-/// Channel `c` of a row, as floats, from the value `at` on.
+/// Copies channel `c` of a row as floats, from value `at` on.
 fn fill(row: &mut [[f32; 3]], c: usize, samples: &FlatSamples, at: usize) {
     match samples {
         FlatSamples::F16(v) => row.iter_mut().zip(&v[at..]).for_each(|(p, v)| p[c] = v.to_f32()),
@@ -282,7 +286,7 @@ mod tests {
         let mut bytes = bytes.into_inner();
         let name = b"compression\0compression\0";
         let at = bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
-        // HTJ2K is known by name and not read; ZSTD is not known.
+        // HTJ2K is known by name and not supported; ZSTD is not known.
         for code in [10, 11, 12, 13, 200] {
             bytes[at] = code;
             let reason = super::parse(&bytes, &crate::limits::Limits::default()).unwrap_err();
@@ -306,7 +310,8 @@ mod tests {
         }
     }
 
-    /// Found by the fuzzer: rows of zeros in B44 make the crate's codec overflow, which in debug builds panics.
+    /// Found by the fuzzer: rows of zeros in B44 cause an overflow in the crate's codec, which panics in debug
+    /// builds.
     #[test]
     fn a_codec_that_panics_does_not_end_the_process() {
         let dir = tempfile::tempdir().unwrap();
@@ -322,10 +327,10 @@ mod tests {
         bytes[end - 200..].fill(0);
         std::fs::write(&path, &bytes).unwrap();
         let read = crate::read::read(&path);
-        assert!(read.is_err() == cfg!(debug_assertions), "in release builds it is as other readers have it");
+        assert!(read.is_err() == cfg!(debug_assertions), "release builds give the values of other readers");
     }
 
-    /// Found by reading for the fuzzer: a row that the table of blocks does not lead to was black.
+    /// Found by code review for the fuzz target: a row without an entry in the table of blocks was black.
     #[test]
     fn a_block_that_is_there_twice_is_damage() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,7 +1,8 @@
-//! Radiance `.hdr`: RGBE and XYZE, of any writer.
+//! Radiance `.hdr` files of any writer: RGBE and XYZE.
 //!
-//! In: a file. Out: its radiance and what its header tells. Runs of the new and the old kind, flat pixels, and any of the eight
-//! orders of scanlines are read. Cost: 10 ns a pixel. Source: as for [`crate::write::hdr`]; `src/common/resolu.c` (orders).
+//! In: a file. Out: its radiance and its metadata. New and old run-length encoding, uncompressed pixels, and all
+//! eight scanline orders are supported. Cost: 10 ns per pixel. Source: see [`crate::write::hdr`];
+//! `src/common/resolu.c` (orders).
 
 use super::Contents;
 use super::orientation::Turn;
@@ -13,21 +14,21 @@ use crate::plane::Plane;
 use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
 
-/// The picture in the `bytes` of a `.hdr` file, as stored, and its [`exposure_scale`](Metadata::exposure_scale): what its EXPOSURE lines multiply to,
-/// and for XYZE, which becomes RGB of BT.2020, 179 times that: by it, pixels are to be divided to be W/sr/m2. Without PRIMARIES RGBE is
-/// taken for BT.709, as nearly every writer but Radiance means it. Channels are divided by what their COLORCORR lines multiply to. Values may
-/// be 0, and of XYZE below.
+/// Reads the picture in the `bytes` of a `.hdr` file as stored, and its [`exposure_scale`](Metadata::exposure_scale):
+/// the product of its EXPOSURE lines, times 179 for XYZE, which is converted to RGB of BT.2020. Divided by the scale,
+/// pixels are in W/sr/m2. RGBE without PRIMARIES is assumed to be BT.709, because nearly every writer except Radiance
+/// uses it. Channels are divided by the product of the COLORCORR lines. Values may be 0, and negative in XYZE.
 ///
 /// # Errors
-/// The reason for what is no such file, is damaged or cut short, or asks for more than `limits` allow.
+/// The reason, for other formats, damaged or truncated files, and files that exceed `limits`.
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let mut rest = bytes;
     if !take_line(&mut rest).is_some_and(|l| l.starts_with("#?")) {
-        return Err("it does not begin with #?RADIANCE; it is some other format".into());
+        return Err("it does not begin with #?RADIANCE, so it has another format".into());
     }
     let mut metadata = Metadata::default();
     let mut xyze = false;
-    // By which red, green and blue, or X, Y and Z, were multiplied.
+    // Factors by which red, green and blue, or X, Y and Z, were multiplied.
     let mut corrections = [Factor::ONE; 3];
     loop {
         let line = take_line(&mut rest).ok_or("it ends within its header; copy it again")?;
@@ -38,7 +39,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             metadata.comments.push(comment.to_owned());
             continue;
         }
-        // Lines that begin with a tab are those of the pictures this one was made of.
+        // Lines that begin with a tab belong to the pictures from which this one was made.
         let Some((key, value)) = line.split_once('=') else {
             continue;
         };
@@ -47,12 +48,12 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             "EXPOSURE" => {
                 let factor = value.parse().ok().and_then(Factor::new);
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
-                metadata.exposure_scale =
-                    all.ok_or_else(|| format!("its EXPOSURE is `{value}`, which makes no factor from 1e-20 to 1e20"))?;
+                metadata.exposure_scale = all
+                    .ok_or_else(|| format!("its EXPOSURE is `{value}`, and the product must be from 1e-20 to 1e20"))?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
-                    format!("its COLORCORR is `{value}`, which makes no three factors from 1e-20 to 1e20")
+                    format!("its COLORCORR is `{value}`, and must be three factors from 1e-20 to 1e20")
                 })?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,
@@ -68,7 +69,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 xyze = value == "32-bit_rle_xyze";
                 if !xyze && value != "32-bit_rle_rgbe" {
                     return Err(format!(
-                        "its format is {value}; RGBE and XYZE are read: make it one, as with `ra_xyze -r`"
+                        "its format is {value}; supported are RGBE and XYZE: convert it, for example with `ra_xyze -r`"
                     ));
                 }
             }
@@ -78,11 +79,12 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let scan = take_line(&mut rest)
         .and_then(|l| Scan::parse(&l))
         .ok_or("its resolution is not of the form `-Y height +X width`, with any signs and order")?;
-    // A scanline has at least 4 bytes (old run lengths, 8 pixels and more): check the claimed size before reserving memory.
+    // A scanline has at least 4 bytes (old run lengths, 8 pixels or more): check the claimed size before reserving
+    // memory.
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
     }
-    // Repetitions of the old kind make millions of pixels of a few bytes.
+    // Old run lengths can encode millions of pixels in a few bytes.
     limits.check_size(scan.length, scan.lines)?;
     let count = scan.length * scan.lines;
     limits.check_memory((scan.length, scan.lines), 12 * count as u64 + bytes.len() as u64)?;
@@ -90,16 +92,16 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let mut row: Vec<Rgbe> = limits::room(scan.length)?;
     let scales = corrections.map(|factor| (1.0 / factor.get()) as f32);
     for y in 0..scan.lines {
-        rgbe::take_row(&mut rest, &mut row).ok_or_else(|| format!("it is damaged or cut short at row {y}"))?;
+        rgbe::take_row(&mut rest, &mut row).ok_or_else(|| format!("it is damaged or truncated at row {y}"))?;
         pixels.extend(row.iter().map(|&p| {
             let [a, b, c] = rgbe::decode(p);
             [a * scales[0], b * scales[1], c * scales[2]]
         }));
     }
     if xyze {
-        // XYZ is in cd/m2; BT.2020 holds nearly all that a camera sees.
+        // XYZ is in cd/m2; BT.2020 contains nearly all colours that a camera sees.
         let scale = Factor::new(WHITE_EFFICACY).and_then(|white| metadata.exposure_scale.times(white));
-        metadata.exposure_scale = scale.ok_or("its EXPOSURE makes no factor from 1e-20 to 1e20")?;
+        metadata.exposure_scale = scale.ok_or("its EXPOSURE must be from 1e-20 to 1e20")?;
         metadata.primaries = Primaries::BT2020;
         let neutral = NeutralXyz::of(&metadata.primaries);
         pixels.iter_mut().for_each(|p| *p = neutral.to_rgb(*p));
@@ -108,7 +110,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     Ok(Contents::new(pixels, metadata))
 }
 
-/// The next line, without its end; `None` where there is no whole line.
+/// Returns the next line, without its end, or `None` if there is no complete line.
 fn take_line(bytes: &mut &[u8]) -> Option<String> {
     let end = bytes.iter().position(|&b| b == b'\n')?;
     let line = String::from_utf8_lossy(&bytes[..end]).trim_end_matches('\r').to_owned();
@@ -116,7 +118,7 @@ fn take_line(bytes: &mut &[u8]) -> Option<String> {
     Some(line)
 }
 
-/// `factors`, each times one of the three in `text`.
+/// Returns `factors`, each times one of the three in `text`.
 fn corrected(factors: [Factor; 3], text: &str) -> Option<[Factor; 3]> {
     let mut words = text.split_whitespace();
     let mut next = |factor: Factor| factor.times(Factor::new(words.next()?.parse().ok()?)?);
@@ -133,7 +135,7 @@ fn primaries(text: &str) -> Option<Primaries> {
     Some(Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] })
 }
 
-/// How scanlines lie in the picture.
+/// Order of the scanlines in the picture.
 struct Scan {
     lines: usize,
     length: usize,
@@ -141,7 +143,8 @@ struct Scan {
 }
 
 impl Scan {
-    /// The resolution: the axis from line to line first, then the one along a line. +X is to the right, +Y up.
+    /// Parses the resolution: first the axis from line to line, then the one along a line. +X points to the right, +Y
+    /// up.
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_whitespace();
         let words = [words.next()?, words.next()?, words.next()?, words.next()?];
@@ -179,7 +182,7 @@ mod tests {
         std::fs::read(&path).unwrap()
     }
 
-    /// A pixel of (x, y) that tells where it is.
+    /// A pixel at (x, y) whose value is its position.
     fn flat(scan: &str, line: impl Fn(usize, usize) -> (u8, u8)) -> Plane<[f32; 3]> {
         let mut bytes = format!("#?RADIANCE\n# a = b\nEXPOSURE=2\n\tEXPOSURE=9\nEXPOSURE= 4 \n\n{scan}\n").into_bytes();
         for i in 0..6 {
@@ -234,7 +237,7 @@ mod tests {
         let (corrected, scale) =
             pixels("COLORCORR= 2 1 .5\nEXPOSURE=4\nCOLORCORR=2 2 1\n\tCOLORCORR=9 9 9\n", "rgbe").unwrap();
         assert_eq!((corrected.at(0, 0), scale), ([a / 4.0, b / 2.0, c * 2.0], 4.0));
-        // X, Y and Z before they become RGB: half of the light.
+        // X, Y and Z before the conversion to RGB: half of the light.
         let (plain, halved) = (pixels("", "xyze").unwrap().0, pixels("COLORCORR=2 2 2\n", "xyze").unwrap().0);
         assert_eq!(halved.as_slice(), plain.as_slice().iter().map(|p| p.map(|v| v / 2.0)).collect::<Vec<_>>());
         for wrong in ["1 2", "1 2 3 4", "1 0 1", "1 nan 1", "1e15 1 1\nCOLORCORR=1e15 1 1", "red"] {
@@ -242,7 +245,8 @@ mod tests {
         }
     }
 
-    /// Mantissas of XYZ are cut to steps of 1/128 of the largest at most, and the matrix to RGB has terms up to 1.7.
+    /// Mantissas of XYZ are truncated to steps of at most 1/128 of the largest, and the matrix to RGB has terms up to
+    /// 1.7.
     #[test]
     fn xyze_is_the_same_light() {
         let picture = Plane::filled(40, 3, [0.3, 1.2, 0.7]);

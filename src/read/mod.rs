@@ -1,11 +1,11 @@
-//! Reading back: radiance maps as our own writers and other programs make them.
+//! Reading of radiance maps, written by hdralign or other programs.
 //!
-//! In: an `.exr`, `.hdr` or floating-point `.tif`, known by its content and never by its name. Out: a [`RadianceMap`] as it was stored,
-//! and the [`Metadata`] that came along; with [`read_within`] also what else the file holds. Cost: see each format.
+//! In: an `.exr`, `.hdr` or floating-point `.tif`, recognised by content, not by name. Out: a [`RadianceMap`] as
+//! stored, and its [`Metadata`]; [`read_within`] also lists what else the file contains. Cost: see each format.
 //!
-//! What is stored is given as it is by [`read`], but for the scale that a header tells: `.hdr` is divided by its EXPOSURE, LogLuv
-//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] makes of them what the later
-//! stages take, and counts them.
+//! [`read`] returns values as stored, except for the scale in a header: `.hdr` is divided by its EXPOSURE, LogLuv
+//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] replaces
+//! them by values that the later stages accept, and counts them.
 
 pub(crate) mod exr;
 pub(crate) mod hdr;
@@ -29,72 +29,75 @@ use std::path::Path;
 #[doc(hidden)]
 pub use repair::{Repaired, repair};
 
-/// The radiance in the file `path`, and what its headers tell. Values may be anything that a float can be.
+/// Reads the radiance map in the file `path`, and its metadata. Values may be any floats.
 ///
 /// # Errors
-/// Those of [`read_within`], with the limits that are by default.
+/// Those of [`read_within`], with the default limits.
 pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
     read_within(path, &Limits::default()).map(|Contents { map, metadata, .. }| (map, metadata))
 }
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
-    /// Its radiance.
+    /// The radiance.
     pub map: RadianceMap,
-    /// What its headers tell.
+    /// The metadata of its headers.
     pub metadata: Metadata,
-    /// What it holds beside that and is not read: `alpha`, `channel Z`, `layer left`.
+    /// Names of what the file contains in addition and is not read: `alpha`, `channel Z`, `layer left`.
     pub unread: Vec<String>,
-    /// What was wrong with its headers and what was done about it, for people.
+    /// Faults in the headers and how they were handled, as text for users.
     pub notes: Vec<String>,
 }
 
 impl Contents {
-    /// The radiance `pixels`, with the `metadata` of its headers, including the primaries. Primaries that span no colour space are
-    /// replaced, with a note.
+    /// Combines the radiance `pixels` and the `metadata` of its headers, including the primaries. Primaries that span
+    /// no colour space are replaced, with a note.
     fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
         let mut notes = Vec::new();
         if metadata.primaries.to_xyz().is_none() {
             metadata.primaries = Primaries::SRGB;
-            notes.push("its chromaticities span no colour space; those of BT.709 are assumed".to_owned());
+            notes.push("its chromaticities do not span a colour space; those of BT.709 are assumed".to_owned());
         }
         let map = RadianceMap { pixels, primaries: metadata.primaries };
         Contents { map, metadata, unread: Vec::new(), notes }
     }
 
-    /// `luminance` as the unit of radiance in cd/m2, by the header `name`; radiance stays relative, with a note, where it is no [`Factor`].
+    /// Sets the unit of radiance to `luminance` in cd/m2, from the header `name`; if it is not a valid [`Factor`],
+    /// radiance stays relative, with a note.
     fn set_unit(&mut self, name: &str, luminance: Option<f64>) {
         self.metadata.cd_m2_per_unit = luminance.and_then(Factor::new);
         if let (Some(luminance), None) = (luminance, self.metadata.cd_m2_per_unit) {
             self.notes.push(format!(
-                "its {name} is {luminance}, no number from 1e-20 to 1e20; its radiance is taken for relative"
+                "its {name} is {luminance}, which is not between 1e-20 and 1e20; its radiance is assumed to be relative"
             ));
         }
     }
 
-    /// The notes as warnings about the file `path`.
+    /// Returns the notes as warnings about the file `path`.
     pub fn warnings(&self, path: &Path) -> Vec<Warning> {
         let warning = |detail: &String| Warning::Metadata { path: path.to_owned(), detail: detail.clone() };
         self.notes.iter().map(warning).collect()
     }
 }
 
-/// All that is known of the file `path`, which may ask for what `limits` allow.
+/// Reads the content of the file `path`, within `limits`.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Changed`]; [`Error::NotRadiance`] where the content is none of the formats; [`Error::Decode`] where it is
-/// damaged, cut short, of a kind that is not read, or asks for more than is allowed.
+/// [`Error::Read`], [`Error::Changed`]; [`Error::NotRadiance`] if the content is none of the formats;
+/// [`Error::Decode`] if it is damaged, truncated, of an unsupported kind, or exceeds the limits.
 pub fn read_within(path: &Path, limits: &Limits) -> Result<Contents> {
     let kind = Kind::of(path)?;
     let bytes = intake::whole(path, limits.most_bytes())?;
-    // The decoders are other people's; should one of them panic on a damaged file, that is this file's fault, not the run's.
+    // The decoders are crates. A panic in one of them on a damaged file is reported for this file, and does not end
+    // the run.
     let parsed = catch_unwind(AssertUnwindSafe(|| match kind {
         Kind::Exr => exr::parse(&bytes, limits),
         Kind::Hdr => hdr::parse(&bytes, limits),
         Kind::Tiff => tiff::parse(bytes, limits),
     }));
-    let parsed = parsed.unwrap_or_else(|_| Err("it is damaged beyond what its decoder can tell; copy it again".into()));
+    let parsed = parsed
+        .unwrap_or_else(|_| Err("it is damaged in a way that the decoder does not recognise; copy it again".into()));
     let mut contents = parsed.map_err(|reason| Error::Decode { path: path.to_owned(), format: kind.name(), reason })?;
     let scale = std::mem::replace(&mut contents.metadata.exposure_scale, Factor::ONE);
     if scale != Factor::ONE {
@@ -104,7 +107,7 @@ pub fn read_within(path: &Path, limits: &Limits) -> Result<Contents> {
     Ok(contents)
 }
 
-/// Whether the first bytes of the file `path` are those of a radiance map.
+/// Checks that the first bytes of the file `path` are those of a radiance map.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::NotRadiance`].
@@ -112,10 +115,11 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, known by its content; a TIFF, as long as `limits` allow, is one by its floats or its LogLuv.
+/// Whether the file `path` is a radiance map, by its content; a TIFF within `limits` is one if it has floats or
+/// LogLuv.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::Decode`] for a TIFF whose directory is damaged.
+/// [`Error::Read`]; [`Error::Decode`] for a TIFF with a damaged directory.
 pub fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     match Kind::of(path) {
         Ok(Kind::Exr | Kind::Hdr) => Ok(true),
@@ -125,7 +129,7 @@ pub fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     }
 }
 
-/// The formats that are read.
+/// The formats that are supported.
 enum Kind {
     Exr,
     Hdr,
@@ -133,7 +137,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// For messages.
+    /// Returns the name for messages.
     fn name(&self) -> &'static str {
         match self {
             Kind::Exr => "OpenEXR",
@@ -142,7 +146,7 @@ impl Kind {
         }
     }
 
-    /// By the first bytes.
+    /// Recognises the format by the first bytes.
     fn of(path: &Path) -> Result<Self> {
         let unreadable = |source| Error::Read { path: path.to_owned(), source };
         let mut start = Vec::new();

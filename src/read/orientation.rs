@@ -1,22 +1,22 @@
-//! Orientation: how stored lines lie in the picture, and the picture upright.
+//! Orientation: the order of stored lines, and the picture upright.
 //!
-//! In: pixels as they are stored. Out: pixels as they are to be seen. Cost: one copy, none where the picture is stored upright.
+//! In: pixels as stored. Out: pixels as displayed. Cost: one copy; none if the picture is stored upright.
 
 use crate::plane::Plane;
 
-/// How stored lines lie in the picture.
+/// The order of stored lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Turn {
-    /// Lines are columns.
+    /// Stored lines are columns.
     pub transposed: bool,
-    /// What comes first is on the right.
+    /// The first pixel is on the right.
     pub mirrored: bool,
-    /// What comes first is at the bottom.
+    /// The first line is at the bottom.
     pub flipped: bool,
 }
 
 impl Turn {
-    /// As it is to be seen.
+    /// Returns the picture as displayed.
     pub(crate) fn upright<T: Copy + Default + Send + Sync>(self, stored: Plane<T>) -> Plane<T> {
         if !(self.transposed || self.mirrored || self.flipped) {
             return stored;

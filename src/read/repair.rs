@@ -1,6 +1,7 @@
-//! Repair: radiance that other programs wrote, as the later stages take it.
+//! Repair: values of other programs that the later stages do not accept.
 //!
-//! In: a radiance map of any floats. Out: the same with every value positive and finite, and counts of what was changed. Cost: two passes over the pixels.
+//! In: a radiance map of any floats. Out: the same with every value positive and finite, and counts of the changes.
+//! Cost: two passes over the pixels.
 
 use crate::error::Warning;
 use crate::merge::radiance::gamut::{into_gamut, weights};
@@ -9,20 +10,20 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Counts of the pixels that had to be changed before a picture could be used.
+/// Counts of the changed pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Repaired {
-    /// Pixels with a value that is no number: they are black.
+    /// Pixels with NaN, which become black.
     pub not_numbers: usize,
-    /// Pixels with an infinite value, which became the greatest finite value of the picture.
+    /// Pixels with an infinite value, which become the largest finite value of the picture.
     pub infinite: usize,
-    /// Pixels with a negative value: colours that the primaries do not hold, drawn to grey at their luminance until they do; black where
-    /// they have none.
+    /// Pixels with a negative value, a colour outside of the primaries. They are desaturated at their luminance until
+    /// they are inside; black if the luminance is not positive.
     pub negative: usize,
 }
 
 impl Repaired {
-    /// In words, if anything was done.
+    /// Returns a warning for each kind of change.
     pub fn warnings(&self, path: &Path) -> Vec<Warning> {
         let all = [
             (self.not_numbers, "pixels are not numbers (NaN); they are shown black"),
@@ -39,8 +40,8 @@ impl Repaired {
     }
 }
 
-/// `map` with every value positive and finite, and what was done for that. Zeros become [`FLOOR`] without being counted. A map as it was
-/// merged is not changed.
+/// Returns `map` with every value positive and finite, and the counts of the changes. Zeros become [`FLOOR`] without
+/// being counted. A map as merged is not changed.
 pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
     let values = || map.pixels.as_slice().as_flattened().par_iter();
     let greatest = values().copied().filter(|v| v.is_finite()).reduce(|| FLOOR, f32::max);
@@ -64,7 +65,7 @@ pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
         }
         done
     });
-    // Integers add up to the same sum in any order.
+    // Sums of integers are the same in any order.
     let done = parts.reduce(Repaired::default, |a, b| Repaired {
         not_numbers: a.not_numbers + b.not_numbers,
         infinite: a.infinite + b.infinite,

@@ -1,8 +1,9 @@
-//! TIFF of floating-point numbers or LogLuv, of any writer.
+//! TIFF with floating-point samples or LogLuv, of any writer.
 //!
-//! In: a file. Out: the radiance of its first picture, RGB or grey, and what its tags tell. Strips and tiles, 16, 32 and 64 bits, every
-//! compression and predictor of the `tiff` crate; LogLuv and LogL by strips. Integers are refused: they are encoded for a display. Cost:
-//! that of the crate, which unpacks one strip after the other. Source: as for [`crate::write::tiff`] and `crate::write::tiff::logluv`.
+//! In: a file. Out: the radiance of its first picture, RGB or grey, and the metadata of its tags. Supported: strips
+//! and tiles, 16, 32 and 64 bits, every compression and predictor of the `tiff` crate; LogLuv and LogL in strips.
+//! Integers are rejected, because they are encoded for a display. Cost: that of the crate, which decompresses one
+//! strip after the other. Source: see [`crate::write::tiff`] and `crate::write::tiff::logluv`.
 
 use super::Contents;
 use super::orientation::Turn;
@@ -26,10 +27,10 @@ const STONITS: Tag = Tag::Unknown(37439);
 const WHITE_POINT: Tag = Tag::Unknown(318);
 const CHROMATICITIES: Tag = Tag::Unknown(319);
 
-/// Whether a TIFF holds floats or LogLuv; whole numbers are a picture.
+/// Whether a TIFF contains floats or LogLuv; a TIFF with integers is a picture.
 ///
 /// # Errors
-/// [`Error::Read`]; [`Error::Decode`] where its directory is damaged.
+/// [`Error::Read`]; [`Error::Decode`] if its directory is damaged.
 pub(super) fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     let mut bytes = intake::whole(path, limits.most_bytes())?;
     let mut look = || -> Parsed<bool> {
@@ -42,7 +43,7 @@ pub(super) fn holds_radiance(path: &Path, limits: &Limits) -> Result<bool> {
     look().map_err(|reason| Error::Decode { path: path.to_owned(), format: "TIFF", reason })
 }
 
-/// Makes of `bytes` what the crate reads rightly, and gives its picture and the photometric interpretation.
+/// Changes `bytes` so that the crate reads them correctly. Returns the picture and its photometric interpretation.
 fn prepare(bytes: &mut [u8]) -> Parsed<(Picture, Option<u16>)> {
     let picture = tiff_file::picture(Cursor::new(&*bytes))?;
     tiff_file::put_first(bytes, picture);
@@ -53,11 +54,11 @@ fn prepare(bytes: &mut [u8]) -> Parsed<(Picture, Option<u16>)> {
 type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
-/// The picture in the `bytes` of a TIFF, multiplied by its StoNits where it is LogLuv, which becomes RGB of BT.2020. Floats without
-/// chromaticities and without a profile are taken for BT.709. Values may be anything.
+/// Reads the picture in the `bytes` of a TIFF. LogLuv is multiplied by its StoNits and converted to RGB of BT.2020.
+/// Floats without chromaticities and profile are assumed to be BT.709. Values may be anything.
 ///
 /// # Errors
-/// The reason for damaged files, those of integers, and those that ask for more than `limits` allow.
+/// The reason, for damaged files, files with integers, and files that exceed `limits`.
 pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let (picture, photometric) = prepare(&mut bytes)?;
     let bytes = bytes.as_slice();
@@ -70,13 +71,13 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let samples = u64::from(decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(refusal)?.unwrap_or(1));
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(refusal)?.unwrap_or_default();
     let stored = samples * u64::from(depths.first().copied().unwrap_or(1)).div_ceil(8);
-    // Samples beyond colour and alpha are of no use here, and could be 65535 to a pixel.
+    // Samples other than colour and alpha are not used, and there may be 65535 per pixel.
     if samples > 8 {
-        return Err(format!("it has {samples} samples to a pixel; radiance has 3, or 1"));
+        return Err(format!("it has {samples} samples per pixel; radiance has 3 or 1"));
     }
     let is_logluv = matches!(compression, 34676 | 34677);
     let unpacked = if is_logluv { 0 } else { pixels.saturating_mul(stored) };
-    // Rows of LogLuv are runs of 129 values in 2 bytes, of each of 2 or 4 bytes a pixel.
+    // Rows of LogLuv are runs of 129 values in 2 bytes, for each of the 2 or 4 bytes of a pixel.
     let least = if is_logluv { pixels / 65 } else { unpacked };
     limits::check_length(bytes.len(), least, if is_logluv { 1 } else { limits::tiff_packing(compression) })?;
     let needed = unpacked + pixels * (4 * samples + 12) + bytes.len() as u64;
@@ -84,7 +85,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let mut buffers = Buffers::default();
     let unpacked = usize::try_from(unpacked).unwrap_or(usize::MAX);
     buffers.decoding_buffer_size = buffers.decoding_buffer_size.max(unpacked);
-    // One strip may be all of it; tiles reach beyond the picture by less than themselves.
+    // One strip may contain the whole picture; tiles extend beyond it by less than a tile.
     buffers.intermediate_buffer_size = buffers.intermediate_buffer_size.max(unpacked);
     decoder = decoder.with_limits(buffers);
     let mut metadata = metadata(&mut decoder);
@@ -95,7 +96,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
         floats(&mut decoder, photometric)?
     };
     if pixels.len() < width * height {
-        return Err(format!("it holds {} of {} pixels; copy it again", pixels.len(), width * height));
+        return Err(format!("it contains only {} of {} pixels; copy it again", pixels.len(), width * height));
     }
     pixels.truncate(width * height);
     let turn = turn(decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten().unwrap_or(1));
@@ -115,7 +116,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     Ok(contents)
 }
 
-/// TIFF 6.0, section 8, Orientation: where the first row and the first column are.
+/// TIFF 6.0, section 8, Orientation: position of the first row and the first column.
 fn turn(orientation: u16) -> Turn {
     Turn {
         transposed: matches!(orientation, 5..=8),
@@ -149,11 +150,11 @@ fn floats(decoder: &mut Bytes, photometric: Option<u16>) -> Parsed<Vec<[f32; 3]>
     })
 }
 
-/// Strips of LogLuv or, with one sample a pixel, of LogL.
+/// Reads strips of LogLuv or, with one sample per pixel, of LogL.
 fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), packed: bool) -> Parsed<Vec<[f32; 3]>> {
     let list = |decoder: &mut Bytes, tag| decoder.get_tag_u64_vec(tag).map_err(refusal);
     if decoder.find_tag(Tag::TileWidth).map_err(refusal)?.is_some() {
-        return Err("it is LogLuv by tiles; make it strips first, as with `tiffcp -s`".into());
+        return Err("it is LogLuv in tiles; convert it to strips first, for example with `tiffcp -s`".into());
     }
     let grey = decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(refusal)?.unwrap_or(1) == 1;
     let rows = decoder.find_tag_unsigned::<u32>(Tag::RowsPerStrip).map_err(refusal)?.unwrap_or(u32::MAX) as usize;
@@ -162,7 +163,7 @@ fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), pa
     let mut pixels = Vec::new();
     let mut row = vec![0; width];
     for (i, (&offset, &count)) in offsets.iter().zip(&counts).enumerate() {
-        let cut = || format!("it is damaged or cut short in strip {i}; copy it again");
+        let cut = || format!("it is damaged or truncated in strip {i}; copy it again");
         let start = usize::try_from(offset).map_err(|_| cut())?;
         let strip = usize::try_from(count).ok().and_then(|n| bytes.get(start..start.checked_add(n)?));
         let mut strip = strip.ok_or_else(cut)?;
@@ -186,7 +187,7 @@ fn logluv(decoder: &mut Bytes, bytes: &[u8], (width, height): (usize, usize), pa
     Ok(pixels)
 }
 
-/// What the tags tell; a tag that cannot be read tells nothing.
+/// Reads the metadata in the tags; tags that cannot be read are skipped.
 fn metadata(decoder: &mut Bytes) -> Metadata {
     let mut metadata = Metadata::default();
     let mut text = |tag| decoder.get_tag_ascii_string(tag).ok().map(|t| t.trim_matches(['\0', ' ']).to_owned());
@@ -228,7 +229,7 @@ fn exif(decoder: &mut Bytes, pointer: IfdPointer, metadata: &mut Metadata) {
     metadata.capture.lens = text(lens);
 }
 
-/// The numbers of a tag, whatever their type.
+/// Returns the numbers of a tag of any type.
 fn numbers(decoder: &mut Bytes, tag: Tag) -> Option<Vec<f64>> {
     Some(fractions(decoder.find_tag(tag).ok()??))
 }
@@ -317,7 +318,7 @@ mod tests {
                 image.write_data(values).unwrap();
             });
             let (map, metadata) = parsed(rgb).unwrap();
-            // Turned by 180 degrees.
+            // Rotated by 180 degrees.
             assert!(map.pixels.as_slice().iter().rev().eq(picture.as_slice()));
             assert_eq!(metadata.primaries, Primaries::SRGB);
         }
@@ -330,7 +331,7 @@ mod tests {
         assert!(parsed(codes).unwrap_err().contains("are integers"));
     }
 
-    /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, drawn by hand.
+    /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, written by hand.
     #[test]
     fn orientations_are_those_of_the_standard() {
         let upright: [(u16, [u8; 6]); 8] = [

@@ -1,8 +1,8 @@
 //! The response by least squares, after Debevec & Malik 1997, equation 3.
 //!
-//! In: [`Sample`]s of a channel. Out: what is found of g(Z) = ln(E dt); or, in words, why it cannot be. Cost: about 5 ms a round
-//! and channel for 2000 samples of four views. Source: Debevec & Malik 1997, section 2.1, equations 3 and 4, and the program gsolve.m of their appendix,
-//! which the tests hold this against.
+//! In: the [`Sample`]s of a channel. Out: g(Z) = ln(E dt) and what is known about it, or the reason why it cannot be
+//! recovered. Cost: about 5 ms per round and channel for 2000 samples in four frames. Source: Debevec & Malik 1997,
+//! section 2.1, equations 3 and 4, and the program gsolve.m in their appendix, which the tests use as the oracle.
 //!
 //! The paper minimises
 //!
@@ -10,18 +10,21 @@
 //! O = sum_ij { w(Z_ij) [g(Z_ij) - ln E_i - ln dt_j] }^2 + lambda sum_z [ w(z) g''(z) ]^2
 //! ```
 //!
-//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each. Here each ln E_i, which stands in the
-//! rows of its own place alone, is eliminated first, by a reflection that leaves one row less and the others at right angles to its column.
-//! What is left are equations in g alone, to which the singular value decomposition is applied: thousands of places cost no more columns
-//! than dozens, and nothing is squared. Five things differ from the paper:
+//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Here each ln
+//! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection leaves one row
+//! fewer, orthogonal to its column. The singular value decomposition is applied to the remaining equations, in g
+//! only. So thousands of places need no more columns than dozens, and the condition is not squared. Five things
+//! differ from the paper:
 //!
-//! - Z_ij is the mean of a patch and lies between two codes; g is interpolated linearly there.
-//! - The first sum is divided by the sum of its w^2, so that lambda means the same whatever the number of samples and frames.
-//! - Places that contradict the others (something moved) lose their weight, by Tukey's biweight, in a few rounds.
-//! - It is the difference of g from the sRGB curve that is to be smooth. Frames that are all k stops apart cannot tell g from g plus any
-//!   wave of that period (Grossberg & Nayar 2003, "what is knowable"); what they leave open, the smoothness decides, and cameras are nearer
-//!   to the sRGB curve than to a straight line. On brackets of film curves the error falls from 0.05 and 0.2 stops to 0.03.
-//! - That difference is a cubic spline with 47 coefficients, not 256 values: the same curve, fifty times faster.
+//! - Z_ij is the mean of a patch and is between two codes; g is interpolated linearly there.
+//! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples
+//!   and frames.
+//! - Places that contradict the others (motion) lose their weight in a few rounds of Tukey's biweight.
+//! - The smoothness is that of the difference between g and the sRGB curve. If all frames are k stops apart, g is
+//!   determined only up to a wave of period k (Grossberg & Nayar 2003, "what is knowable"). The smoothness decides
+//!   what is not determined, and cameras are closer to the sRGB curve than to a straight line. On brackets with film
+//!   curves the error falls from 0.05 and 0.2 stops to 0.03.
+//! - The difference is a cubic spline with 47 coefficients instead of 256 values: the same curve, fifty times faster.
 
 use super::fit::{self, Fitted, Found, between};
 use super::samples::Sample;
@@ -30,13 +33,14 @@ use crate::error::{Error, Result};
 use crate::response::fit::least_squares::{LeastSquares, eliminate};
 use crate::response::fit::spline::Basis;
 
-/// How the curve is fitted.
+/// Options of the fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Places drawn for each channel, at most; 24 or more.
+    /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// The weight lambda of smoothness against the samples' mean square error; positive. On 130 rendered brackets the default 30 has the error of 100 in
-    /// the middle of the codes and two thirds of it at either end; 10 lets noise and waves in, and weights after each bracket's own residual do, too.
+    /// The weight lambda of smoothness relative to the mean square error of the samples; positive. On 130 rendered
+    /// brackets the default 30 has the error of 100 in the middle codes and two thirds of it at the ends. 10 follows
+    /// noise and waves, and so do weights derived from the residual of each bracket.
     pub smoothness: f64,
     /// Rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
@@ -50,7 +54,7 @@ impl Default for Options {
 
 impl Options {
     /// # Errors
-    /// [`Error::Option`] where a value cannot be used.
+    /// [`Error::Option`] if a value cannot be used.
     pub fn validate(&self) -> Result<()> {
         fit::enough(self.samples)?;
         if self.smoothness > 0.0 && self.smoothness.is_finite() {
@@ -61,7 +65,7 @@ impl Options {
     }
 }
 
-/// g of one channel, or why it cannot be had.
+/// Returns g of one channel, or the reason why it cannot be recovered.
 pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     fit::check(samples)?;
     let (srgb, basis) = (ResponseCurve::srgb(), Basis::cubic());
@@ -74,7 +78,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     Ok(Found { g, trust, condition: Some(condition), degree: None })
 }
 
-/// g by equation 3, of which the difference from `about` is in `basis`; and the condition of the equations.
+/// Solves equation 3. Returns g, whose difference from `about` is in `basis`, and the condition of the equations.
 fn solve(
     samples: &[Sample],
     trust: &[f64],
@@ -109,7 +113,7 @@ fn solve(
     for z in 1..CODES - 1 {
         difference(&[(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)], smoothness.sqrt() * hat(z as f64));
     }
-    // g(128) = 0; since nothing else says where g is, any weight does.
+    // g(128) = 0. No other equation determines the offset of g, so any weight gives the same result.
     difference(&[(MID, 1.0)], 1.0);
     let (coefficients, condition) = equations.solve()?;
     let curve = basis.curve(&coefficients);
@@ -124,12 +128,12 @@ mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector};
 
-    /// The curve that is used, and its fit.
+    /// Returns the curve and its fit, as `recover` does.
     fn channel(samples: &[Sample], options: &Options) -> Fitted<([f64; CODES], Fit)> {
         fit::judge(samples, super::channel(samples, options)?)
     }
 
-    /// gsolve.m of Debevec & Malik's appendix: all unknowns, g(0..=255) and ln E_i, in one matrix, solved by its SVD.
+    /// gsolve.m of Debevec & Malik's appendix: all unknowns, g(0..=255) and ln E_i, in one matrix, solved by SVD.
     fn gsolve(z: &[Vec<usize>], b: &[f64], l: f64) -> Vec<f64> {
         let (n, unknowns) = (CODES, CODES + z.len());
         let rows = z.len() * b.len() + n - 1;
@@ -167,11 +171,13 @@ mod tests {
         let samples: Vec<Sample> =
             z.iter().map(|codes| Sample { views: codes.iter().zip(&b).map(view).collect() }).collect();
         let total: f64 = z.iter().flatten().map(|&code| hat(code as f64) * hat(code as f64)).sum();
-        // Both sums of the paper divided by the total weight: lambda^2 of the program is smoothness times that.
+        // Both sums of the paper divided by the total weight: the program's lambda^2 is smoothness times the total
+        // weight.
         let smoothness = 0.7;
         let expected = gsolve(&z, &b, (smoothness * total).sqrt());
         let (g, _) = solve(&samples, &vec![1.0; samples.len()], smoothness, &Basis::values(), &[0.0; CODES]).unwrap();
-        // The condition is some 1e3: times 2e-16, with a margin for 256 terms and for what the program itself is off.
+        // The condition is about 1e3: times 2e-16, with a margin for 256 terms and for the error of the original
+        // program.
         for z in 0..CODES {
             assert!((g[z] - expected[z]).abs() < 1e-10, "code {z}: {} for {}", g[z], expected[z]);
         }
@@ -183,14 +189,14 @@ mod tests {
         let gamma = scene(600, &times, |x| libm::pow(x, 1.0 / 2.2));
         let (g, fit) = channel(&gamma, &Options::default()).unwrap();
         let off = difference(&g, |v| libm::pow(v, 2.2));
-        // At code 10 it parts from sRGB's straight toe, which is where smoothness takes it.
+        // At code 10 the curve leaves sRGB's straight toe; the smoothness pulls it towards the toe.
         assert!(off < 0.05, "{off} {fit:?}");
         assert!(g.windows(2).all(|w| w[0] < w[1]) && g[MID] == 0.0);
         // Log-like: 12 stops over the codes, of which the scene has those from 21.
         let log = scene(600, &times, |x| 1.0 + libm::log2(x.max(1e-9)) / 12.0);
         let (g, fit) = channel(&log, &Options::default()).unwrap();
         let off = difference_from(24, &g, |v| libm::exp2(12.0 * v));
-        // So far from sRGB's curve the smoothness costs something.
+        // This far from sRGB's curve, the smoothness adds error.
         assert!(off < 0.06, "{off} {fit:?}");
     }
 
@@ -201,13 +207,14 @@ mod tests {
         let within =
             |basis: &Basis| solve(&samples, &vec![1.0; samples.len()], 10.0, basis, srgb.ln_exposure(0)).unwrap().0;
         let (free, splines) = (within(&Basis::values()), within(&Basis::cubic()));
-        // A hundredth of the error that is allowed.
+        // A hundredth of the allowed error.
         assert!(difference(&splines, |v| libm::exp(fit::at(&free, 255.0 * v))) < 0.0005);
     }
 
     #[test]
     fn equal_steps_do_not_let_a_wave_in() {
-        // A print film's curve, steep in the shadows, in steps of two stops, which cannot tell a wave of two stops.
+        // The curve of a print film, steep in the shadows, in steps of two stops, which do not determine a wave of
+        // two stops.
         let (n, s) = (0.8, libm::pow(0.05, 0.8));
         let samples = scene(600, &[-2.0, 0.0, 2.0], |x| (1.0 + s) * libm::pow(x, n) / (libm::pow(x, n) + s));
         let film = |v: f64| libm::pow(v * s / (1.0 + s - v), 1.0 / n);
@@ -232,8 +239,9 @@ mod tests {
             difference(&channel(&samples, &options).unwrap().0, |v| libm::pow(v, 2.2))
         };
         let (plain, robust) = (bent(0), bent(3));
-        // An eighth of the places moved, all to the brighter. Where the move is within the noise nothing can tell, so that a part of
-        // the bend stays (0.083 of 0.211 stops, whatever the number of rounds): the claim is the ratio, not an accuracy.
+        // An eighth of the places moved, and all became brighter. Motion within the noise cannot be detected, so a
+        // part of the error remains (0.083 of 0.211 stops, for any number of rounds). The test is of the ratio, not
+        // of an accuracy.
         assert!(robust < plain / 2.4, "{robust} and {plain} stops");
     }
 
@@ -252,7 +260,7 @@ mod tests {
         assert!(why(&scene(10, &[0.0, 2.0], gamma)).contains("flat places"));
         assert!(why(&scene(600, &[0.0, 0.0], gamma)).contains("0.00 stops"));
         assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("codes from"));
-        // The same picture under exposures two stops apart: EXIF lies.
+        // The same picture at exposures two stops apart: EXIF is wrong.
         let mut lie = scene(600, &[0.0, 0.1], gamma);
         lie.iter_mut().for_each(|s| s.views[1].ln_time = 2.0);
         assert!(why(&lie).contains("stops from code 16 to code 240") || why(&lie).contains("contradict"));

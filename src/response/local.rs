@@ -1,64 +1,71 @@
 //! Local processing: whether the camera tone-mapped the frames locally, so that they are not functions of exposure alone.
 //!
-//! In: the flat places of a bracket. Out: [`Evidence`]: how much of an exposure step reaches the frames, and how much the ratio of two frames
-//! varies over the picture at the same code. Cost: some milliseconds, whatever the size of the frames.
-//! Source: the components of variance are those of a one-way analysis of variance (Fisher 1925); the rest is ours.
+//! In: the flat places of a bracket. Out: [`Evidence`]: which fraction of an exposure step reaches the frames, and
+//! how much the ratio of two frames varies over the picture at the same code. Cost: some milliseconds for any size.
+//! Source: the variance components are those of a one-way analysis of variance (Fisher 1925); the rest is our own.
 //!
-//! Phones brighten dark and darken bright neighbourhoods, differently in every frame. This has two effects.
+//! Phones brighten dark neighbourhoods and darken bright ones, differently in every frame. This has two effects:
 //!
-//! 1. A stop more of exposure brightens a frame by less than a stop. A camera's curve alone may do that too, but has bounds: under the sRGB
-//!    curve, the steps between frames rendered by the 100 measured curves of DoRF (Grossberg & Nayar 2004) are 0.8 to 2.2 times as large as
-//!    they were, as the median over a picture; those of 14 photographed brackets of six cameras are 1.0 to 1.7 times.
-//! 2. Places of equal code in the shorter frame differ in the longer one, by where in the picture they lie. Noise does that too, but not
-//!    alike in neighbours; movers do, but in few places.
+//! 1. A stop more of exposure brightens a frame by less than a stop. A camera response may have the same effect, but
+//!    within bounds: under the sRGB curve, the steps between frames rendered with the 100 measured curves of DoRF
+//!    (Grossberg & Nayar 2004) are 0.8 to 2.2 times the true ones (median over a picture); those of 14 photographed
+//!    brackets of six cameras are 1.0 to 1.7 times.
+//! 2. Places with equal codes in the shorter frame differ in the longer one, depending on their position in the
+//!    picture. Noise has this effect too, but neighbours are independent; motion has it only in few places.
 
 use super::ResponseCurve;
 use super::samples::{Places, Step};
 use super::{CODES, fit, stops};
 use crate::statistics::{MEDIAN_DEVIATION, median};
 
-/// Exposures that differ by less, in stops, tell little.
+/// Smallest exposure step that is evaluated, in stops.
 const STEP: f64 = 0.9;
-/// Codes that count: below, rounding and the camera's toe decide, above, its shoulder.
+/// Range of codes that are evaluated: rounding and the camera's toe dominate below, its shoulder above.
 const RANGE: (f64, f64) = (8.0, 247.0);
-/// Fewer places of a pair of frames tell nothing.
+/// Smallest number of places of a pair of frames.
 const FEWEST: usize = 60;
-/// Places of about equal brightness whose median ratio is that of a function of exposure.
+/// Places of about equal brightness per block; their median ratio is the function of exposure.
 const BLOCK: usize = 40;
-/// Neighbourhoods on the longer side of the picture.
+/// Neighbourhoods along the longer side of the picture.
 const NEIGHBOURHOODS: usize = 24;
-/// Tukey's reach in robust standard deviations: beyond it a place shows what moved.
+/// Reach of Tukey's biweight in robust standard deviations: places beyond it show motion.
 const REACH: f64 = 4.685;
-/// Frames are locally processed whose variation over the picture, in stops, is more than this times the fifth power of the share of an exposure step that
-/// reaches them. The boundary is measured: the ratio of the two was at most 0.023 on 301 truth brackets of other kinds (truth.py) and at most 0.032 on
-/// 15 photographed ones, among them movers, mist, film and a flash (0.056 on one of water), and 0.061 and more on 49 of 52 brackets of phones. The other
-/// three have curves 1.5 and more times as steep as sRGB's, and 0.004 to 0.022. The power says that frames of which all of a step is seen must vary much, as
-/// no camera's do, and those of which half is seen, little.
+/// Frames are locally processed if their variation over the picture, in stops, is greater than this number times the
+/// fifth power of the fraction of an exposure step that reaches them. The boundary is measured: the ratio of the two
+/// was at most 0.023 on 301 rendered brackets of other kinds (truth.py) and at most 0.032 on 15 photographed ones,
+/// among them motion, mist, film and flash (0.056 on one of water). It was 0.061 or more on 49 of 52 brackets of
+/// phones; the other three have curves at least 1.5 times as steep as sRGB's, and 0.004 to 0.022. The power means
+/// that frames with the full step must vary by more than any camera response does, and frames with half of it only by
+/// little.
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
-/// Frames that differ by more than this share of an exposure step were not compressed, whatever else makes them vary. It was 0.40 to 1.02 on 24 brackets of
-/// phones (truth.py), and 1.17 to 1.59 on six photographed ones: cameras' curves are steeper than sRGB's. Water and moving lights had varied by 0.48 stops.
+/// Frames that differ by more than this fraction of an exposure step were not compressed, whatever else varies. The
+/// fraction was 0.40 to 1.02 on 24 brackets of phones (truth.py), and 1.17 to 1.59 on six photographed ones, because
+/// camera curves are steeper than sRGB's. Water and moving lights had variations of 0.48 stops.
 const COMPRESSED: f64 = 1.2;
-/// Standard errors that are taken off a variance before it counts: neighbours have more in common than noise is.
+/// Standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
 const ERRORS: f64 = 4.0;
-/// Levels of brightness of two frames, of which the one that is compressed least is taken to have all of an exposure step: a tone mapping compresses and
-/// never expands. The curve of whose slope this decides is worth 0.4 dB of details on 12 truth brackets beside the share that a twentieth of all places exceeds.
+/// Brightness levels. The level with the least compression is assumed to have the full exposure step, because tone
+/// mapping compresses and never expands. On 12 rendered brackets this improves details by 0.4 dB compared with the
+/// fraction that 5 % of all places exceed.
 const LEVELS: usize = 8;
 
-/// What flat places tell of local processing.
+/// Evidence of local processing in flat places.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evidence {
-    /// The median share of an exposure step by which frames differ, under the sRGB curve.
+    /// Median fraction of an exposure step by which frames differ, under the sRGB curve.
     pub step_fraction: f64,
-    /// The median share at the brightness where it is greatest: of places that are processed least.
+    /// Median fraction at the brightness where it is largest, in the places that are processed least.
     pub most_step_fraction: f64,
-    /// Standard deviation over neighbourhoods of the ratio of two frames at the same code, in stops: of the pair of frames that has most, 0 where noise explains it.
+    /// Standard deviation over neighbourhoods of the ratio of two frames at the same code, in stops, of the pair of
+    /// frames with the largest; 0 if noise explains it.
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,
 }
 
-/// What the `places` of a bracket of frames whose longer side is `longer_side` pixels tell; none where they are too few.
+/// Evaluates the `places` of a bracket whose frames have a longer side of `longer_side` pixels. Returns `None` if
+/// there are too few.
 pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
     let srgb = ResponseCurve::srgb();
     let level = |code: f64| stops(fit::at(srgb.ln_exposure(0), code));
@@ -100,14 +107,14 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
 struct Ratio {
     at: (usize, usize),
     channel: usize,
-    /// The mean logarithm of the two, in stops.
+    /// Mean logarithm of the two, in stops.
     level: f64,
     /// Longer over shorter, in stops.
     stops: f64,
 }
 
-/// The standard deviation of the ratios over neighbourhoods of `side` pixels, in stops, beyond what a function of the code explains and beyond noise: its
-/// lower bound.
+/// Returns a lower bound of the standard deviation of the ratios over neighbourhoods of `side` pixels, in stops,
+/// after subtracting noise and the part that is a function of the code.
 fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     let mut residuals: Vec<((usize, usize), f64)> = Vec::new();
     for channel in 0..3 {
@@ -116,7 +123,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
         let usual = medians(&of, (of.len() / BLOCK).clamp(1, CODES));
         residuals.extend(of.iter().map(|ratio| (ratio.at, ratio.stops - between(&usual, ratio.level))));
     }
-    // The channels of a place together.
+    // The channels of a place are kept together.
     residuals.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut places: Vec<((usize, usize), f64)> =
         residuals.chunk_by(|a, b| a.0 == b.0).map(|all| (all[0].0, all[all.len() / 2].1)).collect();
@@ -127,7 +134,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     }
     let cell = |(x, y): (usize, usize)| (y / side, x / side);
     places.sort_by(|a, b| cell(a.0).cmp(&cell(b.0)).then(a.0.cmp(&b.0)));
-    // The mean product of two places of one neighbourhood is the variance of what they share.
+    // The mean product of two places of a neighbourhood is the variance that they share.
     let (mut products, mut pairs, mut spread) = (0.0, 0.0, 0.0);
     for group in places.chunk_by(|a, b| cell(a.0) == cell(b.0)) {
         let sum: f64 = group.iter().map(|(_, v)| v).sum();
@@ -141,20 +148,21 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     if pairs < 1.0 {
         return None;
     }
-    // If the values are independent, the variance of the mean product is the sum of the squared products over the squared number of pairs, each counted
-    // once. Dark places are noisier than others, and lie together: the mean noise would tell too little.
+    // If the values are independent, the variance of the mean product is the sum of the squared products over the
+    // squared number of pairs, each counted once. The mean noise would be too low a bound, because dark places are
+    // noisier and close to each other.
     let error = (spread / 2.0).max(0.0).sqrt() / (pairs / 2.0);
     Some((products / pairs - ERRORS * error).max(0.0).sqrt())
 }
 
-/// Level and median ratio of so many `blocks` of places, by rising level.
+/// Returns level and median ratio of `blocks` blocks of places, sorted by level.
 fn medians(sorted: &[&Ratio], blocks: usize) -> Vec<(f64, f64)> {
     let size = sorted.len().div_ceil(blocks).max(1);
     let of = |block: &[&Ratio]| Some((block[block.len() / 2].level, median(block.iter().map(|ratio| ratio.stops))?));
     sorted.chunks(size).filter_map(of).collect()
 }
 
-/// The ratio at `level`, linear between the blocks and beyond the last.
+/// Returns the ratio at `level`, interpolated between the blocks and extrapolated beyond the last.
 fn between(usual: &[(f64, f64)], level: f64) -> f64 {
     if usual.len() < 2 {
         return usual.first().map_or(0.0, |block| block.1);

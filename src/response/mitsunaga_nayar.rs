@@ -1,23 +1,27 @@
-//! The response as a polynomial, after Mitsunaga & Nayar 1999; exposures need to be known but roughly.
+//! The response as a polynomial, after Mitsunaga & Nayar 1999, for exposures that are only approximately known.
 //!
-//! In: [`Sample`]s of a channel. Out: what is found of g(Z) = ln f(Z), and the [`Ratio`]s of exposures that go with it; or, in words,
-//! why it cannot be. Cost: a dozen least-squares problems of at most ten unknowns for each degree, some 0.3 s in all for 2000 samples.
-//! Source: Mitsunaga & Nayar 1999, "Radiometric self calibration", sections 3.1 to 3.3: f(M) = sum_n c_n M^n minimises
+//! In: the [`Sample`]s of a channel. Out: g(Z) = ln f(Z) with the exposure [`Ratio`]s that fit it, or the reason why
+//! it cannot be recovered. Cost: a dozen least-squares problems of at most ten unknowns for each degree, about 0.3 s
+//! in all for 2000 samples. Source: Mitsunaga & Nayar 1999, "Radiometric self calibration", sections 3.1 to 3.3: f(M)
+//! = sum_n c_n M^n minimises
 //!
 //! ```text
 //! O = sum_qp [f(M_pq) - R_{q,q+1} f(M_p,q+1)]^2
 //! ```
 //!
-//! over consecutive exposures q and places p; then each R_{q,q+1} is computed from f, as the mean of f(M_pq) / f(M_p,q+1), and again until f
-//! stays. The degree is the least that does. Six things differ from the paper:
+//! over consecutive exposures q and places p. Then each R_{q,q+1} is computed from f, as the mean of f(M_pq) /
+//! f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits. Six
+//! things differ from the paper:
 //!
-//! - The sum is of relative errors: each is divided by R f(M_p,q+1), with the f before. In absolute terms bright codes have all the say.
-//! - f is 1 at code 128 rather than at 255, which no unclipped sample has.
-//! - f is a sum of Chebyshev polynomials: the same polynomial, from equations that are ten orders of magnitude better conditioned.
-//! - Places that contradict the others lose their weight, as with the other models.
+//! - The sum is of relative errors: each is divided by R f(M_p,q+1), with the previous f. Absolute errors would be
+//!   dominated by bright codes.
+//! - f is 1 at code 128 instead of 255, which no unclipped sample has.
+//! - f is a sum of Chebyshev polynomials: the same polynomial, from equations that are ten orders of magnitude better
+//!   conditioned.
+//! - Places that contradict the others lose their weight, as in the other models.
 //! - The estimated R replace the given ones only if the error is clearly smaller. They are reported in any case.
-//! - f^u with R^u fits as f with R, for any u, and alternation drifts along it. When it has ended, f and R are raised to the power by which
-//!   R agrees best with the exposures as they were given.
+//! - f^u with R^u fits as well as f with R for any u, and the alternation drifts along u. Afterwards f and R are
+//!   raised to the power for which R agrees best with the given exposures.
 
 use super::fit::{self, Fitted, Found};
 use super::samples::{Sample, View};
@@ -26,32 +30,33 @@ use crate::error::{Error, Result};
 use crate::response::fit::least_squares::LeastSquares;
 use std::ops::RangeInclusive;
 
-/// Degrees among which the data choose.
+/// Degrees that are tried.
 const DEGREES: RangeInclusive<usize> = 3..=10;
 /// Chebyshev polynomials up to the highest degree.
 type Terms = [f64; 11];
-/// A higher degree must leave less than this share of the error.
+/// A higher degree must reduce the error to less than this fraction.
 const BETTER: f64 = 0.98;
-/// The least rise of ln f from one code to the next that a response has, from code 10 to 245: a tenth of sRGB's least. A polynomial that
-/// rises less somewhere follows what equal steps of exposure leave open, not the camera.
+/// Smallest slope of ln f per code that a response has, from code 10 to 245: a tenth of sRGB's smallest. A polynomial
+/// with a smaller slope follows what equal exposure steps do not determine, and not the camera.
 const RISE: f64 = 1e-3;
-/// Ratios other than those given must leave less than this share of the error: f and R can drift together and fit as well as before.
+/// Estimated ratios must reduce the error to less than this fraction, because f and R can drift together and fit as
+/// well as before.
 const REFINED: f64 = 0.8;
-/// Alternations of f and R, at most; and of these, those before R moves.
+/// Largest number of alternations of f and R, and the number of them before R is estimated.
 const ROUNDS: (usize, usize) = (20, 2);
-/// f stays where no value of it changes by more than this share.
+/// f has converged if no value changes by more than this fraction.
 const STAYS: f64 = 1e-4;
-/// The least f, of which there is a logarithm: code 0 of the sRGB curve has 1/1000 of code 128.
+/// Smallest f, so that it has a logarithm: code 0 of the sRGB curve has 1/1000 of code 128.
 const LEAST: f64 = 1e-5;
-/// Powers of the exposures given in which those found may be: beyond, nothing fits.
+/// Range of the power between given and estimated exposures; no camera is outside of it.
 const POWER: RangeInclusive<f64> = 0.5..=2.0;
 
-/// How the curve is fitted.
+/// Options of the fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Places drawn for each channel, at most; 24 or more.
+    /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// The degree of the polynomial, 1 to 10; none for the least from 3 on that fits.
+    /// Degree of the polynomial, 1 to 10; `None` for the smallest from 3 on that fits.
     pub degree: Option<usize>,
 }
 
@@ -63,12 +68,13 @@ impl Default for Options {
 
 impl Options {
     /// # Errors
-    /// [`Error::Option`] where a value cannot be used.
+    /// [`Error::Option`] if a value cannot be used.
     pub fn validate(&self) -> Result<()> {
         fit::enough(self.samples)?;
         match self.degree {
             Some(degree) if !(1..=*DEGREES.end()).contains(&degree) => {
-                let reason = format!("a polynomial of degree {degree} is no curve; give 1 to {}", DEGREES.end());
+                let reason =
+                    format!("a polynomial of degree {degree} does not give a response; choose 1 to {}", DEGREES.end());
                 Err(Error::Option { option: "--response-degree", reason })
             }
             _ => Ok(()),
@@ -76,19 +82,19 @@ impl Options {
     }
 }
 
-/// Two consecutive exposures, and what their ratio is by the curve.
+/// Two consecutive exposures and their ratio by the curve.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ratio {
-    /// ln dt of the shorter and of the longer, as given.
+    /// ln dt of the shorter and of the longer exposure, as given.
     pub ln_times: (f64, f64),
-    /// ln of longer over shorter, as found.
+    /// ln of longer over shorter, as estimated.
     pub ln_ratio: f64,
-    /// What it rests on: a sum of weights of places.
+    /// Sum of the weights of the places.
     pub weight: f64,
 }
 
-/// g of one channel and the ratios that go with it, or why they cannot be had.
+/// Returns g of one channel and its ratios, or the reason why they cannot be recovered.
 pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<(Found, Vec<Ratio>)> {
     fit::check(samples)?;
     let degrees = options.degree.map_or(DEGREES, |degree| degree..=degree);
@@ -126,7 +132,7 @@ struct Polynomial {
 }
 
 impl Polynomial {
-    /// Whether it rises as a response does.
+    /// Whether f rises as a response does.
     fn rises(&self) -> bool {
         self.g[10..=245].windows(2).all(|w| w[1] - w[0] > RISE)
     }
@@ -139,7 +145,7 @@ struct Pair {
     ratio: usize,
     shorter: View,
     longer: View,
-    /// Of both codes.
+    /// The terms of both codes.
     terms: (Terms, Terms),
     weight: f64,
 }
@@ -172,7 +178,7 @@ impl Pairs {
         Pairs { all, ratios }
     }
 
-    /// f and, if they are to be `refined`, R in turn.
+    /// Fits f, and if `refined` also R, alternately.
     fn alternate(mut self, samples: &[Sample], degree: usize, refined: bool) -> Fitted<Polynomial> {
         let values: [Terms; CODES] = std::array::from_fn(|z| chebyshev(z as f64));
         let srgb = ResponseCurve::srgb();
@@ -195,7 +201,7 @@ impl Pairs {
         }
         let error = self.error(&f, &trust);
         self.estimate(&f, &trust);
-        // The power u by which the ratios found are nearest to those given.
+        // The power u for which the estimated ratios are closest to the given ones.
         let (mut both, mut given) = (0.0, 0.0);
         for ratio in &self.ratios {
             let step = ratio.ln_times.1 - ratio.ln_times.0;
@@ -212,7 +218,8 @@ impl Pairs {
         Ok(Polynomial { g, trust, ratios: self.ratios, condition, degree, error })
     }
 
-    /// The coefficients of f for the ratios at hand, errors relative to the `f` before, and the condition of the problem.
+    /// Returns the coefficients of f for the current ratios, with errors relative to the previous `f`, and the
+    /// condition of the problem.
     fn solve(&self, f: &[f64; CODES], trust: &[f64], degree: usize) -> Fitted<(Vec<f64>, f64)> {
         let mid = chebyshev(MID as f64);
         let mut equations = LeastSquares::new(degree);
@@ -240,7 +247,7 @@ impl Pairs {
         libm::log(fit::at(f, pair.longer.code) / fit::at(f, pair.shorter.code))
     }
 
-    /// The ratios for the f at hand: means over the places.
+    /// Estimates the ratios for the current f: means over the places.
     fn estimate(&mut self, f: &[f64; CODES], trust: &[f64]) {
         let mut sums = vec![(0.0, 0.0); self.ratios.len()];
         for pair in &self.all {
@@ -250,7 +257,7 @@ impl Pairs {
         }
         for (ratio, (weight, sum)) in self.ratios.iter_mut().zip(sums) {
             ratio.weight = weight;
-            // Two exposures of which no place is trusted stay as they were given.
+            // Two exposures without a weighted place keep the given ratio.
             if weight > 0.0 {
                 ratio.ln_ratio = sum / weight;
             }
@@ -313,14 +320,15 @@ mod tests {
             .filter(|s: &Sample| s.views.len() > 1)
             .collect();
         let (g, fit) = curve(&samples, &Options { degree: Some(2), ..Options::default() });
-        // f is interpolated linearly between codes where ratios are estimated, which at code 10 is off by 1/800.
+        // f is interpolated linearly between codes when ratios are estimated; at code 10 this has an error of 1/800.
         assert!(difference(&g, |v| v * v) < 0.003, "{fit:?}");
         assert_eq!(fit.degree, Some(2));
     }
 
     #[test]
     fn rough_exposures_are_corrected() {
-        // The middle of three exposures two stops apart is said to be 0.2 stops longer than it was.
+        // The given exposure of the middle frame is 0.2 stops longer than the true one; three exposures two stops
+        // apart.
         let mut samples = scene(800, &[-2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / 2.2));
         let said = 0.2;
         for view in samples.iter_mut().flat_map(|s| &mut s.views).filter(|v| v.ln_time == 0.0) {
@@ -329,7 +337,8 @@ mod tests {
         let (found, ratios) = channel(&samples, &Options::default()).unwrap();
         let stops =
             |i: usize| ratios.iter().find(|r| r.ln_times.0 == [-2.0 * LN_2, said * LN_2][i]).unwrap().ln_ratio / LN_2;
-        // 2.2 and 1.8 were given; what was is 2 and 2. The power of the ratios, which only those given tell, is 2 % off.
+        // 2.2 and 1.8 were given; 2 and 2 are true. The power of the ratios, which only the given ones determine, has
+        // an error of 2 %.
         assert!((stops(0) - stops(1)).abs() < 0.05, "{} {}", stops(0), stops(1));
         let (g, _) = fit::judge(&samples, found).unwrap();
         assert!(difference(&g, |v| libm::pow(v, 2.2)) < 0.08);

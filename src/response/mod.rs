@@ -1,12 +1,13 @@
 //! Response: from code values to the exposure that caused them.
 //!
-//! In: a bracket, its alignment and a [`ResponseModel`]. Out: a [`ResponseCurve`], g(Z) = ln(E dt) for each channel and code, and a
-//! [`ResponseReport`] of how well it is known. Cost: about 0.05 s, bounded whatever the size of the pictures.
-//! Source: the letters g, Z, E, dt and w are those of Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from
-//! Photographs", section 2.1.
+//! In: a bracket, its alignment and a [`ResponseModel`]. Out: a [`ResponseCurve`], g(Z) = ln(E dt) for each channel
+//! and code, and a [`ResponseReport`] on its accuracy. Cost: about 0.05 s for any size. Source: the letters g, Z, E,
+//! dt and w are those of Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs",
+//! section 2.1.
 //!
-//! A curve that is recovered is then neutralised: the three channels are shifted against each other, never bent, so that equal codes
-//! mean equal exposures in the w-weighted mean over all codes. White balance was the camera's affair; grey stays grey.
+//! A recovered curve is neutralised: the three channels are shifted relative to each other, without changing their
+//! shape, so that equal codes mean equal exposures in the w-weighted mean over all codes. The camera has already
+//! applied its white balance, so grey codes must stay grey.
 
 pub mod debevec;
 pub mod file;
@@ -30,17 +31,17 @@ use samples::{Places, Sample};
 use serde::Serialize;
 use std::f64::consts::LN_2;
 
-/// Code values of a curve: 0..=255, whatever the depth of the frames.
+/// Code values of a curve: 0..=255, for frames of any depth.
 pub const CODES: usize = 256;
 
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Of the exposure at code 1, what code 0 means at the least: rounding leaves it anywhere below a half, a quarter in the mean. No sample
-/// tells, and less would make specks of what is but rounded down.
+/// Exposure of code 0 relative to code 1. Rounding puts it anywhere below one half, so its mean is a quarter. No
+/// sample determines it, and a smaller value would make dark specks of values that are only rounded down.
 const BLACK: f64 = 1.0 / 4.0;
 
-/// The codes below and above which the channels' curves run in parallel.
+/// Below and above these codes the curves of the channels are parallel.
 const ENDS: (usize, usize) = (12, 243);
 
 /// Debevec & Malik's hat w (1997, equation 4) scaled to 0..=1: 0 at codes 0 and 255, 1 halfway between.
@@ -48,10 +49,11 @@ pub fn hat(code: f64) -> f64 {
     (code.min(255.0 - code) / 127.5).max(0.0)
 }
 
-/// g(Z) = ln(E dt), the logarithm of the exposure that gives code Z, for R, G and B at codes 0..=255: finite and strictly increasing.
+/// g(Z) = ln(E dt), the logarithm of the exposure that gives code Z, for R, G and B at codes 0..=255: finite and
+/// strictly increasing.
 ///
-/// Exposure is relative: g is 0 at code [`MID`] in the mean of the three channels. Between codes the exposure itself, exp(g), is
-/// interpolated linearly.
+/// Exposure is relative: the mean of g over the three channels is 0 at code [`MID`]. Between codes the exposure
+/// exp(g) is interpolated linearly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResponseCurve {
     ln_exposure: [[f64; CODES]; 3],
@@ -60,7 +62,8 @@ pub struct ResponseCurve {
 }
 
 impl ResponseCurve {
-    /// The curve with these logarithms of exposure; none where a value is not finite, out of what a float holds, or does not increase.
+    /// Returns the curve with these logarithms of exposure, or `None` if a value is not finite, does not fit into an
+    /// `f32`, or does not increase.
     pub fn new(ln_exposure: [[f64; CODES]; 3]) -> Option<Self> {
         let sound = |g: &[f64; CODES]| g.iter().all(|v| v.abs() < 80.0) && g.windows(2).all(|w| w[0] < w[1]);
         ln_exposure.iter().all(sound).then(|| ResponseCurve {
@@ -70,28 +73,30 @@ impl ResponseCurve {
         })
     }
 
-    /// The same curve, of a camera that is black up to these codes of R, G and B; none where one is not in 0..128.
+    /// Returns the same curve for a camera that is black up to these codes of R, G and B, or `None` if one is not in
+    /// 0..128.
     pub fn with_black(self, black: [f64; 3]) -> Option<Self> {
         let sound = black.iter().all(|code| (0.0..128.0).contains(code));
         sound.then_some(ResponseCurve { black, ..self })
     }
 
-    /// The code of channel 0, 1 or 2 up to which a frame is black, film base and noise included: it says no more than that.
+    /// Returns the code of channel 0, 1 or 2 up to which a frame is black, including film base and noise.
     pub fn black(&self, channel: usize) -> f64 {
         self.black[channel]
     }
 
-    /// Exposure proportional to the code.
+    /// Returns the curve with exposure proportional to the code.
     pub fn linear() -> Self {
         Self::stated(|v| v)
     }
 
-    /// Exposure by the sRGB transfer function (IEC 61966-2-1): what a camera's picture is taken for when nothing better is known.
+    /// Returns the sRGB transfer function (IEC 61966-2-1), which is assumed if the response is not known.
     pub fn srgb() -> Self {
         Self::stated(srgb_to_linear)
     }
 
-    /// The same curve in all channels: `exposure` of a code on the scale 0..=1, which must be positive and increase above 0.
+    /// Returns the same curve for all channels: `exposure` of a code on the scale 0..=1, which must be positive and
+    /// increase above 0.
     fn stated(exposure: impl Fn(f64) -> f64) -> Self {
         let at = |code: usize| match code {
             0 => BLACK * exposure(1.0 / 255.0),
@@ -102,17 +107,17 @@ impl ResponseCurve {
         ResponseCurve { ln_exposure: [g; 3], exposure: [g.map(|v| libm::exp(v) as f32); 3], black: [0.0; 3] }
     }
 
-    /// g of channel 0, 1 or 2 (R, G, B) at codes 0..=255.
+    /// Returns g of channel 0, 1 or 2 (R, G, B) at codes 0..=255.
     pub fn ln_exposure(&self, channel: usize) -> &[f64; CODES] {
         &self.ln_exposure[channel]
     }
 
-    /// exp(g) of channel 0, 1 or 2 at codes 0..=255.
+    /// Returns exp(g) of channel 0, 1 or 2 at codes 0..=255.
     pub fn exposures(&self, channel: usize) -> &[f32; CODES] {
         &self.exposure[channel]
     }
 
-    /// The exposure that a channel's code means; the code may lie between two, and is taken into 0..=255.
+    /// Returns the exposure of a code in a channel. The code may be between two integers, and is clamped to 0..=255.
     pub fn exposure(&self, channel: usize, code: f32) -> f32 {
         let code = code.clamp(0.0, 255.0);
         let below = (code as usize).min(CODES - 2);
@@ -120,7 +125,8 @@ impl ResponseCurve {
         a + (code - below as f32) * (b - a)
     }
 
-    /// The code, between two, that means `exposure` in a channel: the inverse of [`exposure`](Self::exposure).
+    /// Returns the code, between two integers, of an `exposure` in a channel: the inverse of
+    /// [`exposure`](Self::exposure).
     pub fn code(&self, channel: usize, exposure: f32) -> f32 {
         let x = &self.exposure[channel];
         let above = x.partition_point(|&v| v < exposure).clamp(1, CODES - 1);
@@ -129,8 +135,8 @@ impl ResponseCurve {
         (above - 1) as f32 + part
     }
 
-    /// Shifts the channels against each other until the w-weighted mean over all codes is the same in each, and all three until
-    /// their mean at code [`MID`] is 0.
+    /// Shifts the channels relative to each other until the w-weighted mean over all codes is the same in each, and
+    /// all three until their mean at code [`MID`] is 0.
     fn neutralised(mut g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {
         let weight: f64 = (0..CODES).map(|z| hat(z as f64)).sum();
         for channel in &mut g {
@@ -142,7 +148,7 @@ impl ResponseCurve {
     }
 }
 
-/// Method used to recover the camera response. Where a bracket does not determine it, the sRGB curve is used.
+/// Method used to recover the camera response. If a bracket does not determine it, the sRGB curve is used.
 #[derive(Debug, Clone, PartialEq)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
@@ -160,12 +166,12 @@ pub enum ResponseModel {
 }
 
 impl ResponseModel {
-    /// The name used by the command line and by reports.
+    /// Returns the name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// Whether it is sought in the bracket.
+    /// Whether the response is recovered from the bracket.
     pub fn is_sought(&self) -> bool {
         !matches!(self, ResponseModel::Linear | ResponseModel::Srgb)
     }
@@ -177,17 +183,17 @@ impl Default for ResponseModel {
     }
 }
 
-/// How the response was had, and how well it is known.
+/// How the response was determined, and how accurate it is.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ResponseReport {
-    /// The curve that is used: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`, `file`.
+    /// Curve that was used: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`, `file`.
     pub model: &'static str,
-    /// What was found of each channel, where the curve was sought in the bracket.
+    /// The fit of each channel, if the curve was recovered from the bracket.
     pub channels: Option<[Fit; 3]>,
-    /// What exposures would fit the curve better, where the model tells; those given are merged with all the same.
+    /// Exposure ratios that fit the curve better, if the model estimates them. The merge uses the given exposures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_ratios: Option<Vec<RatioReport>>,
-    /// Why the curve asked for was not used.
+    /// Why the requested curve was not used.
     pub fallback: Option<String>,
 }
 
@@ -195,41 +201,42 @@ pub struct ResponseReport {
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {
-    /// The exposures, over the reference's, in stops: the shorter and the longer.
+    /// The shorter and the longer exposure relative to the reference, in stops.
     pub between_stops: (f64, f64),
     /// Longer over shorter, as given, in stops.
     pub given_stops: f64,
-    /// Longer over shorter, as the pixels have it, in stops.
+    /// Longer over shorter, as estimated from the pixels, in stops.
     pub found_stops: f64,
 }
 
-/// How well one channel's curve is known.
+/// Accuracy of the curve of one channel.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Fit {
-    /// Places of the scene that were used.
+    /// Number of places of the scene that were used.
     pub samples: usize,
-    /// Of these, those that were given less than half their weight, since they contradict the others.
+    /// Number of places with less than half of their weight, because they contradict the others.
     pub outliers: usize,
-    /// Root mean square of g(Z) - ln E - ln dt, weighted as it was fitted, in stops.
+    /// Weighted root mean square of g(Z) - ln E - ln dt, in stops.
     pub residual_stops: f64,
-    /// The least and the greatest code that a sample has.
+    /// Smallest and largest code of the samples.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the least singular value of the system of equations; none for Robertson, who solves none at once, and for
-    /// a borrowed curve.
+    /// Ratio of the largest to the smallest singular value of the system of equations; null for Robertson, which does
+    /// not solve one, and for a borrowed curve.
     pub condition: Option<f64>,
-    /// The degree of the polynomial, where it is one.
+    /// Degree of the polynomial, if the model is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
-    /// Whether the response of the channel could not be recovered, so that it has the mean of the others; the numbers above are then 0.
+    /// Whether the response of the channel could not be recovered, so that the mean of the other channels is used;
+    /// the numbers above are then 0.
     pub borrowed: bool,
 }
 
-/// The response of the camera that took `bracket`, by `model`.
+/// Recovers the response of the camera that took `bracket`, by `model`.
 ///
 /// # Errors
-/// [`Error::Option`](crate::error::Error::Option) where an option has no usable value. A bracket that does not tell its response is no error: the sRGB curve is
-/// given, with [`Warning::ResponseFallback`].
+/// [`Error::Option`](crate::error::Error::Option) if the value of an option cannot be used. A bracket that does not
+/// determine its response is no error: the result is the sRGB curve, with [`Warning::ResponseFallback`].
 pub fn recover(
     bracket: &Bracket,
     alignment: &Alignment,
@@ -238,12 +245,14 @@ pub fn recover(
     recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
-/// A saved curve is doubted where it adds this, in stops, to the residual of a curve of the frames' own. One camera's curves, each from another
-/// scene, add 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s); a linear curve adds 0.2 to 0.5.
+/// A saved curve contradicts the frames if it adds this much, in stops, to the residual of a curve recovered from
+/// them. Curves of one camera, each from another scene, add 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s);
+/// a linear curve adds 0.2 to 0.5.
 const CONTRADICTED: f64 = 0.1;
 
-/// The root mean square residuals of `curve` and of a curve of the frames' own, in stops, where the first is larger by a tenth of a stop (as
-/// independent errors add up: the difference is that of the squares). None where it fits about as well, or where the frames tell no curve.
+/// Returns the root mean square residuals of `curve` and of a curve recovered from the frames, in stops, if the first
+/// is larger by a tenth of a stop (difference of the squares, because independent errors add in squares). Returns
+/// `None` if it fits about as well, or if no curve can be recovered from the frames.
 ///
 /// # Errors
 /// As [`recover`].
@@ -260,8 +269,8 @@ pub fn contradiction(curve: &ResponseCurve, places: &Places) -> Result<Option<(f
     Ok((found * found > own * own + CONTRADICTED * CONTRADICTED).then_some((found, own)))
 }
 
-/// The response of the camera that took all the brackets of which `places` are, by `model`: their samples are pooled, each bracket's
-/// exposures relative to its own reference.
+/// Recovers the response of the camera that took several brackets, by `model`. The samples of all `places` are
+/// pooled; the exposures of each bracket are relative to its own reference frame.
 ///
 /// # Errors
 /// As [`recover`].
@@ -302,27 +311,27 @@ pub fn recover_from(
     })
 }
 
-/// One channel's curve, with g(128) = 0 and rising everywhere.
+/// The curve of one channel, with g(128) = 0 and rising everywhere.
 struct Channel {
     g: [f64; CODES],
     fit: Fit,
     ratios: Vec<Ratio>,
 }
 
-/// What a channel's samples tell by `model`, or why they do not.
+/// Recovers the curve of one channel by `model`.
 fn channel(samples: &[Sample], model: &ResponseModel) -> Fitted<Channel> {
     let (found, ratios) = match model {
         ResponseModel::Robertson(options) => (robertson::channel(samples, options)?, Vec::new()),
         ResponseModel::MitsunagaNayar(options) => mitsunaga_nayar::channel(samples, options)?,
         ResponseModel::Debevec(options) => (debevec::channel(samples, options)?, Vec::new()),
-        ResponseModel::Linear | ResponseModel::Srgb => return Err("the curve is stated, not sought".to_owned()),
+        ResponseModel::Linear | ResponseModel::Srgb => return Err("the curve is given, not recovered".to_owned()),
     };
     let (g, fit) = fit::judge(samples, found)?;
     Ok(Channel { g, fit, ratios })
 }
 
-/// The camera's curve from those of the channels. One that the scene lacks (a room in yellow light has no blue) has the mean curve of the
-/// others; if all do, there is none.
+/// Combines the curves of the channels. A channel that the scene does not show (a room in yellow light has no blue)
+/// gets the mean curve of the others. Fails if this applies to all.
 fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCurve, [Fit; 3])> {
     let known: Vec<&Channel> = channels.iter().flatten().collect();
     if known.is_empty() {
@@ -332,14 +341,14 @@ fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCu
     let g = std::array::from_fn(|c| channels[c].as_ref().map_or(mean, |channel| channel.g));
     let borrowed = Fit { borrowed: true, ..Fit::default() };
     let fits = std::array::from_fn(|c| channels[c].as_ref().map_or(borrowed, |channel| channel.fit));
-    // A borrowed curve is known where the others are: all of it is theirs.
+    // A borrowed curve is known at the codes of the others.
     let codes = fits.map(|fit: Fit| if fit.borrowed { (0.0, 255.0) } else { fit.codes });
     let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g, codes)));
     let curve = curve.and_then(|curve| curve.with_black(black));
-    curve.map(|curve| (curve, fits)).ok_or_else(|| "the curve found is not finite".to_owned())
+    curve.map(|curve| (curve, fits)).ok_or_else(|| "the recovered curve is not finite".to_owned())
 }
 
-/// The ratios that the channels found, those of the same exposures as one: a frame has one exposure, not three.
+/// Combines the ratios of the channels, because a frame has one exposure, not three.
 fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     let mut sums: Vec<((f64, f64), f64, f64)> = Vec::new();
     for ratio in ratios {
@@ -361,8 +370,9 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// The curves with common steps at both ends, and beyond the `codes` that a channel saw: the median of the channels that saw them. Few
-/// samples are there, and where channels part, what is black or white in the scene takes a colour.
+/// Returns the curves with common slopes at both ends and beyond the `codes` that a channel has samples for: the
+/// median of the channels that have some. There are few samples there, and if the channels differ, black and white
+/// get a colour.
 fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
         let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;
@@ -387,7 +397,7 @@ fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODE
     })
 }
 
-/// A number of nepers in stops.
+/// Converts nepers to stops.
 fn stops(ln: f64) -> f64 {
     ln / LN_2
 }

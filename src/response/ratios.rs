@@ -1,19 +1,20 @@
-//! The exposures fine-tuned: what the pixels say of the ratios that were written down.
+//! Exposure correction: exposure ratios estimated from the pixels.
 //!
-//! In: a bracket and what its frames have of flat places. Out: for each frame, stops by which its exposure is [corrected](Correction), within bounds; mostly
-//! none. Cost: a few systems of some sixty unknowns, a few milliseconds.
-//! Source: Ward's hdrgen, option -e, which fine-tunes exposures within 4 to 25 %; the model is Debevec & Malik 1997, equation 3, with
-//! the exposures among its unknowns:
+//! In: a bracket and the codes of its frames at flat places. Out: for each frame, the stops by which its exposure is
+//! [corrected](Correction), within bounds; usually 0. Cost: a few systems of about sixty unknowns, a few
+//! milliseconds. Source: Ward's hdrgen, option -e, which corrects exposures within 4 to 25 %; the model is Debevec &
+//! Malik 1997, equation 3, with the exposures as additional unknowns:
 //!
 //! ```text
 //! minimise  sum_ij w(Z_ij)^2 [g(Z_ij) - ln E_i - ln dt_j - d_j]^2  +  lambda sum |g''|^2  +  sum_j d_j^2 / sigma^2
 //! ```
 //!
-//! over g, all ln E_i and the corrections d_j, together: alone, each would hide what is another's. g is the sRGB curve and a cubic spline
-//! on it for each channel. Two things pixels cannot know, and they are kept as written: a factor common to all exposures, and a common
-//! power of all ratios, which is the contrast of g (Grossberg & Nayar 2003). So d is sought at right angles to both, and two exposures are
-//! not corrected at all. Places that contradict the others (something moved) lose their weight by Tukey's biweight. Corrections
-//! that are all smaller than what such a fit is sure of are none: exposures that are exact stay so.
+//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. g
+//! is the sRGB curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept
+//! as recorded: a factor common to all exposures, and a common power of all ratios, which is the contrast of g
+//! (Grossberg & Nayar 2003). Therefore d is orthogonal to both, and two exposures are never corrected. Places that
+//! contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
+//! uncertainty of the fit, none is applied, so that exact exposures are not changed.
 
 use super::fit::tukey;
 use super::samples::{Places, Sample, draw};
@@ -26,7 +27,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::f64::consts::LN_2;
 
-/// Exposure correction, before the exposures are divided out.
+/// Whether exposures are corrected before the frames are divided by them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
@@ -35,47 +36,48 @@ pub enum Exposures {
     /// Corrected from the pixels by at most a sixth of a stop, except exposures that the user gave.
     #[default]
     FineTuned,
-    /// Taken from the files or the user, or as estimated.
+    /// Exposures as recorded, as given by the user, or as estimated.
     AsGiven,
 }
 
-/// What one frame's exposure is corrected by.
+/// The correction of one frame's exposure.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Correction {
-    /// To be added to its EV.
+    /// Stops to be added to its EV.
     pub stops: f64,
-    /// What fits best, where that is out of bounds.
+    /// The best fit, if it is out of bounds.
     pub wanted_stops: Option<f64>,
 }
 
-/// Places drawn for each channel.
+/// Number of places for each channel.
 const PLACES: usize = 1000;
-/// Intervals of the spline, and its coefficients.
+/// Intervals of the spline, and number of its coefficients.
 const INTERVALS: usize = 16;
 const SPLINE: usize = INTERVALS + 3;
-/// lambda, for the squares of second differences of the spline's coefficients.
+/// lambda, the weight of the squared second differences of the spline's coefficients.
 const SMOOTHNESS: f64 = 3e-5;
 /// Rounds in which places that contradict the others lose their weight.
 const ROUNDS: usize = 3;
-/// How many places count as independent of each other: what is wrong with the model is common to many.
+/// Number of places that count as independent, because errors of the model are common to many.
 const INDEPENDENT: f64 = 50.0;
 /// Lower bound of the root mean square misfit, in stops.
 const NOISE: f64 = 0.01;
-/// Corrections of which none is larger are none, in stops: over 27 rendered brackets with exact exposures, 25 come out within 0.006.
+/// If no correction is larger, none is applied, in stops: of 27 rendered brackets with exact exposures, 25 are within
+/// 0.006.
 const STILL: f64 = 0.025;
 
-/// How far exposures are off, by where they are from, and how far they are corrected at the most; in stops.
+/// Returns the standard deviation of exposures by their source, and the largest correction; both in stops.
 fn leeway(source: ExposureSource) -> (f64, f64) {
     match source {
-        // Rounding (1/15 for 1/16 s) makes 0.09, a mechanical shutter or diaphragm about as much.
+        // Rounding (1/15 for 1/16 s) causes 0.09, a mechanical shutter or aperture about as much.
         ExposureSource::Exif => (0.07, 1.0 / 6.0),
         ExposureSource::Estimated => (0.35, 0.75),
         ExposureSource::Given => (0.0, 0.0),
     }
 }
 
-/// `bracket` and its `places` with the exposures corrected, and what there is to say about it.
+/// Corrects the exposures of `bracket` and of its `places`. Returns them with warnings.
 pub fn fine_tuned(bracket: Bracket, places: &mut Places) -> (Bracket, Vec<Warning>) {
     let (corrections, warnings) = corrections(&bracket, places);
     let bracket = bracket.corrected(&corrections.iter().map(|c| c.stops).collect::<Vec<_>>());
@@ -83,7 +85,7 @@ pub fn fine_tuned(bracket: Bracket, places: &mut Places) -> (Bracket, Vec<Warnin
     (bracket, warnings)
 }
 
-/// The correction of each frame of `bracket` from its `places`, and what there is to say about them.
+/// Returns the correction of each frame of `bracket` from its `places`, and warnings.
 pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<Warning>) {
     let none = || (vec![Correction::default(); bracket.frames().len()], Vec::new());
     let Some(first) = bracket.frames().first() else { return none() };
@@ -92,7 +94,7 @@ pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<
         return none();
     }
     let samples = draw(&[places], PLACES).channels;
-    // Samples know exposures, not frames; those of one exposure are corrected alike.
+    // Samples have exposures, not frames; frames with equal exposures get equal corrections.
     let mut times: Vec<f64> = samples.iter().flatten().flat_map(|s| s.views.iter().map(|v| v.ln_time)).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();
@@ -115,7 +117,7 @@ pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<
     (corrections.collect(), warnings)
 }
 
-/// The corrections of the exposures `times`, in stops; none where there are too few.
+/// Returns the corrections of the exposures `times`, in stops, or `None` if there are too few.
 fn fit(samples: &[Vec<Sample>; 3], times: &[f64], sigma: f64) -> Option<Vec<f64>> {
     let free = free_directions(times);
     if free.is_empty() {
@@ -140,7 +142,8 @@ fn fit(samples: &[Vec<Sample>; 3], times: &[f64], sigma: f64) -> Option<Vec<f64>
     d.iter().all(|v| v.is_finite()).then(|| d.iter().map(|&v| stops(v)).collect())
 }
 
-/// Directions of unit length, at right angles to each other, to a common factor and to a common power of the exposures: Gram & Schmidt.
+/// Returns unit vectors orthogonal to each other, to a common factor and to a common power of the exposures
+/// (Gram-Schmidt).
 fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     let n = times.len();
     let unit = |j: usize| DVector::from_fn(n, |i, _| f64::from(i == j));
@@ -148,7 +151,7 @@ fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     let mut basis: Vec<DVector<f64>> = Vec::new();
     for candidate in candidates {
         let mut v = candidate.clone();
-        // Twice is enough for right angles in spite of rounding.
+        // Two passes are enough for orthogonality in spite of rounding.
         for _ in 0..2 {
             for b in &basis {
                 v -= b * b.dot(&v);
@@ -163,13 +166,13 @@ fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     basis
 }
 
-/// The sRGB curve as ln of the exposure, and finite at 0.
+/// Returns the sRGB curve as ln of the exposure, finite at 0.
 fn base(code: f64) -> f64 {
     libm::log(srgb_to_linear(code.max(0.25) / 255.0))
 }
 
-/// Returns the first of the four coefficients that have a weight at a code, and the four weights: cubic B-splines on evenly spaced knots, at any
-/// code. `spline.rs` has other knots and is evaluated at whole codes.
+/// Returns the index of the first of the four coefficients that have a weight at a code, and the four weights: cubic
+/// B-splines on evenly spaced knots, at any code. `spline.rs` has other knots and is evaluated at integer codes.
 fn spline(code: f64) -> (usize, [f64; 4]) {
     let x = (code / 255.0 * INTERVALS as f64).clamp(0.0, INTERVALS as f64 - 1e-9);
     let f = x - x.floor();
@@ -178,7 +181,8 @@ fn spline(code: f64) -> (usize, [f64; 4]) {
     (x as usize, b.map(|v| v / 6.0))
 }
 
-/// One channel's normal equations in its spline and the corrections, each ln E eliminated: from its rows their weighted mean is subtracted.
+/// Normal equations of one channel in its spline and the corrections. Each ln E is eliminated: the weighted mean of
+/// its rows is subtracted from them.
 struct Sums {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
@@ -217,14 +221,15 @@ impl Sums {
     }
 }
 
-/// The coefficients of the three splines, and the corrections.
+/// Returns the coefficients of the three splines, and the corrections.
 fn solve(sums: &[Sums], free: &DMatrix<f64>, noise: f64, sigma: f64) -> Option<(Vec<DVector<f64>>, DVector<f64>)> {
     let n = free.nrows();
     let weight: f64 = sums.iter().map(|s| s.weight).sum();
     if weight <= 0.0 {
         return None;
     }
-    // The splines stand beside each other: each is eliminated by itself, which leaves equations in d (a Schur complement).
+    // The splines are independent of each other: each is eliminated separately, which leaves equations in d (a Schur
+    // complement).
     let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
     let mut parts = Vec::with_capacity(sums.len());
     for sum in sums {
@@ -238,7 +243,7 @@ fn solve(sums: &[Sums], free: &DMatrix<f64>, noise: f64, sigma: f64) -> Option<(
                 }
             }
         }
-        // Nothing else says where g is; and the rest only keeps what no sample touches from being undetermined.
+        // No other equation determines the offset of g; the second term regularises coefficients without samples.
         curve[(SPLINE / 2, SPLINE / 2)] += 1.0;
         (0..SPLINE).for_each(|k| curve[(k, k)] += 1e-10);
         let cross = m.view((0, SPLINE), (SPLINE, n)).into_owned();
@@ -255,7 +260,8 @@ fn solve(sums: &[Sums], free: &DMatrix<f64>, noise: f64, sigma: f64) -> Option<(
     Some((parts.into_iter().map(|(by_d, by_r)| by_r - by_d * &d).collect(), d))
 }
 
-/// Of each place, the root mean square misfit; and the sums of trust w^2 (misfit)^2 and of trust w^2 over all.
+/// Returns the root mean square misfit of each place, and the sums of weight w^2 (misfit)^2 and of weight w^2 over
+/// all places.
 fn misfits(
     samples: &[Sample],
     trust: &[f64],

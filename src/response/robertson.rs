@@ -1,42 +1,46 @@
 //! The response by alternation, after Robertson, Borman & Stevenson 2003.
 //!
-//! In: [`Sample`]s of a channel. Out: what is found of g(Z) = ln I(Z); or, in words, why it cannot be. Cost: some hundred sweeps
-//! over the samples, each about 0.1 ms for 2000. Source: Robertson, Borman & Stevenson 2003, "Estimation-theoretic approach to dynamic
-//! range enhancement using multiple exposures", section IV: the exposures I_m of all codes and the irradiances x_j of all places minimise
+//! In: the [`Sample`]s of a channel. Out: g(Z) = ln I(Z), or the reason why it cannot be recovered. Cost: about a
+//! hundred sweeps over the samples, each about 0.1 ms for 2000. Source: Robertson, Borman & Stevenson 2003,
+//! "Estimation-theoretic approach to dynamic range enhancement using multiple exposures", section IV: the exposures
+//! I_m of all codes and the irradiances x_j of all places minimise
 //!
 //! ```text
 //! O = sum_ij w_ij (I(y_ij) - t_i x_j)^2
 //! ```
 //!
-//! by Gauss-Seidel: the x_j for the I_m at hand, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for these x_j, the mean of t_i x_j over
-//! all views of code m; then all I_m over I_128, and again. w is their Gaussian, exp(-4 (y - 127.5)^2 / 127.5^2). Four things differ:
+//! by Gauss-Seidel iteration: the x_j for the current I_m, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for
+//! these x_j, the mean of t_i x_j over all views of code m; then all I_m are divided by I_128. w is their Gaussian,
+//! exp(-4 (y - 127.5)^2 / 127.5^2). Four things differ from the paper:
 //!
-//! - y_ij is the mean of a patch and lies between two codes; I is interpolated linearly there, and a view counts for both.
-//! - w is divided by I^2: it is the relative error that is minimised. In absolute terms the bright codes have all the say, and dark ones are
-//!   found within 0.1 stops at best (measured on truth brackets).
-//! - What a sweep changes of ln I is smoothed over the codes (Whittaker 1923). The sums have no unique minimum: nothing ties a code to its
-//!   neighbours but chance, and left to run the sweeps end in noise.
-//! - The sweeps begin with the sRGB curve, where the paper begins with a line, and end when they gain less than a thousandth, so that what the
-//!   frames leave open stays as it was.
+//! - y_ij is the mean of a patch and is between two codes; I is interpolated linearly there, and a view counts for
+//!   both.
+//! - w is divided by I^2, so that the relative error is minimised. Absolute errors would be dominated by bright
+//!   codes, and dark codes would have errors of at least 0.1 stops (measured on rendered brackets).
+//! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,
+//!   because nothing relates a code to its neighbours; without smoothing the sweeps converge to noise.
+//! - The sweeps start from the sRGB curve instead of a line, and end when they reduce the objective by less than a
+//!   thousandth, so that whatever the frames do not determine keeps its value.
 
 use super::fit::{self, Fitted, Found, between};
 use super::samples::{Sample, View};
 use super::{CODES, MID, ResponseCurve};
 use crate::error::{Error, Result};
 
-/// The least factor by which a sweep may change an exposure.
+/// Smallest factor by which a sweep may change an exposure.
 const LEAST: f64 = 0.2;
 
-/// How the curve is fitted.
+/// Options of the fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Places drawn for each channel, at most; 24 or more.
+    /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// Weight of the second differences of a sweep's change against the views, of which there is one a code in the mean; positive.
+    /// Weight of the second differences of a sweep's change relative to the views, scaled to a mean of one view per
+    /// code; positive.
     pub smoothness: f64,
-    /// The share of the objective that a sweep must gain for another to follow; positive, below 1.
+    /// The next sweep follows if a sweep reduces the objective by at least this fraction; positive, below 1.
     pub gain: f64,
-    /// Sweeps in all rounds, at most; 1 or more.
+    /// Largest number of sweeps in all rounds; 1 or more.
     pub sweeps: usize,
     /// Rounds in which contradicting samples lose their weight; 0 for none.
     pub rounds: usize,
@@ -50,15 +54,15 @@ impl Default for Options {
 
 impl Options {
     /// # Errors
-    /// [`Error::Option`] where a value cannot be used.
+    /// [`Error::Option`] if a value cannot be used.
     pub fn validate(&self) -> Result<()> {
         fit::enough(self.samples)?;
         let reason = if !(self.smoothness > 0.0 && self.smoothness.is_finite()) {
             format!("the smoothness must be positive, not {}", self.smoothness)
         } else if !(self.gain > 0.0 && self.gain < 1.0) {
-            format!("the least gain must be between 0 and 1, not {}", self.gain)
+            format!("the smallest gain must be between 0 and 1, not {}", self.gain)
         } else if self.sweeps == 0 {
-            "without a sweep there is no curve; give 1 or more".to_owned()
+            "at least 1 sweep is needed".to_owned()
         } else {
             return Ok(());
         };
@@ -66,7 +70,7 @@ impl Options {
     }
 }
 
-/// g of one channel, or why it cannot be had.
+/// Returns g of one channel, or the reason why it cannot be recovered.
 pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     fit::check(samples)?;
     let seen: Vec<Vec<Seen>> = samples.iter().map(|s| s.views.iter().map(Seen::of).collect()).collect();
@@ -90,13 +94,13 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     Ok(Found { g, trust, condition: None, degree: None })
 }
 
-/// A view as it enters every sweep.
+/// A view with its values for the sweeps.
 struct Seen {
-    /// The two codes that it lies between, by their shares.
+    /// The two neighbouring codes, with their weights.
     codes: [(usize, f64); 2],
     /// Relative exposure t.
     time: f64,
-    /// Their Gaussian w, a certainty that is greatest halfway between black and white.
+    /// The Gaussian w, largest halfway between black and white.
     weight: f64,
 }
 
@@ -112,7 +116,7 @@ impl Seen {
     }
 }
 
-/// One step for the x and one for the I; the new ln I, and the root mean square of 1 - t x / I that the old one had.
+/// Updates the x and then the I. Returns the new ln I, and the root mean square of 1 - t x / I of the old ones.
 fn sweep(samples: &[Vec<Seen>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
     let exposure = g.map(libm::exp);
     let (mut change, mut count) = ([0.0; CODES], [0.0; CODES]);
@@ -146,8 +150,8 @@ fn sweep(samples: &[Vec<Seen>], trust: &[f64], g: &[f64; CODES], smoothness: f64
     Ok((next, (square / weight).sqrt()))
 }
 
-/// The values u that minimise sum_z n_z (u_z - c_z / n_z)^2 + lambda sum_z (u_{z-1} - 2 u_z + u_{z+1})^2, from n and c: where nothing was
-/// seen, they go on straight. A pentadiagonal system, by L D L'.
+/// Returns the values u that minimise sum_z n_z (u_z - c_z / n_z)^2 + lambda sum_z (u_{z-1} - 2 u_z + u_{z+1})^2,
+/// from n and c. Codes without views are extrapolated linearly. Solves a pentadiagonal system by L D L'.
 fn whittaker(n: &[f64; CODES], c: &[f64; CODES], lambda: f64) -> [f64; CODES] {
     let (mut diagonal, mut first, mut second) = (*n, [0.0; CODES], [0.0; CODES]);
     for z in 1..CODES - 1 {
@@ -158,7 +162,7 @@ fn whittaker(n: &[f64; CODES], c: &[f64; CODES], lambda: f64) -> [f64; CODES] {
         first[z] -= 2.0 * lambda;
         second[z - 1] += lambda;
     }
-    // L has 1 on its diagonal, and below it `first` and `second`, which hold D L' until they are divided.
+    // L has 1 on its diagonal, and below it `first` and `second`, which contain D L' until they are divided.
     let mut u = *c;
     for z in 0..CODES {
         let d = diagonal[z];
@@ -214,7 +218,7 @@ mod tests {
             assert!(objective < last && next[MID] == 0.0, "{objective} after {last}");
             (g, last) = (next, objective);
         }
-        // Without noise, and linear as is the interpolation, the true curve is a fixed point.
+        // Without noise and with a linear curve, which interpolation reproduces, the true curve is a fixed point.
         let exact: Vec<Sample> = (0..100)
             .map(|i| 20.0 + i as f64)
             .map(|z| Sample { views: [1.0, 2.0].map(|t| View { code: t * z, ln_time: libm::log(t) }).to_vec() })
@@ -237,7 +241,7 @@ mod tests {
             }
         }
         let dense = matrix.cholesky().unwrap().solve(&DVector::from_column_slice(&c));
-        // The condition is some 16 x 300 x 256.
+        // The condition is about 16 x 300 x 256.
         assert!(whittaker(&n, &c, 300.0).iter().zip(&dense).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 

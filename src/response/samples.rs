@@ -1,10 +1,10 @@
-//! Samples: places of the scene, and the codes by which the frames saw them; and up to which code a frame is black.
+//! Samples: places of the scene with their codes in the frames, and the code up to which a frame is black.
 //!
-//! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over picture and
-//! brightness; the same whatever the number of threads. Cost: a bounded number of 5x5 patches is read, about 20 ms at most on two cores, whatever the size.
-//! Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well distributed in the picture and over the codes, from places
-//! of low variance, so that neither noise nor the sampling of an edge counts. Where they take a few dozen pixels by hand, these are
-//! means over patches, by the thousand.
+//! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over
+//! picture and brightness; the same on any number of threads. Cost: a bounded number of 5x5 patches is read, at most
+//! about 20 ms on two cores for any size. Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well
+//! distributed in the picture and over the codes, from places of low variance, so that neither noise nor the sampling
+//! of an edge matters. They choose a few dozen pixels by hand; here the samples are means over thousands of patches.
 
 use crate::align::resampling::nearest::{Strip, placed};
 use crate::align::{Alignment, Rect};
@@ -18,39 +18,40 @@ use std::ops::Range;
 
 /// Side of a patch in pixels.
 const PATCH: usize = 5;
-/// Candidates on a side of a cell, of which the flattest is taken.
+/// Candidates along each side of a cell; the flattest is used.
 const TRIES: usize = 2;
-/// Patches that are read in all, at most, whatever the size and the number of frames.
+/// Largest number of patches that are read, for any size and number of frames.
 const READ: usize = 60_000;
-/// A frame saw a patch if all its codes are in this range: those beyond may be clipped, or nearly so.
+/// A patch is used in a frame if all its codes are in this range; codes beyond it may be clipped.
 const SEEN: (f64, f64) = (2.0, 253.0);
-/// Standard deviation within a patch, in codes, above which it is no flat place.
+/// Largest standard deviation within a flat patch, in codes.
 const ROUGH: f64 = 12.0;
-/// Codes by which a longer exposure may be darker than a shorter one, beside what the patches' noise explains.
+/// Codes by which a longer exposure may be darker than a shorter one, in addition to the noise of the patches.
 const DARKER: f64 = 2.0;
-/// Codes by which a stop more of exposure must brighten a patch, at least, as a share of its code and absolutely: where it does not,
-/// the shorter exposure is at the black of the film or the sensor, and says nothing. A camera's curve rises by a fifth to a third.
+/// Smallest increase of a patch's code per stop of exposure, relative to the code and absolute. If the increase is
+/// smaller, the shorter exposure is at the black of the film or sensor, and is not used. Camera curves rise by a
+/// fifth to a third.
 const RISE: (f64, f64) = (0.05, 0.5);
-/// Black is estimated if this many patches show it, and is above this share of them.
+/// Black is estimated from at least this many patches, and is above this fraction of them.
 const BLACK: (usize, f64) = (20, 0.95);
-/// Codes from here on are not black, whatever they say.
+/// Codes from here on are never black.
 const DARK: f64 = 64.0;
-/// Steps of brightness among which samples are spread.
+/// Bins of brightness over which samples are spread.
 const BINS: usize = 32;
 
-/// One frame's view of a place, in one channel.
+/// A place in one frame and one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
-    /// Z, the mean code of the patch, on the scale 0..=255 whatever the depth.
+    /// Z, the mean code of the patch, on the scale 0..=255 for any depth.
     pub code: f64,
     /// ln dt of the frame: its relative exposure over that of the reference.
     pub ln_time: f64,
 }
 
-/// The views that frames of different exposure have of one place, in one channel; at least two, by rising exposure.
+/// A place in one channel in frames of different exposure: at least two views, by rising exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// None is clipped.
+    /// The views; none is clipped.
     pub views: Vec<View>,
 }
 
@@ -62,7 +63,7 @@ struct Patch {
     seen: bool,
 }
 
-/// A place as all frames saw it; none for a frame that does not cover it.
+/// A place in all frames; `None` for a frame that does not cover it.
 #[derive(Debug, Clone)]
 struct Candidate {
     /// Column and row of the patch's top-left pixel in the reference.
@@ -71,15 +72,15 @@ struct Candidate {
     roughness: f64,
 }
 
-/// The flat places of a bracket, and what the frames that were placed have of them.
+/// The flat places of a bracket, with their codes in all merged frames.
 #[derive(Debug, Clone, Default)]
 pub struct Places {
-    /// ln dt of each frame over the reference's, by rising exposure, and which of the bracket's it is.
+    /// ln dt of each frame relative to the reference, by rising exposure, and the frame's index in the bracket.
     frames: Vec<(usize, f64)>,
     places: Vec<Candidate>,
 }
 
-/// One place in one channel, as a shorter and a longer exposure saw it; neither is clipped, nor at the black of the sensor.
+/// A place in one channel, in a shorter and a longer exposure; neither is clipped or at the black of the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Step {
     /// Column and row of the place in the reference.
@@ -90,20 +91,20 @@ pub(super) struct Step {
     pub codes: (f64, f64),
 }
 
-/// What the scene shows of each channel.
+/// Samples drawn from the places, and the black of each channel.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Drawn {
     /// Samples for R, G and B.
     pub channels: [Vec<Sample>; 3],
-    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    /// The code of R, G and B up to which a frame is black, including noise; 0 if no frame is.
     pub black: [f64; 3],
 }
 
 impl Places {
-    /// The flat places that the frames of `bracket` saw.
+    /// Finds the flat places in the frames of `bracket`.
     ///
     /// # Errors
-    /// [`Error::Scratch`](crate::error::Error::Scratch), where frames are on disk.
+    /// [`Error::Scratch`](crate::error::Error::Scratch) if frames are on disk.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Result<Self> {
         let frames = placed(bracket, alignment);
         let mut seen = Places { frames: frames.iter().map(|frame| (frame.index, 0.0)).collect(), places: Vec::new() };
@@ -133,7 +134,8 @@ impl Places {
         Ok(seen)
     }
 
-    /// Keeps places that have no more than `patches` patches together, evenly over the picture; where there are fewer, all.
+    /// Keeps places that have no more than `patches` patches together, evenly over the picture, or all if there are
+    /// fewer.
     pub fn thin(&mut self, patches: usize) {
         let (all, kept) = (self.places.len(), patches / self.frames.len().max(1));
         if all <= kept {
@@ -147,8 +149,8 @@ impl Places {
         self.places.shrink_to_fit();
     }
 
-    /// For each frame the next that was exposed longer by `least` stops or more: by how many, and what the two saw of each place, place by
-    /// place.
+    /// Returns for each frame the next longer exposure by `least` stops or more: the number of stops, and the codes
+    /// of both at each place.
     pub(super) fn steps(&self, least: f64) -> Vec<(f64, Vec<Step>)> {
         let stops = |i: usize, j: usize| (self.frames[j].1 - self.frames[i].1) / LN_2;
         let next = |i: usize| (i + 1..self.frames.len()).find(|&j| stops(i, j) >= least).map(|j| (i, j));
@@ -167,12 +169,12 @@ impl Places {
         pairs.map(all).collect()
     }
 
-    /// The code of R, G and B up to which a frame is black, noise included; 0 where it shows none.
+    /// Returns the code of R, G and B up to which a frame is black, including noise; 0 if no frame is.
     pub(super) fn black(&self) -> [f64; 3] {
         std::array::from_fn(|channel| black(&[self], channel))
     }
 
-    /// Takes the exposures that `bracket`, of which the places are, has now.
+    /// Updates the exposures to those that `bracket` has now.
     pub fn time(&mut self, bracket: &Bracket) {
         let reference = bracket.reference().exposure.relative();
         for (index, ln_time) in &mut self.frames {
@@ -181,7 +183,8 @@ impl Places {
     }
 }
 
-/// At most `count` samples for each of R, G and B from all the brackets of one camera together, and where its black is.
+/// Draws at most `count` samples for each of R, G and B from all the brackets of one camera together, and estimates
+/// the black.
 pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     let drawn: Vec<_> = (0..3).into_par_iter().map(|c| (spread(brackets, c, count), black(brackets, c))).collect();
     let mut all = Drawn::default();
@@ -191,7 +194,8 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// Whether a place becomes brighter or darker, by more than [`RISE`], from each frame that shows it to the next longer one; by rising exposure.
+/// Returns whether a place becomes brighter or darker, by more than [`RISE`], from each frame to the next longer one,
+/// by rising exposure.
 fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(usize, Ordering)> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
@@ -205,18 +209,20 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// The range of frames that measure a place: not those so short that a longer one is no brighter.
+/// Returns the range of frames that measure a place: without frames so short that a longer one is no brighter.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     first_rise(&changes(place, frames, channel))..frames.len()
 }
 
-/// The frame from which on a place becomes brighter; the first where it never does: it is black or white throughout.
+/// Returns the frame from which on a place becomes brighter; the first if it never does, because it is black or white
+/// throughout.
 fn first_rise(changes: &[(usize, Ordering)]) -> usize {
     changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)
 }
 
-/// The code up to which a frame is black: where the patches are that say nothing, with two standard deviations for their noise. A patch that something
-/// moved across says nothing either, but among others as dark that do.
+/// Returns the code up to which a frame is black: the codes of patches that do not become brighter, plus two standard
+/// deviations of their noise. A patch with motion does not become brighter either, but other patches with the same
+/// code do.
 fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
     let (mut underexposed, mut exposed) = (Vec::new(), Vec::new());
@@ -241,7 +247,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
-/// The code that best parts what is `below` from what is `above`: the fewest lie on the wrong side. The least code of all where none is below.
+/// Returns the code that separates `below` from `above` with the fewest on the wrong side; the smallest code of all
+/// if `below` is empty.
 fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     let mut codes: Vec<(f64, i32)> =
         below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();
@@ -256,7 +263,8 @@ fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     end
 }
 
-/// What the frames have of the patch whose top-left pixel is (x, y) of the reference, if it is flat and did not change.
+/// Reads the patch whose top-left pixel is (x, y) of the reference in all frames. Returns `None` if it is not flat or
+/// changed.
 fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
     let mut patches: Vec<Option<[Patch; 3]>> = Vec::with_capacity(frames.len());
     let mut roughness: f64 = 0.0;
@@ -273,11 +281,11 @@ fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
     (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { at: (x, y), patches, roughness })
 }
 
-/// Whether no longer exposure is darker than a shorter one: what moves, is not.
+/// Whether no longer exposure is darker than a shorter one; false for moving objects.
 fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
     let mut brightest = f64::MIN;
     patches.iter().flatten().map(|patch| patch[channel]).all(|p| {
-        // The mean of n pixels is uncertain by deviation / sqrt(n); three of those are chance.
+        // The mean of n pixels has a standard error of deviation / sqrt(n); three of those are within chance.
         let tolerance = DARKER + 3.0 * p.deviation / PATCH as f64;
         let rises = p.mean >= brightest - tolerance;
         brightest = brightest.max(p.mean);
@@ -285,8 +293,8 @@ fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
     })
 }
 
-/// The patch of a frame that lies on (x, y) of the reference. A flat patch bears being moved by part of a pixel, so that the
-/// nearest whole pixel does.
+/// Reads the patch of a frame at (x, y) of the reference. The nearest pixel is exact enough, because a flat patch
+/// does not change if it is displaced by part of a pixel.
 fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
     let start = strip.start(x, y, PATCH)?;
     let stride = 3 * strip.window.width();
@@ -296,7 +304,7 @@ fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
     })
 }
 
-/// Mean and spread of the patch that `codes` begins with; `scale` codes are one on the scale 0..=255.
+/// Returns mean and spread of the patch that `codes` begins with; `scale` codes are one on the scale 0..=255.
 fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patch; 3] {
     let (mut sum, mut squares, mut least, mut most) = ([0u64; 3], [0u64; 3], [u64::MAX; 3], [0u64; 3]);
     for row in codes.chunks(stride).take(PATCH) {
@@ -321,7 +329,8 @@ fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patc
     })
 }
 
-/// At most `count` samples of a channel, as equal in number over the steps of brightness as there are places; the flattest of each.
+/// Returns at most `count` samples of a channel, in equal numbers over the bins of brightness as far as there are
+/// places; the flattest of each bin.
 fn spread(seen: &[&Places], channel: usize, count: usize) -> Vec<Sample> {
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
     let all: Vec<_> = seen.iter().flat_map(|seen| seen.places.iter().map(|place| (place, &seen.frames))).collect();
@@ -342,7 +351,7 @@ fn spread(seen: &[&Places], channel: usize, count: usize) -> Vec<Sample> {
     chosen.map(|(place, frames)| sample(place, frames, channel)).collect()
 }
 
-/// The views of a place in a channel that are not clipped.
+/// Returns the views of a place in a channel that are not clipped.
 fn sample(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Sample {
     let range = telling(place, frames, channel);
     let views = place.patches[range.clone()].iter().zip(&frames[range]).filter_map(|(patch, &(_, ln_time))| {

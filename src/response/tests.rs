@@ -1,10 +1,10 @@
-//! Tests of the stage, and a still bracket for those of other stages.
+//! Tests of the stage, and a static bracket for the tests of other stages.
 
 use super::*;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
 
-/// A still bracket with exposures `times`: `radiance` of a pixel's column and row, seen through the sRGB curve.
+/// Returns a static bracket with exposures `times`: `radiance` of a pixel's column and row, through the sRGB curve.
 pub(crate) fn still(
     (width, height): (usize, usize),
     times: &[f64],
@@ -45,7 +45,7 @@ fn a_bracket_tells_its_curve_and_grey_stays_grey() {
     let (srgb, n) = (ResponseCurve::srgb(), 236.0);
     for c in 0..3 {
         let d = |z: usize| stops(curve.ln_exposure(c)[z] - srgb.ln_exposure(c)[z]);
-        // A shift common to the channels is of no matter; 0.05 stops are 3.5 %.
+        // A shift common to the channels does not matter; 0.05 stops are 3.5 %.
         let mean = (10..=245).map(|z| stops(curve.ln_exposure(1)[z] - srgb.ln_exposure(1)[z])).sum::<f64>() / n;
         let rms = ((10..=245).map(|z| (d(z) - mean) * (d(z) - mean)).sum::<f64>() / n).sqrt();
         assert!(rms < 0.05, "channel {c}: {rms} stops");
@@ -54,7 +54,8 @@ fn a_bracket_tells_its_curve_and_grey_stays_grey() {
     assert!((mean(0) - mean(1)).abs() < 1e-9 && (mean(2) - mean(1)).abs() < 1e-9);
 }
 
-/// Root mean square of the difference from the sRGB curve over codes 10..=245 of all channels, after one shift, in stops.
+/// Root mean square of the difference from the sRGB curve over codes 10..=245 of all channels, after one common
+/// shift, in stops.
 fn off(curve: &ResponseCurve) -> f64 {
     let srgb = ResponseCurve::srgb();
     let codes = (0..3).flat_map(|c| (10..=245).map(move |z| (c, z)));
@@ -80,7 +81,7 @@ fn every_model_tells_the_curve_and_its_name() {
         assert!(off(&curve) < 0.05, "{name}: {}", off(&curve));
         let ratios = report.exposure_ratios.unwrap_or_default();
         assert_eq!(ratios.len(), if name == "mitsunaga-nayar" { 2 } else { 0 });
-        // Two stops each, and true: what the pixels say differs by what rounding to codes leaves.
+        // Two stops each, and exact: estimates differ only by rounding to codes.
         assert!(ratios.iter().all(|r| r.given_stops == 2.0 && (r.found_stops - 2.0).abs() < 0.03), "{ratios:?}");
     }
 }
@@ -101,7 +102,7 @@ fn a_channel_that_tells_nothing_borrows_with_a_warning() {
 
 #[test]
 fn brackets_of_one_camera_tell_more_together() {
-    // One saw the shadows of the curve, the other the rest, in exposures that have nothing to do with those of the first.
+    // One bracket shows the shadows of the curve, the other the rest, at unrelated exposures.
     let dark = still((400, 300), &[0.25, 1.0], |x, y| tiles(x, y).map(|e| 0.02 * e));
     let bright = still((400, 300), &[30.0, 60.0, 120.0], |x, y| tiles(x, y).map(|e| 0.001 + e / 120.0));
     let (_, report, _) = recover(&dark.0, &dark.1, &ResponseModel::default()).unwrap();
@@ -110,7 +111,7 @@ fn brackets_of_one_camera_tell_more_together() {
     let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
     let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();
-    // Sums in another order, and among places that are equally flat others may be drawn.
+    // Sums in another order, and other places may be drawn among equally flat ones.
     assert!((off(&reversed) - off(&both)).abs() < 0.01);
     let (none, report, _) = recover_from(&[], &ResponseModel::default()).unwrap();
     assert!(none == ResponseCurve::srgb() && report.fallback.is_some());
@@ -139,7 +140,7 @@ fn a_bracket_that_tells_nothing_gets_the_stated_curve_and_a_warning() {
 #[test]
 fn stated_curves_are_what_they_state() {
     let srgb = ResponseCurve::srgb();
-    // Code 188 of sRGB is 0.5029 of the light of 255 (the standard's formula, by hand).
+    // Code 188 of sRGB is 0.5029 of the light of 255 (calculated from the standard's formula).
     assert!((srgb.exposure(0, 188.0) / srgb.exposure(0, 255.0) - 0.5029).abs() < 1e-4);
     let linear = ResponseCurve::linear();
     assert!((linear.exposure(2, 64.5) * 128.0 - 64.5).abs() < 1e-4);
@@ -151,7 +152,7 @@ fn code_is_the_inverse_of_exposure() {
     let curve = ResponseCurve::srgb();
     for code in (0..=2550).map(|z| z as f32 / 10.0) {
         let found = curve.code(1, curve.exposure(1, code));
-        // Two roundings of 2^-24 of an exposure, of which the steps are 2^-8 at least.
+        // Two roundings of 2^-24 of an exposure whose steps are at least 2^-8.
         assert!((found - code).abs() < 1e-4, "{code}: {found}");
     }
     assert_eq!((curve.code(0, 0.0), curve.code(0, f32::INFINITY)), (0.0, 255.0));

@@ -1,18 +1,18 @@
-//! TIFF files: what the `tiff` crate leaves to be done before and while it decodes, for photographs and radiance maps alike.
+//! TIFF files: what the `tiff` crate does not do before and while it decodes, for photographs and radiance maps.
 //!
-//! In: a file. Out: which of its pictures is meant, bytes that the crate reads rightly, and the samples of the picture, interleaved. Cost: a
-//! look at each directory; one copy of the samples. Source: TIFF 6.0 (sections 2, 8 and 15); libtiff, `tif_read.c`, for what
-//! FillOrder turns round; TIFF/EP and DNG for the tags that tell a camera raw file.
+//! In: a file. Out: the selected picture, bytes that the crate reads correctly, and the samples of the picture,
+//! interleaved. Cost: reading each directory; one copy of the samples. Source: TIFF 6.0 (sections 2, 8 and 15);
+//! libtiff, `tif_read.c`, for FillOrder; TIFF/EP and DNG for the tags of camera raw files.
 
 mod samples;
 
 pub(crate) use samples::samples;
 use std::io::{Cursor, Read, Seek, SeekFrom};
 
-/// Why a file was refused.
+/// Why a file was rejected.
 type Reason = String;
 
-/// Tags that are looked at, by their numbers.
+/// Numbers of the tags that are read.
 const SUBFILE: u16 = 254;
 const COMPRESSION: u16 = 259;
 const PHOTOMETRIC: u16 = 262;
@@ -26,13 +26,13 @@ const DNG_VERSION: u16 = 50706;
 /// The photometric interpretation of grey (TIFF 6.0, section 8).
 const BLACK_IS_ZERO: u8 = 1;
 
-/// JPEG in a TIFF, whose bits are never turned round (libtiff's TIFF_NOBITREV).
+/// JPEG in a TIFF, whose bits are never reversed (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
 
-/// Most directories that are looked at: pictures of one file, of which one is wanted.
+/// Largest number of directories that are read: pictures of one file, of which one is used.
 const MOST_DIRECTORIES: usize = 64;
 
-/// From this length on the crate refuses a text, and prints a line of its own about it.
+/// From this length on the crate rejects a text, and prints a message about it.
 const LONGEST_TEXT: u64 = 256 << 20;
 
 /// An entry of a directory.
@@ -41,7 +41,7 @@ struct Entry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// Where its value is, in the file.
+    /// Offset of its value in the file.
     value: u64,
 }
 
@@ -59,7 +59,7 @@ impl Directory {
     }
 }
 
-/// The directories of a file, by seeking.
+/// The directories of a file, read by seeking.
 struct Directories<R> {
     reader: R,
     length: u64,
@@ -89,7 +89,7 @@ impl<R: Read + Seek> Directories<R> {
         Some(number(&bytes, self.is_little))
     }
 
-    /// Where the offset of the first directory is, and how long an offset is.
+    /// Returns the position and the length of the offset of the first directory.
     fn offset(&self) -> (u64, usize) {
         if self.is_big { (8, 8) } else { (4, 4) }
     }
@@ -113,7 +113,7 @@ impl<R: Read + Seek> Directories<R> {
         Some(Directory { at, entries: entries.collect(), next: number(next, self.is_little) })
     }
 
-    /// The directories of the file's pictures, in their order; up to the first that is not sound.
+    /// Returns the directories of the file's pictures in order, up to the first damaged one.
     fn pictures(&mut self) -> Vec<Directory> {
         let (at, word) = self.offset();
         let mut found: Vec<Directory> = Vec::new();
@@ -126,7 +126,7 @@ impl<R: Read + Seek> Directories<R> {
         found
     }
 
-    /// The whole numbers of the entry `tag`, if it has any.
+    /// Returns the integers of the entry `tag`, if it has any.
     fn numbers(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u64>> {
         let entry = directory.entry(tag)?;
         let size = match entry.kind {
@@ -146,7 +146,7 @@ impl<R: Read + Seek> Directories<R> {
         self.first_number(directory, SUBFILE).is_some_and(|kind| kind & 1 != 0)
     }
 
-    /// Whether it holds a sensor's mosaic, or the linear pixels that were made of one.
+    /// Whether a directory contains the mosaic of a sensor, or linear pixels made from one.
     fn is_mosaic(&mut self, directory: &Directory) -> bool {
         matches!(self.first_number(directory, PHOTOMETRIC), Some(32803 | 34892))
     }
@@ -157,7 +157,7 @@ fn number(bytes: &[u8], is_little: bool) -> u64 {
     if is_little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
 }
 
-/// Bytes of a value of a type (TIFF 6.0, section 2; BigTIFF); of an unknown type, as of the longest.
+/// Bytes of a value of a type (TIFF 6.0, section 2; BigTIFF); the longest for unknown types.
 fn size_of_kind(kind: u16) -> u64 {
     match kind {
         1 | 2 | 6 | 7 => 1,
@@ -167,25 +167,25 @@ fn size_of_kind(kind: u16) -> u64 {
     }
 }
 
-/// Which picture of a file is meant.
+/// The selected picture of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Picture {
-    /// Its place among the file's pictures.
+    /// Index among the file's pictures.
     pub index: usize,
-    /// How many pictures the file has, as far as they are sound.
+    /// Number of undamaged pictures in the file.
     pub count: usize,
-    /// Where its directory is, in the file.
+    /// Offset of its directory in the file.
     at: u64,
-    /// Whether the file looks like a camera raw: a mosaic, or thumbnails without a picture.
+    /// Whether the file seems to be a camera raw: a mosaic, or thumbnails without a picture.
     pub is_raw: bool,
 }
 
-/// The first picture of the file that is no thumbnail of another.
+/// Returns the first picture of the file that is not a thumbnail of another.
 ///
 /// # Errors
-/// The reason, where a directory is not sound.
+/// The reason, if a directory is damaged.
 pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
-    let damaged = || Reason::from("it has no sound directory; copy the file again");
+    let damaged = || Reason::from("it has no undamaged directory; copy the file again");
     let mut file = Directories::of(reader).ok_or_else(damaged)?;
     let pictures = file.pictures();
     let first = pictures.first().ok_or_else(damaged)?;
@@ -197,7 +197,7 @@ pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     }
     let all = || pictures.iter().chain(&below);
     if all().flat_map(|p| &p.entries).any(|entry| entry.kind == 2 && entry.count > LONGEST_TEXT) {
-        return Err("one of its texts says to be longer than any file has; copy the file again".into());
+        return Err("the stated length of one of its texts is impossible; copy the file again".into());
     }
     let is_mosaic = all().any(|directory| file.is_mosaic(directory));
     let full = pictures.iter().position(|directory| !file.is_thumbnail(directory));
@@ -218,8 +218,8 @@ pub(crate) fn put_first(bytes: &mut [u8], picture: Picture) {
     bytes[at..at + word].copy_from_slice(if is_little { &offset[..word] } else { &offset[8 - word..] });
 }
 
-/// Turns round the bits of each byte of the first picture's data where its FillOrder says that the lowest comes first. The crate does not
-/// know the tag. Where the directory is damaged nothing is done, and the crate reports it.
+/// Reverses the bits of each byte of the first picture's data if its FillOrder is 2. The crate does not know the tag.
+/// If the directory is damaged nothing is changed, and the crate reports it.
 pub(crate) fn order_bits(bytes: &mut [u8]) {
     let ranges = || {
         let mut file = Directories::of(Cursor::new(&*bytes))?;
@@ -236,7 +236,7 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
         ranges.sort_unstable();
         Some(ranges)
     };
-    // Strips may share bytes: each is turned once.
+    // Strips may share bytes: each byte is reversed once.
     let mut done = 0;
     for (offset, count) in ranges().unwrap_or_default() {
         let end = usize::try_from(offset.saturating_add(count)).map_or(bytes.len(), |end| end.min(bytes.len()));
@@ -246,10 +246,10 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
     }
 }
 
-/// Gives the first picture the photometric interpretation of grey, and returns its own: by it the crate unpacks all samples as they are stored,
-/// of whatever meaning and number, and adds up the differences of a predictor between those that belong together. Otherwise it reads no
-/// palette and no LogLuv, no grey with alpha, and extra samples wrongly. Where the directory is not sound nothing is done, and the crate will
-/// say so.
+/// Sets the photometric interpretation of the first picture to grey, and returns its own. Then the crate decodes all
+/// samples as stored, of any meaning and number, and applies the predictor to the right samples. Otherwise it does
+/// not read palettes, LogLuv and grey with alpha, and reads extra samples incorrectly. If the directory is damaged
+/// nothing is changed, and the crate reports it.
 pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     let mut file = Directories::of(Cursor::new(&*bytes))?;
     let (at, word) = file.offset();
@@ -264,7 +264,7 @@ pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     u16::try_from(photometric).ok()
 }
 
-/// Why the crate refuses a file, and what to do about it.
+/// Returns why the crate rejects a file, and the remedy.
 pub(crate) fn refusal(e: tiff::TiffError) -> Reason {
     match e {
         tiff::TiffError::UnsupportedError(what) => {

@@ -1,4 +1,4 @@
-//! The samples of a picture, by the `tiff` crate, strip by strip or tile by tile.
+//! The samples of a picture, decoded by the `tiff` crate, strip by strip or tile by tile.
 //!
 //! In: a decoder. Out: samples, interleaved. Cost: that of the crate, and one copy. Source: TIFF 6.0 (section 15).
 
@@ -8,11 +8,12 @@ use std::io::{Read, Seek};
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-/// The first `wanted` samples of each pixel of the picture that `decoder` is at, pixel by pixel, whether they are stored in strips, tiles or
-/// planes. Of fewer than 8 bit, they become bytes of the full range. The picture is [grey](super::as_grey) to the crate.
+/// Returns the first `wanted` samples of each pixel of the decoder's current picture, pixel by pixel, from strips,
+/// tiles or planes. Samples of fewer than 8 bits become bytes of the full range. The photometric interpretation must
+/// be [grey](super::as_grey).
 ///
-/// The crate's own way to read the whole of a picture panics where tiles of a plane reach beyond its lower edge, and calls tiles of LZW
-/// that reach beyond an edge damaged. It reads whole rows of tiles right.
+/// The crate's function for a whole picture panics if tiles of a plane extend beyond the lower edge, and reports LZW
+/// tiles that extend beyond an edge as damaged. It reads single tiles correctly.
 ///
 /// # Errors
 /// The reason.
@@ -23,7 +24,7 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
     let stored = usize::from(kind.num_samples());
     if stored < wanted {
         return Err(format!(
-            "it has {stored} samples to a pixel, and its colours need {wanted}; save it as grey or RGB"
+            "it has {stored} samples per pixel, and its colours need {wanted}; save it as grey or RGB"
         ));
     }
     let (planes, per_chunk) = if is_planar { (wanted, 1) } else { (1, stored) };
@@ -54,11 +55,11 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
             };
             use DecodingResult::{F16, F32, F64, U8, U16};
             match (chunk, &mut all) {
-                (U8(chunk), None) => all = Some(U8(place.begun(chunk)?)),
-                (U16(chunk), None) => all = Some(U16(place.begun(chunk)?)),
-                (F16(chunk), None) => all = Some(F16(place.begun(chunk)?)),
-                (F32(chunk), None) => all = Some(F32(place.begun(chunk)?)),
-                (F64(chunk), None) => all = Some(F64(place.begun(chunk)?)),
+                (U8(chunk), None) => all = Some(U8(place.started(chunk)?)),
+                (U16(chunk), None) => all = Some(U16(place.started(chunk)?)),
+                (F16(chunk), None) => all = Some(F16(place.started(chunk)?)),
+                (F32(chunk), None) => all = Some(F32(place.started(chunk)?)),
+                (F64(chunk), None) => all = Some(F64(place.started(chunk)?)),
                 (U8(chunk), Some(U8(all))) => place.put(chunk, all),
                 (U16(chunk), Some(U16(all))) => place.put(chunk, all),
                 (F16(chunk), Some(F16(all))) => place.put(chunk, all),
@@ -75,31 +76,31 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
     all.ok_or_else(|| "it has no pixels".into())
 }
 
-/// Where a chunk belongs.
+/// The position of a chunk.
 struct Place {
-    /// Of the picture, in pixels.
+    /// Size of the picture, in pixels.
     size: (usize, usize),
-    /// Samples of a pixel in the picture.
+    /// Samples per pixel in the picture.
     wanted: usize,
-    /// Samples of a pixel in the chunk: those of the picture and others behind them, or one of them.
+    /// Samples per pixel in the chunk: at least those of the picture, or one of them.
     per_chunk: usize,
-    /// Of the chunk, in the picture.
+    /// Position of the chunk in the picture.
     corner: (usize, usize),
-    /// In pixels.
+    /// Width of the chunk in pixels.
     chunk_width: usize,
-    /// Which of the samples the chunk holds, if not all.
+    /// The sample that the chunk contains, if it does not contain all.
     plane: Option<usize>,
 }
 
 impl Place {
-    /// A whole picture of which `chunk` is the first part.
-    fn begun<T: Copy + Default>(&self, chunk: &[T]) -> Result<Vec<T>, Reason> {
+    /// Returns a picture whose first part is `chunk`.
+    fn started<T: Copy + Default>(&self, chunk: &[T]) -> Result<Vec<T>, Reason> {
         let mut all = limits::room(self.size.0 * self.size.1 * self.wanted)?;
         self.put(chunk, &mut all);
         Ok(all)
     }
 
-    /// What reaches beyond the right or the lower edge is left out.
+    /// Copies a chunk. Pixels beyond the right or the lower edge are dropped.
     fn put<T: Copy>(&self, chunk: &[T], all: &mut [T]) {
         let Place { size, wanted, per_chunk, corner, chunk_width, plane } = *self;
         let rows = all.chunks_exact_mut(size.0 * wanted).skip(corner.1);
@@ -119,7 +120,7 @@ impl Place {
     }
 }
 
-/// Samples of fewer than 8 bit, `count` to a row that is filled up to whole bytes, as bytes of the full range.
+/// Converts samples of fewer than 8 bits, in rows of `count` padded to bytes, to bytes of the full range.
 fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
     let depth = usize::from(depth.max(1));
     let max = (1u16 << depth) - 1;
@@ -129,7 +130,7 @@ fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
         .flat_map(|bytes| {
             (0..count).map(move |x| {
                 let bit = x * depth;
-                // Two bytes hold every sample, also one that straddles a boundary.
+                // Two bytes contain every sample, also one that crosses a byte boundary.
                 let next = bytes.get(bit / 8 + 1).copied().unwrap_or(0);
                 let word = u16::from_be_bytes([bytes[bit / 8], next]);
                 let value = (word >> (16 - depth - bit % 8)) & max;

@@ -1,15 +1,15 @@
-//! Files written entry by entry.
+//! Tests with files written entry by entry.
 
 use super::*;
 use tiff::decoder::{Decoder, DecodingResult};
 
-/// A tag, its type (TIFF 6.0, section 2) and its values; of a rational both numbers.
+/// A tag, its type (TIFF 6.0, section 2) and its values; both numbers of a rational.
 pub(crate) type Entries = Vec<(u16, u16, Vec<u32>)>;
 
-/// Where the data of a [`file`] begins.
+/// Offset of the data of a [`file`].
 pub(crate) const DATA: u32 = 8;
 
-/// A little-endian file: `data`, then the `directories`, each the next of the one before.
+/// Returns a little-endian file: `data`, then the `directories`, each linked from the previous one.
 pub(crate) fn file(data: &[u8], directories: &[Entries]) -> Vec<u8> {
     let mut bytes = [b"II*\0", &[0; 4][..], data].concat();
     let mut link = 4;
@@ -44,7 +44,7 @@ pub(crate) fn file(data: &[u8], directories: &[Entries]) -> Vec<u8> {
     bytes
 }
 
-/// The entries of an uncompressed RGB picture of 8 bit in one strip at `at`.
+/// Returns the entries of an uncompressed 8-bit RGB picture in one strip at `at`.
 pub(crate) fn rgb(width: u32, height: u32, at: u32) -> Entries {
     vec![
         (254, 4, vec![0]),
@@ -60,7 +60,7 @@ pub(crate) fn rgb(width: u32, height: u32, at: u32) -> Entries {
     ]
 }
 
-/// `entries` with that of its tag replaced or added.
+/// Returns `entries` with `entry` added or replaced.
 pub(crate) fn with(mut entries: Entries, entry: (u16, u16, Vec<u32>)) -> Entries {
     entries.retain(|(tag, ..)| *tag != entry.0);
     entries.push(entry);
@@ -78,7 +78,7 @@ fn decoded(bytes: &[u8]) -> Vec<u8> {
     }
 }
 
-/// The tiff crate's own reading of the whole picture panics on it.
+/// The tiff crate's function for the whole picture panics on it.
 #[test]
 fn tiles_of_planes_that_reach_beyond_the_edges_are_cut() {
     let (width, height) = (19_usize, 21_usize);
@@ -120,7 +120,7 @@ fn bits_are_turned_round_by_fill_order_once_and_never_those_of_jpeg() {
     let mut bytes = file(&turned, std::slice::from_ref(&lowest_first));
     order_bits(&mut bytes);
     assert_eq!(decoded(&bytes), picture);
-    // Both strips at one place.
+    // Both strips at the same offset.
     let shared = with(lowest_first.clone(), (273, 4, vec![DATA, DATA]));
     let mut bytes = file(&turned, &[shared]);
     order_bits(&mut bytes);
@@ -149,7 +149,7 @@ fn the_picture_is_the_first_that_is_no_thumbnail_and_mosaics_are_raw() {
     assert!(which(&[with(rgb(5, 4, DATA), (50706, 1, vec![1, 4, 0, 0]))]).1);
     let mosaic = || with(rgb(5, 4, DATA), (262, 3, vec![32803]));
     assert!(which(&[mosaic()]).1 && which(&[thumbnail(), mosaic()]).1);
-    // Below the first, as in NEF: the second directory is taken out of the chain.
+    // A subdirectory of the first, as in NEF: the second directory is removed from the chain.
     let mut bytes = file(&data, &[with(thumbnail(), (330, 4, vec![0x5555_5555])), mosaic()]);
     let mut directories = Directories::of(Cursor::new(&bytes)).unwrap();
     let chain = directories.pictures();
@@ -165,7 +165,7 @@ fn the_picture_is_the_first_that_is_no_thumbnail_and_mosaics_are_raw() {
     assert_eq!(decoded(&bytes), data);
 }
 
-/// The tiff crate would print a line, with a path of the machine that compiled it.
+/// The tiff crate would print a line that contains a path of the machine on which it was compiled.
 #[test]
 fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     let mut bytes = file(&[0; 60], &[with(rgb(5, 4, DATA), (271, 2, vec![65; 9]))]);
@@ -176,11 +176,11 @@ fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     bytes[at..at + 4].copy_from_slice(&0x7FFF_FFFF_u32.to_le_bytes());
     assert!(picture(Cursor::new(&bytes)).unwrap_err().contains("texts"));
     for cut in [0, 3, 8, bytes.len() - 5] {
-        assert!(picture(Cursor::new(&bytes[..cut])).unwrap_err().contains("no sound directory"), "{cut}");
+        assert!(picture(Cursor::new(&bytes[..cut])).unwrap_err().contains("no undamaged directory"), "{cut}");
     }
 }
 
-/// The tiff crate gives other values for them, without an error, where it knows that they are RGB.
+/// The tiff crate gives other values for them, without an error, if it knows that they are RGB.
 #[test]
 fn extra_samples_are_left_out_with_a_predictor_or_without() {
     let picture: Vec<u8> = (0..5 * 5 * 4).map(|i| (i * i % 251) as u8).collect();

@@ -113,7 +113,7 @@ fn a_file_that_is_no_response_is_named_with_the_remedy() {
     folder.put("photo.json", small_jpeg(1));
     folder.put("short.rsp", b"3 1 2 3\n");
     folder.put("other.csv", b"a;b;c\n1;2;3\n");
-    for (file, words) in [("photo.json", "no text"), ("short.rsp", "red"), ("other.csv", "no matrix")] {
+    for (file, words) in [("photo.json", "not a text file"), ("short.rsp", "red"), ("other.csv", "no matrix")] {
         let run = folder.line(&format!("merge w2.jpg w3.jpg --response {file} -o a.hdr"));
         assert!(run.code == 1 && run.stderr.contains(file) && run.stderr.contains(words), "{run:?}");
         assert!(run.stderr.contains("hdralign response"), "{run:?}");

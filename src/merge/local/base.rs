@@ -1,46 +1,46 @@
-//! The base of a locally processed frame, and the curve that the phone compressed it by.
+//! The base of a locally processed frame, and the curve with which the phone compressed it.
 //!
-//! In: the logarithm of each frame's exposure on cells. Out: for each cell how the base follows from a pixel's
-//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
-//! cells for each frame, and some passes over the cells of each two frames. Source: base and detail as in Durand &
-//! Dorsey 2002; the base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance by itself,
-//! found on cells and interpolated (He & Sun 2015). The curve is recovered as a camera's is (Debevec & Malik 1997),
-//! from bases instead of codes.
+//! In: the logarithm of each frame's exposure on cells. Out: for each cell the base as a function of a pixel's
+//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x
+//! 256 cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in
+//! Durand & Dorsey 2002. The base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance,
+//! guided by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a camera
+//! response (Debevec & Malik 1997), from bases instead of codes.
 //!
-//! A local tone mapping compresses the base and keeps the details. An edge of some stops is part of the base: else
-//! there were halos. A phone renders each frame by itself: what becomes of a base depends on that base alone, so that
-//! one curve holds for all frames and places, and a stop of exposure is a stop of the base that it had.
+//! A local tone mapping compresses the base and keeps the details. An edge of several stops is part of the base,
+//! otherwise there would be halos. A phone renders each frame independently. The rendering of a base depends only on
+//! that base, so one curve is valid for all frames and places, and a stop of exposure is a stop of the original base.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::gathered;
 use crate::statistics::{MEDIAN_DEVIATION, biweight, median};
 use nalgebra::{SMatrix, SVector};
 
-/// The filter's radius as a share of the longer side: a neighbourhood of a twelfth.
+/// Radius of the filter in cells: a neighbourhood of a twelfth of the longer side.
 const RADIUS: usize = 24;
-/// The variance from which on half of the differences belong to the base, in square stops: an edge of 2.8 stops. On 12
-/// truth brackets of phones, 4 has a PU21-PSNR of details lower by 0.4 dB.
+/// Variance at which half of a difference belongs to the base, in square stops: an edge of 2.8 stops. On 12 rendered
+/// brackets of phones, 4 has a PU21-PSNR of details that is lower by 0.4 dB.
 const EDGE: f32 = 2.0;
-/// Knots of the curve: one for each stop that a frame of 8 bit shows, or more.
+/// Knots of the curve: at least one for each stop that an 8-bit frame shows.
 const KNOTS: usize = 13;
-/// The weight of the curve's squared second derivative beside the mean squared error. On the same brackets the details
-/// of a fifth and of five times as much differ by 0.1 dB.
+/// Weight of the curve's squared second derivative relative to the mean squared error. On the same brackets a fifth
+/// and five times as much change the details by 0.1 dB.
 const SMOOTH: f64 = 0.01;
-/// Passes of least squares: in all but the first cells that show what moved have less weight.
+/// Passes of least squares; in all but the first, cells with motion have less weight.
 const PASSES: usize = 6;
-/// Tukey's reach in robust standard deviations.
+/// Reach of Tukey's biweight in robust standard deviations.
 const REACH: f64 = 4.685;
-/// The standard deviation of a difference of two bases at the least, in stops: half of what deghosting takes a cell to
-/// be known by.
+/// Smallest standard deviation of a difference of two bases, in stops: half of the accuracy that deghosting assumes
+/// for a cell.
 const LEAST: f64 = 0.05;
-/// Stops of the scene's base to one of a frame's: a phone compresses and never expands, and more than the second would
-/// make noise of nothing.
+/// Range of the slope from a frame's base to the scene's: a phone compresses and never expands, and a slope above the
+/// range would amplify noise.
 const SLOPES: (f64, f64) = (1.0, 2.5);
-/// Fewer differences tell no curve.
+/// Smallest number of differences that determine the curve.
 const FEWEST: usize = 100;
 
-/// How the base follows from the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the logarithms
-/// of the cells, none outside of the frame.
+/// Returns the base as a function of the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the
+/// logarithms of the cells, `None` outside of the frame.
 pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
     let longer = stops.width().max(stops.height());
     let radius = (longer as f64 / RADIUS as f64).round().max(1.0) as usize;
@@ -57,7 +57,7 @@ pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
     mapped(&gathered(&own, radius, add), |[a, b, count]: &[f32; 3]| [a / count.max(1.0), b / count.max(1.0)])
 }
 
-/// `of` each value of a plane.
+/// Applies `of` to each value of a plane.
 pub(super) fn mapped<S: Sync, T: Copy + Default + Send>(plane: &Plane<S>, of: impl Fn(&S) -> T + Sync) -> Plane<T> {
     Plane::from_rows(plane.width(), plane.height(), |y, row: &mut [T]| {
         row.iter_mut().zip(plane.row(y)).for_each(|(out, v)| *out = of(v));
@@ -69,14 +69,14 @@ fn add(a: &mut [f32; 3], b: &[f32; 3]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
 }
 
-/// The bases of two frames at one cell, in stops, and by how many stops the second was exposed more.
+/// The bases of two frames at one cell, in stops, and the difference of their exposures in stops.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pair {
     pub bases: (f32, f32),
     pub stops: f32,
 }
 
-/// How many stops the base of a frame lacks of the scene's: linear between knots, and beyond the last.
+/// The difference between the scene's base and a frame's base in stops: linear between knots and beyond the last.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct BaseCurve {
     low: f32,
@@ -85,8 +85,8 @@ pub(super) struct BaseCurve {
 }
 
 impl BaseCurve {
-    /// That which makes the bases of `pairs` differ by the exposures. It is 0 everywhere where they are too few, or
-    /// alike.
+    /// Returns the curve for which the bases of `pairs` differ by the exposures. It is 0 everywhere if there are too
+    /// few pairs or they are equal.
     pub fn of(pairs: &[Pair]) -> BaseCurve {
         BaseCurve::recovered(pairs).unwrap_or(BaseCurve { low: 0.0, step: 1.0, lacks: [0.0; KNOTS] })
     }
@@ -97,7 +97,7 @@ impl BaseCurve {
         }
         let mut bases: Vec<f32> = pairs.iter().flat_map(|pair| [pair.bases.0, pair.bases.1]).collect();
         bases.sort_by(f32::total_cmp);
-        // A few of the darkest and the brightest would stretch the curve.
+        // A few of the darkest and the brightest would extend the curve.
         let few = bases.len() / 200;
         let (low, step) = (bases[few], (bases[bases.len() - 1 - few] - bases[few]) / (KNOTS - 1) as f32);
         if step <= f32::EPSILON {
@@ -116,7 +116,7 @@ impl BaseCurve {
         Some(curve)
     }
 
-    /// What base `v` lacks.
+    /// Returns the difference at base `v`.
     #[inline(always)]
     pub fn at(&self, v: f32) -> f32 {
         let along = (v - self.low) / self.step;
@@ -124,25 +124,26 @@ impl BaseCurve {
         self.lacks[k] + (along - k as f32) * (self.lacks[k + 1] - self.lacks[k])
     }
 
-    /// Stops of the scene's base to one of a frame's, as the mean over the curve.
+    /// Returns the mean slope from a frame's base to the scene's.
     pub fn slope(&self) -> f64 {
         1.0 + f64::from((self.lacks[KNOTS - 1] - self.lacks[0]) / (self.step * (KNOTS - 1) as f32))
     }
 }
 
-/// The scene's base at the knots, which begin at `low` and are `step` apart: least squares, reweighted, and smooth.
+/// Returns the scene's base at the knots, which begin at `low` with a spacing of `step`: smoothed, reweighted least
+/// squares.
 fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
     let between = |v: f32| {
         let along = ((f64::from(v) - low) / step).clamp(0.0, (KNOTS - 1) as f64);
         let k = (along as usize).min(KNOTS - 2);
         (k, along - k as f64)
     };
-    // Of each pair the knots that it is of, with their factors.
+    // The knots on both sides of each base of a pair, with their factors.
     let row = |pair: &Pair| {
         let ((i, f), (j, g)) = (between(pair.bases.0), between(pair.bases.1));
         [(j, 1.0 - g), (j + 1, g), (i, f - 1.0), (i + 1, -f)]
     };
-    // Curves that differ by a constant fit alike: a trace of a pull towards 0 decides.
+    // A constant offset of the curve is not determined: a very small weight towards 0 makes the solution unique.
     let mut smooth = SMatrix::<f64, KNOTS, KNOTS>::from_diagonal_element(1e-6);
     let bend = [1.0, -2.0, 1.0];
     for (k, p, q) in (0..KNOTS - 2).flat_map(|k| (0..9).map(move |i| (k, i / 3, i % 3))) {
@@ -174,8 +175,8 @@ fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
 mod tests {
     use super::*;
 
-    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and all of one elsewhere; every
-    /// ninth shows what moved.
+    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and a full stop elsewhere;
+    /// every ninth pair shows motion.
     fn pairs() -> Vec<Pair> {
         let shown = |scene: f32| scene - 0.5 * (scene.clamp(-4.0, 1.0) + 4.0);
         let moved = |i: usize| if i.is_multiple_of(9) { 3.0 } else { 0.0 };
@@ -190,7 +191,7 @@ mod tests {
     fn curve_of_bases_is_the_inverse_of_what_the_phone_did_whatever_moved() {
         let curve = BaseCurve::of(&pairs());
         let slope = |v: f32| 1.0 + (curve.at(v + 0.1) - curve.at(v - 0.1)) / 0.2;
-        // The frames' base is -4 where the scene's is, and -1.5 where that is 1; knots are 0.7 stops apart.
+        // The frames' base is -4 at a scene base of -4, and -1.5 at 1; the spacing of the knots is 0.7 stops.
         for (v, expected) in [(-5.3, 1.0), (-3.0, 2.0), (-2.5, 2.0), (-0.2, 1.0)] {
             assert!((slope(v) - expected).abs() < 0.25, "{v}: {} {curve:?}", slope(v));
         }
@@ -222,7 +223,8 @@ mod tests {
         };
         // Far from the edge the variance is 0.01, of which 0.5 % belong to the base.
         assert!((base(4.0, 30, -1.9) + 2.0).abs() < 0.01 && (base(4.0, 30, -2.1) + 2.0).abs() < 0.01);
-        // At it the variance is 4, of which two thirds do; what the frame does not cover has no say.
+        // At the edge the variance is 4, of which two thirds belong to the base; cells that the frame does not cover
+        // have no influence.
         assert!(base(4.0, 121, 2.0) - base(4.0, 119, -2.0) > 2.2);
         assert!((base(0.0, 229, 0.1)).abs() < 0.01);
     }

@@ -1,17 +1,17 @@
-//! Local gain: frames that a phone tone-mapped locally, given back the light that it took.
+//! Local gain: compensation for the local tone mapping of phones.
 //!
-//! In: a bracket whose frames are locally processed, where they lie, and what their codes mean. Out: [`LocalGain`], by
-//! which the radiance of each pixel of each frame is multiplied, so that it is the scene's. Cost: that of averaging the
-//! frames over cells, some 20 ns a pixel and frame, and of a logarithm and an exponential for each pixel of each frame;
-//! nothing where frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey
-//! 2002), whose curve the exposures tell (`base`).
+//! In: a bracket of locally processed frames, its alignment and response. Out: [`LocalGain`], by which the radiance
+//! of each pixel of each frame is multiplied to obtain that of the scene. Cost: averaging the frames over cells,
+//! about 20 ns per pixel and frame, and a logarithm and an exponential for each pixel of each frame; nothing if
+//! frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002) with a
+//! curve that is recovered from the exposures (`base`).
 //!
-//! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base found.
-//! 2. Bases of two frames at the same cell, which differ in the scene by as much as the exposures, tell the curve by
-//!    which the phone compressed them.
-//! 3. To the logarithm of each pixel is added what its base lacks by that curve: details keep the camera's contrast,
-//!    and what is larger than a neighbourhood, or an edge of some stops, becomes what it was. This is done before
-//!    merging: what a frame shows too bright because of where it lies agrees with the others.
+//! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base is computed.
+//! 2. The bases of two frames at the same cell would differ by the exposures without tone mapping. The curve with
+//!    which the phone compressed them is fitted to their differences.
+//! 3. Each pixel is expanded by the difference of its base and the curve. Details keep the camera's contrast;
+//!    structures that are larger than a neighbourhood, and edges of several stops, get their original contrast. This
+//!    is done before merging, so that frames agree that were brightened differently at the same place.
 
 mod base;
 
@@ -32,23 +32,24 @@ use serde::Serialize;
 use std::ops::Range;
 use std::path::Path;
 
-/// Cells along the longer side, at most, that are compared.
+/// Largest number of cells along the longer side.
 const CELLS: usize = 256;
-/// Rec. 709 luminance: the gain is one for all channels.
+/// Rec. 709 luminance; the gain is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// The greatest share of an exposure step that frames are taken to keep; what they seem to keep beyond is the steepness
-/// of the curve. Of 26 brackets of phones whose curve is about sRGB's (truth.py) all but three keep 0.46 to 0.58.
+/// Largest fraction of an exposure step that frames are assumed to keep; a larger apparent fraction is due to the
+/// steepness of the curve. Of 26 brackets of phones whose curve is close to sRGB's (truth.py) all but three keep 0.46
+/// to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
-/// By what the radiance of each frame is multiplied over a region of the reference.
+/// Factors for the radiance of each frame over a region of the reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LocalGain {
     region: Rect,
-    /// Of a cell of the planes, in pixels: a power of 2.
+    /// Side of a cell in pixels: a power of 2.
     side: usize,
-    /// The placed frames by rising exposure.
+    /// The merged frames by rising exposure.
     frames: Vec<Processed>,
-    /// Which of them is the reference.
+    /// Index of the reference in them.
     reference: usize,
     curve: BaseCurve,
 }
@@ -59,51 +60,51 @@ struct Processed {
     path: String,
     /// a and b of the base a x + b, where x is the logarithm of radiance in stops.
     base: Plane<[f32; 2]>,
-    /// What the base of a cell lacks, in stops, and whether the cell shows something.
+    /// Difference between the scene's base and that of a cell, in stops, and whether the cell is known.
     lacks: Plane<(f32, bool)>,
 }
 
-/// What was found of local processing, for the report.
+/// The section of the report on local processing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LocalReport {
     /// Whether the frames were tone-mapped locally, so that they were merged with a local gain.
     pub locally_processed: bool,
-    /// The median share of an exposure step by which the frames differ.
+    /// Median fraction of an exposure step by which the frames differ.
     pub exposure_step_fraction: f64,
     /// Standard deviation over the picture of the ratio of two frames at the same code.
     pub variation_stops: f64,
-    /// By how many stops a stop of the frames was expanded where it is larger than a neighbourhood, as the mean over
-    /// their range; 1 where nothing was.
+    /// Mean number of stops to which a stop of the frames was expanded, for structures larger than a neighbourhood; 1
+    /// without expansion.
     pub expansion: f64,
-    /// The frames but the reference, by rising exposure; none where they are not locally processed.
+    /// The frames except the reference, by rising exposure; empty if frames are not locally processed.
     pub frames: Vec<LocalFrame>,
 }
 
-/// The gain of one frame against the reference, beyond what the exposures explain.
+/// The gain of one frame relative to the reference, in addition to the exposure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LocalFrame {
     /// The file, as it was named.
     pub path: String,
-    /// The least and the greatest over the result, in stops.
+    /// Smallest and largest gain over the result, in stops.
     pub gain_stops: (f64, f64),
 }
 
-/// The curve by which codes of locally processed frames are read: that of sRGB, of which `evidence` may show that it is
-/// too steep. The curve that fits the frames is not the camera's: it has what was compressed in it.
+/// Returns the curve used for locally processed frames: that of sRGB, less steep if `evidence` shows that it is too
+/// steep. A curve fitted to the frames would contain their compression.
 pub fn curve(evidence: &Evidence) -> ResponseCurve {
     let srgb = ResponseCurve::srgb();
     let power = power(evidence);
     ResponseCurve::new(std::array::from_fn(|c| srgb.ln_exposure(c).map(|g| g / power))).unwrap_or(srgb)
 }
 
-/// How many times as steep as the camera's the sRGB curve is at the least: no place may be brightened by more than the
-/// exposures were, and no phone keeps more than [`MOST_FRACTION`] of a step.
+/// Returns the smallest factor between the slopes of the sRGB curve and the camera's: no place may be brightened by
+/// more than the exposures were, and no phone keeps more than [`MOST_FRACTION`] of a step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
 
 impl LocalReport {
-    /// The report of what was found, with the `gain` that was merged with where the frames are locally processed.
+    /// Returns the report, with the `gain` used if the frames are locally processed.
     pub fn of(evidence: &Evidence, gain: Option<&LocalGain>) -> Self {
         LocalReport {
             locally_processed: evidence.is_local,
@@ -114,27 +115,27 @@ impl LocalReport {
         }
     }
 
-    /// The least and the greatest gain of all frames, in stops; none where there is no gain.
+    /// Returns the smallest and the largest gain of all frames, in stops, or `None` without gain.
     pub fn range_stops(&self) -> Option<(f64, f64)> {
         let ranges = self.frames.iter().map(|frame| frame.gain_stops);
         ranges.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 }
 
-/// The smallest power of 2 from 2 on of which no more than `most` lie on the longer side of `region`.
+/// Returns the smallest power of 2, at least 2, of which no more than `most` fit along the longer side of `region`.
 fn side(region: Rect, most: usize) -> usize {
     let longer = region.width().max(region.height());
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// Whether what a cell shows is known: not where it clips, which a phone leaves white whatever it does around it, nor
-/// where all of it is black.
+/// Whether the content of a cell is known: not if it is clipped, because a phone leaves it white, or if all of it is
+/// black.
 fn is_known(cell: &Cell) -> bool {
     !(cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)))
 }
 
 impl LocalGain {
-    /// The gains of the placed frames of `bracket` over `region`, whose codes mean what `curve` says.
+    /// Computes the gains of the merged frames of `bracket` over `region`, with response `curve`.
     ///
     /// # Errors
     /// [`Error::Scratch`].
@@ -178,21 +179,22 @@ impl LocalGain {
         Ok(LocalGain { region, side, frames, reference, curve })
     }
 
-    /// Whether they are of this region and of these placed frames by rising exposure.
+    /// Checks that the gains are for this region and these merged frames by rising exposure.
     ///
     /// # Errors
-    /// [`Error::Option`] with what they are of.
+    /// [`Error::Option`] with the difference.
     pub(super) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
         let is_of = |(own, frame): (&Processed, &&Path)| own.path == frame.to_string_lossy();
         if self.region == region && self.frames.len() == frames.len() && self.frames.iter().zip(frames).all(is_of) {
             return Ok(());
         }
-        let reason = "its local gain was found in other frames or another region; find it in those that are merged";
+        let reason =
+            "the local gain was computed for other frames or another region; compute it for the frames that are merged";
         Err(Error::Option { option: "--crop", reason: reason.to_owned() })
     }
 
-    /// The factors of the cells of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by
-    /// rows: those of pixels that are as bright as their cell.
+    /// Returns the factors of the cells of frame `layer` (index of the merged frames by rising exposure) at `rows` of
+    /// the region, by rows, for pixels as bright as their cell.
     pub fn at(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some(frame) = self.frames.get(layer) else { return Vec::new() };
         let mut factors = self.rows(&frame.lacks, |(lacks, _)| lacks, rows);
@@ -200,7 +202,7 @@ impl LocalGain {
         factors
     }
 
-    /// As [`at`](LocalGain::at), over the factors of the reference; nothing for the reference.
+    /// As [`at`](LocalGain::at), divided by the factors of the reference; empty for the reference.
     pub fn against_reference(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         if layer == self.reference {
             return Vec::new();
@@ -210,13 +212,13 @@ impl LocalGain {
         factors
     }
 
-    /// How the base of frame `layer` follows from the logarithm of a pixel's radiance, at `rows` of the region, by
-    /// rows.
+    /// Returns the base of frame `layer` as a function of the logarithm of a pixel's radiance, at `rows` of the
+    /// region, by rows.
     pub(super) fn base(&self, layer: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
         self.frames.get(layer).map_or_else(Vec::new, |frame| self.rows(&frame.base, |v| v, rows))
     }
 
-    /// What is `of` cells, between them, at `rows` of the region.
+    /// Interpolates `of` cells at `rows` of the region.
     fn rows<S: Copy, T: Mix + Default>(&self, cells: &Plane<S>, of: fn(S) -> T, rows: Range<usize>) -> Vec<T> {
         let width = self.region.width();
         let mut values = vec![T::default(); rows.len() * width];
@@ -226,20 +228,21 @@ impl LocalGain {
         values
     }
 
-    /// Into `factors` what the radiance of a row of a tile of `layer` is multiplied by, where `base` is the frame's
+    /// Writes the factors of the radiance of a row of a tile of `layer` into `factors`; `base` is the frame's
     /// [`base`](LocalGain::base) there.
     pub(super) fn multiply(&self, layer: &Layer, row: &Row, base: &[[f32; 2]], factors: &mut [f32]) {
         vectorised(Factors { layer, row, base, curve: &self.curve, factors });
     }
 
-    /// What frames that are `photographed` so show of the radiance that they are multiplied to: the lights of the
-    /// shortest are brighter by what its white lacks, and a picture of them is to be exposed by so much less.
+    /// Adjusts the range of the photographs to the expanded radiance: the lights of the shortest frame are brighter
+    /// by the difference at white, and a picture is exposed by that much less.
     pub fn photographed(&self, photographed: Photographed) -> Photographed {
         let lacks = self.curve.at(photographed.white_stops as f32);
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
     }
 
-    /// The range of the gain of each frame but the reference, by rising exposure, over the cells that both show.
+    /// Returns the range of the gain of each frame except the reference, by rising exposure, over the cells that both
+    /// show.
     fn report(&self) -> Vec<LocalFrame> {
         let Some(reference) = self.frames.get(self.reference) else { return Vec::new() };
         let of = |frame: &Processed| {

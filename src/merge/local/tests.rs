@@ -1,4 +1,4 @@
-//! Tests of the local gain on made-up phones.
+//! Tests of the local gain on synthetic phones.
 
 use super::*;
 use crate::align::Alignment;
@@ -19,14 +19,14 @@ fn scene(x: usize, y: usize) -> f64 {
     texture * if window { 6.0 * shade } else { 0.1 * shade }
 }
 
-/// The base of the scene: what a phone takes its gain from.
+/// The base of the scene, from which a phone computes its gain.
 fn base(x: usize, y: usize) -> f64 {
     let window = (200..300).contains(&x) && (60..160).contains(&y);
     libm::exp2(x as f64 / 180.0 - 1.0) * if window { 6.0 } else { 0.1 }
 }
 
-/// Three frames two stops apart, the middle one the reference, by the sRGB curve; `phone` keeps so much of a stop of
-/// the base that is neither too dark nor too bright.
+/// Three frames two stops apart, the middle one the reference, with the sRGB curve; `phone` is the fraction of a stop
+/// that it keeps of a base that is neither too dark nor too bright.
 fn frames(phone: f64) -> (Bracket, Alignment) {
     let frame = |stops: f64| {
         let time = libm::exp2(stops);
@@ -37,7 +37,7 @@ fn frames(phone: f64) -> (Bracket, Alignment) {
             let curve = ResponseCurve::srgb();
             let middle = f64::from(curve.exposure(0, 255.0));
             let table = curve.exposures(0);
-            // A hash of the place for noise of a code.
+            // A hash of the position for noise of one code.
             let noise = ((i as u64 + 7 * time as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 62) as i64 - 1;
             (table.partition_point(|&x| f64::from(x) < v * middle) as i64 + noise).clamp(0, 255) as u8
         };
@@ -63,7 +63,7 @@ fn evidence_of_compressed_steps_is_local_and_of_a_cameras_is_not() {
     assert!(camera.variation_stops < 0.03, "{camera:?}");
 }
 
-/// The radiance of what `bracket` shows, merged with its gain and without.
+/// Returns the radiance of `bracket`, merged with its gain and without.
 fn merged(bracket: &Bracket, alignment: &Alignment) -> [Plane<[f32; 3]>; 2] {
     let curve = ResponseCurve::srgb();
     let local = LocalGain::find(bracket, alignment, &curve, alignment.overlap).unwrap();
@@ -74,7 +74,7 @@ fn merged(bracket: &Bracket, alignment: &Alignment) -> [Plane<[f32; 3]>; 2] {
     })
 }
 
-/// By how many stops the second place is brighter than the first.
+/// Returns by how many stops the second place is brighter than the first.
 fn contrast(map: &Plane<[f32; 3]>, first: (usize, usize), second: (usize, usize)) -> f64 {
     let stops = |(x, y)| f64::from(libm::log2f(map.at(x, y)[1]));
     stops(second) - stops(first)
@@ -84,13 +84,13 @@ fn contrast(map: &Plane<[f32; 3]>, first: (usize, usize), second: (usize, usize)
 fn gain_gives_back_the_scenes_contrast_small_and_large_and_across_an_edge() {
     let (bracket, alignment) = frames(0.45);
     let [with, without] = merged(&bracket, &alignment);
-    // Texture, the room's shade, and from the room into the window beside its edge and in its middle.
+    // Texture; the room's shade; from the room into the window beside its edge; and in its middle.
     let places = [((40, 100), (68, 100)), ((20, 30), (180, 200)), ((196, 110), (204, 110)), ((120, 110), (250, 110))];
     for (first, second) in places {
         let truth = libm::log2(scene(second.0, second.1) / scene(first.0, first.1));
         let error = |map| (contrast(map, first, second) - truth).abs();
-        // Of 5.9 stops from the room to the window the frames keep half, and of an edge with as much to either side the
-        // base has half.
+        // The frames keep half of the 5.9 stops from the room to the window; of an edge with as much on either side,
+        // the base has half.
         assert!(error(&with) < 0.1 + 0.3 * truth.abs(), "{first:?} {second:?}: {truth}, {} off", error(&with));
         assert!(truth.abs() < 2.0 || error(&without) > 1.1 * error(&with), "{first:?} {second:?}: {}", error(&without));
     }
@@ -103,8 +103,8 @@ fn report_of_a_phone_has_the_range_of_each_frame_against_the_reference() {
     let report = LocalReport::of(&found(&(bracket.clone(), alignment.clone())), Some(&local));
     assert!(report.locally_processed && report.frames.len() == 2 && report.expansion > 1.3, "{report:?}");
     assert!(report.range_stops().is_some_and(|(least, most)| least < -0.5 && most > 0.5), "{report:?}");
-    assert!(local.against_reference(1, 0..9).is_empty(), "that of the reference");
-    // The longer frame was brightened less than the reference, the shorter more.
+    assert!(local.against_reference(1, 0..9).is_empty(), "the reference has none");
+    // The longer frame was brightened less than the reference, the shorter one more.
     assert!(local.against_reference(0, 30..31)[40] < 1.0 && local.against_reference(2, 30..31)[40] > 1.0);
 }
 
@@ -124,7 +124,7 @@ fn gain_of_a_cameras_frames_is_one() {
     let (bracket, alignment) = frames(1.0);
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     for i in [0, 2] {
-        // A code of noise and of rounding is 0.03 stops at the middle, and its mean over a cell less.
+        // A code of noise and rounding is 0.03 stops in the middle; the mean over a cell has less.
         assert!(local.against_reference(i, 0..SIZE.1).iter().all(|gain| (gain - 1.0).abs() < 0.1));
     }
 }
@@ -147,8 +147,8 @@ fn curve_is_flattened_where_no_phone_could_have_kept_so_much() {
         ResponseCurve::srgb().ln_exposure(0)[250] / curve(&evidence).ln_exposure(0)[250]
     };
     assert!((steepness(0.5, 0.9) - 1.0).abs() < 1e-9);
-    // What seems to be more than a step is all of it.
+    // A fraction above a full step counts as a full step.
     assert!((steepness(0.8, 1.6) - 1.6).abs() < 1e-9);
-    // No phone keeps all of a step: the curve is steeper than sRGB's, though no place shows it.
+    // No phone keeps a full step: the curve is steeper than sRGB's, although no place shows it.
     assert!((steepness(1.0, 1.0) - 1.0 / 0.6).abs() < 1e-9);
 }

@@ -88,7 +88,7 @@ mod tests {
         let (camera, factor) = (true, Some(2.0));
         assert!(validate(0.5, &Calibration::default()).is_ok());
         assert!(
-            validate(0.5, &Calibration { camera, factor: None }).is_err_and(|e| e.to_string().contains("one unit"))
+            validate(0.5, &Calibration { camera, factor: None }).is_err_and(|e| e.to_string().contains("--absolute"))
         );
         assert!(validate(0.5, &Calibration { camera: false, factor }).is_err_and(|e| e.is_usage()));
         for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY] {

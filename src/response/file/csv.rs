@@ -1,7 +1,8 @@
-//! `.csv`: the response files of luminance-hdr and of pfstools.
+//! `.csv`: the response files of luminance-hdr and pfstools.
 //!
-//! In and out: a [`ResponseCurve`] and a matrix in text. Cost: none. Source: luminance-hdr `src/HdrCreation/responses.cpp`, responseSave
-//! and responseLoad, with headers for all channels; pfstools `pfshdrcalibrate`, one matrix of three columns for each channel.
+//! In and out: a [`ResponseCurve`] and a matrix as text. Cost: negligible. Source: luminance-hdr
+//! `src/HdrCreation/responses.cpp`, responseSave and responseLoad, with headers for all channels; pfstools
+//! `pfshdrcalibrate`, one matrix of three columns for each channel.
 //!
 //! ```text
 //! # Camera response curve, channels Ir, Ig, Ib
@@ -12,16 +13,17 @@
 //!     0    -3.217483944     0.000606060 ...
 //! ```
 //!
-//! Values are relative exposures with nine decimals, 1 at the brightest code. Where black codes are read as 0, as other programs write
-//! them, they are taken for what the stated curves make of code 0. Of a deeper matrix, 256 rows are taken, evenly.
+//! Values are relative exposures with nine decimals, 1 at the brightest code. Other programs write 0 for black codes;
+//! these are read as code 0 of the built-in curves. If a matrix has more than 256 rows, 256 evenly spaced ones are
+//! used.
 
 use crate::response::fit::monotone;
 use crate::response::{BLACK, CODES, MID, ResponseCurve};
 use std::fmt::Write;
 
-/// Steps between the nine decimals of a file may vanish where the curve is dark; g rises by no less than this.
+/// Smallest rise of g per code: nine decimals may lose the steps of a dark curve.
 const RISE: f64 = 1e-6;
-/// The text of the file.
+/// Returns the text of the file.
 pub(crate) fn write(curve: &ResponseCurve) -> String {
     let white = (0..3).map(|c| curve.ln_exposure(c)[CODES - 1]).fold(f64::MIN, f64::max);
     let exposure = |c: usize, z: usize| libm::exp(curve.ln_exposure(c)[z] - white);
@@ -42,26 +44,26 @@ pub(crate) fn write(curve: &ResponseCurve) -> String {
     text
 }
 
-/// A matrix of the file.
+/// A matrix in the file.
 struct Matrix {
     columns: usize,
     rows: Vec<Vec<f64>>,
 }
 
-/// The curve in `text`; the reason where it is none.
+/// Reads the curve in `text`. The error is the reason.
 pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let matrices = matrices(text)?;
     let column = |m: &Matrix, k: usize| m.rows.iter().map(|row| row[k]).collect::<Vec<_>>();
-    // What has two columns are the weights of pfstools.
+    // The matrices with two columns are the weights of pfstools.
     let curves: Vec<&Matrix> = matrices.iter().filter(|m| m.columns != 2).collect();
     let channels: [Vec<f64>; 3] = match curves[..] {
         [all] if all.columns == 7 => [2, 4, 6].map(|k| column(all, k)),
         [red, green, blue] if curves.iter().all(|m| m.columns == 3) => [red, green, blue].map(|m| column(m, 2)),
-        [] => return Err("it holds no matrix: a line `# rows: 256` is looked for".to_owned()),
+        [] => return Err("it contains no matrix: a line `# rows: 256` is required".to_owned()),
         _ => {
             let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
             return Err(format!(
-                "it has matrices of {} columns; one of 7 (luminance-hdr) or three of 3 (pfstools) are read",
+                "it has matrices of {} columns; supported are one of 7 (luminance-hdr) and three of 3 (pfstools)",
                 columns.join(", ")
             ));
         }
@@ -69,20 +71,20 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut g = [[0.0; CODES]; 3];
     for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
         *g = logarithms(x)
-            .ok_or_else(|| format!("the response of {name} is not positive and rising from code to code"))?;
+            .ok_or_else(|| format!("the response of {name} is not positive and increasing from code to code"))?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;
     ResponseCurve::new(g.map(|g| g.map(|v| v - mid)))
-        .ok_or_else(|| "its values are beyond what a float holds".to_owned())
+        .ok_or_else(|| "its values do not fit into a 32-bit float".to_owned())
 }
 
-/// ln of the responses at 256 codes; none where they are no curve.
+/// Returns ln of the responses at 256 codes, or `None` if they are not a valid curve.
 fn logarithms(x: &[f64]) -> Option<[f64; CODES]> {
     let last = x.len() - 1;
     let at = |z: usize| x[(z * last + (CODES - 1) / 2) / (CODES - 1)];
     let mut values: [f64; CODES] = std::array::from_fn(at);
     let first = values.iter().position(|&v| v > 0.0).filter(|&z| z < CODES / 2)?;
-    // Several programs give black codes nothing, or the least number there is.
+    // Several programs write 0, or the smallest positive number, for black codes.
     (0..first).for_each(|z| values[z] = values[first] * (BLACK + (1.0 - BLACK) * z as f64 / first as f64));
     if values.windows(2).any(|w| w[0].is_nan() || w[0] > w[1] || !w[1].is_finite()) || values[CODES - 1] <= values[0] {
         return None;
@@ -91,20 +93,22 @@ fn logarithms(x: &[f64]) -> Option<[f64; CODES]> {
     monotone::rising(&ln, &[1.0; CODES], RISE).try_into().ok()
 }
 
-/// The matrices in `text`, each after its head; other lines that begin with # say nothing.
+/// Reads the matrices in `text`, each after its header; other lines that begin with # are ignored.
 fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
     let mut found = Vec::new();
     let mut lines = text.lines();
     while let Some(line) = lines.next() {
         let Some(rows) = head(line, "# rows:")? else { continue };
         let columns = loop {
-            let Some(line) = lines.next() else { return Err("it ends within the head of a matrix".to_owned()) };
+            let Some(line) = lines.next() else { return Err("it ends within the header of a matrix".to_owned()) };
             if let Some(columns) = head(line, "# columns:")? {
                 break columns;
             }
         };
         if !(CODES..=MOST_ROWS).contains(&rows) || !(2..=7).contains(&columns) {
-            return Err(format!("a matrix has {rows} rows of {columns}; {CODES} to {MOST_ROWS} of 2, 3 or 7 are read"));
+            return Err(format!(
+                "a matrix has {rows} rows and {columns} columns; {CODES} to {MOST_ROWS} rows and 2, 3 or 7 columns are supported"
+            ));
         }
         let mut matrix = Matrix { columns, rows: Vec::with_capacity(rows) };
         while matrix.rows.len() < rows {
@@ -115,7 +119,12 @@ fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
             match row.len() {
                 0 if line.trim().is_empty() || line.starts_with('#') => continue,
                 n if n == columns => matrix.rows.push(row),
-                _ => return Err(format!("row {} of a matrix is no {columns} numbers: {line:?}", matrix.rows.len())),
+                _ => {
+                    return Err(format!(
+                        "row {} of a matrix does not have {columns} numbers: {line:?}",
+                        matrix.rows.len()
+                    ));
+                }
             }
         }
         found.push(matrix);
@@ -123,10 +132,10 @@ fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
     Ok(found)
 }
 
-/// Rows of a 16-bit curve.
+/// Number of rows of a 16-bit curve.
 const MOST_ROWS: usize = 65536;
 
-/// The number after `key`, where the line begins with it.
+/// Returns the number after `key`, if the line begins with it.
 fn head(line: &str, key: &str) -> Result<Option<usize>, String> {
     let Some(value) = line.trim().strip_prefix(key) else { return Ok(None) };
     value.trim().parse().map(Some).map_err(|_| format!("{line:?} has no number"))
@@ -145,7 +154,7 @@ mod tests {
     fn a_curve_comes_back_to_the_last_decimal() {
         let (curve, text) = (curve(), write(&curve()));
         let back = read(&text).unwrap();
-        // Reading takes the mean of the three at the middle code to 0.
+        // Reading shifts the mean of the three at the middle code to 0.
         let mid = (0..3).map(|c| curve.ln_exposure(c)[MID]).sum::<f64>() / 3.0;
         for (c, z) in (0..3).flat_map(|c| (0..CODES).map(move |z| (c, z))) {
             let (was, is) = (curve.ln_exposure(c)[z] - mid, back.ln_exposure(c)[z]);
@@ -203,8 +212,8 @@ mod tests {
     fn what_is_no_curve_is_refused_in_words() {
         let rows = |columns: usize, row: &str| format!("# rows: 256\n# columns: {columns}\n") + &row.repeat(256);
         assert!(read("1;2;3\n").unwrap_err().contains("# rows: 256"));
-        assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("no 7 numbers"));
-        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("not positive and rising"));
+        assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("not have 7 numbers"));
+        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("not positive and increasing"));
         assert!(read("# rows: 16\n# columns: 7\n").unwrap_err().contains("16 rows"));
         assert!(read("# rows: many\n").unwrap_err().contains("many"));
         assert!(read("# rows: 256\n# columns: 7\n0 0 1 0 1 0 1\n").unwrap_err().contains("ends after 1"));

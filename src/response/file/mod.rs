@@ -1,14 +1,15 @@
-//! Response files: a curve, saved and used again.
+//! Response files: save a curve and read it again.
 //!
-//! In and out: a [`ResponseCurve`] and a file, in the [`Format`] that its extension says. Cost: none. JSON of the schema
-//! `hdralign-response/1` is the program's own, in which every number comes back as it was:
+//! In and out: a [`ResponseCurve`] and a file, in the [`Format`] of its extension. Cost: negligible. JSON with the
+//! schema `hdralign-response/1` is the program's own format; every number is read back exactly:
 //!
 //! ```json
 //! { "schema": "hdralign-response/1", "camera_make": "Canon", "camera_model": "EOS 5D", "black_code": [0.0, 0.0, 0.0],
 //!   "ln_exposure": { "red": [-9.1, ...], "green": [...], "blue": [...] } }
 //! ```
 //!
-//! `ln_exposure` holds, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative exposure.
+//! `ln_exposure` has, for codes 0 to 255 (of a 16-bit picture: the code / 257), the natural logarithm of the relative
+//! exposure.
 
 pub(crate) mod csv;
 pub(crate) mod rsp;
@@ -21,28 +22,28 @@ use crate::intake;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What helps whose file is none.
-const MAKE_ONE: &str = "; make one by `hdralign response`, or give its own extension to another program's: .rsp (hdrgen), .csv (luminance-hdr)";
+/// The remedy if a file cannot be read.
+const MAKE_ONE: &str = "; create one with `hdralign response`, or use the extension of the program that wrote it: .rsp (hdrgen), .csv (luminance-hdr)";
 
-/// The version of the format; a reader refuses any other.
+/// The version of the format; other versions are rejected.
 pub const SCHEMA: &str = "hdralign-response/1";
 
-/// The formats of response files, found by the extension.
+/// The formats of response files, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// `.json`: everything, to the last bit.
+    /// `.json`: everything, exactly.
     Json,
     /// `.rsp`: three polynomials, as hdrgen reads and writes them.
     Rsp,
-    /// `.csv`: a matrix, as luminance-hdr reads and writes it; those of pfstools are read.
+    /// `.csv`: a matrix, as luminance-hdr reads and writes it; files of pfstools are also read.
     Csv,
 }
 
 impl Format {
-    /// The extensions that are known, for messages.
+    /// The supported extensions, for messages.
     pub const KNOWN: &str = ".json, .rsp, .csv";
 
-    /// The format that `path` asks for by its extension, in any case.
+    /// Returns the format for the extension of `path`, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -57,31 +58,32 @@ impl Format {
     }
 }
 
-/// A curve as a text file.
+/// A curve encoded as a text file.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Encoded {
-    /// All of the file.
+    /// The content of the file.
     pub text: String,
-    /// What is read from it: the curve, or as much of it as the format holds.
+    /// The curve that is read from it: exact, or as accurate as the format allows.
     pub curve: ResponseCurve,
 }
 
-/// What radiance is off by, merged with one curve in place of another: root mean squares over the pixels, in stops.
+/// Root mean square error over the pixels if radiance is merged with one curve instead of another, in stops.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loss {
-    /// Of the luminance.
+    /// Error of the luminance.
     pub luminance_stops: f64,
-    /// Of R, G and B.
+    /// Error of R, G and B.
     pub channel_stops: [f64; 3],
 }
 
 impl Loss {
-    /// What there is to say of the file `path` by which this is lost.
+    /// Returns a warning about the accuracy lost by writing the file `path`, if there is any.
     ///
     /// # Errors
-    /// [`Error::ResponseFormat`] where half a stop is lost, by which no curve may contradict frames either.
+    /// [`Error::ResponseFormat`] if half a stop is lost, which is also the largest contradiction between a curve and
+    /// the frames.
     pub fn judged(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
@@ -91,19 +93,19 @@ impl Loss {
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
             let reason = format!(
-                "the format does not hold this curve: radiance merged with it would be {off}; save it as .json"
+                "the format cannot represent this curve: radiance merged with it would be {off}; save it as .json"
             );
             return Err(Error::ResponseFile { path: path.to_owned(), reason });
         }
-        let detail = format!("radiance merged with it is {off}; .json holds all of the curve");
+        let detail = format!("radiance merged with it is {off}; .json saves the curve exactly");
         Ok((most > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail }))
     }
 }
 
-/// Loss that is not worth a word, in stops: what curves of two brackets of one camera differ by.
+/// Loss that is not reported, in stops: curves of two brackets of one camera differ as much.
 const LOSS: f64 = 0.01;
 
-/// A curve and the camera whose it is.
+/// A curve and its camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SavedResponse {
     /// EXIF Make of the bracket it was recovered from.
@@ -115,13 +117,13 @@ pub struct SavedResponse {
 }
 
 impl SavedResponse {
-    /// The camera's name; none where it is not known.
+    /// Returns the name of the camera, if it is known.
     pub fn camera(&self) -> Option<String> {
         Capture { make: self.make.clone(), model: self.model.clone(), ..Capture::default() }.camera()
     }
 }
 
-/// The file, as it is written.
+/// The content of the JSON file.
 #[derive(Serialize, Deserialize)]
 struct Document {
     schema: String,
@@ -141,14 +143,14 @@ struct Channels {
     blue: Vec<f64>,
 }
 
-/// What says which version the rest is of.
+/// The schema version of the file.
 #[derive(Deserialize)]
 struct Header {
     schema: String,
 }
 
 impl SavedResponse {
-    /// The text of the file.
+    /// Returns the text of the JSON file.
     pub fn to_json(&self) -> String {
         let [red, green, blue] = [0, 1, 2].map(|c| self.curve.ln_exposure(c).to_vec());
         let document = Document {
@@ -158,27 +160,28 @@ impl SavedResponse {
             black_code: std::array::from_fn(|c| self.curve.black(c)),
             ln_exposure: Channels { red, green, blue },
         };
-        // Strings and finite numbers alone: nothing in it can fail to be written.
+        // Only strings and finite numbers: writing cannot fail.
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
-    /// The curve as the text of the file `path`.
+    /// Encodes the curve as the text of the file `path`.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], and [`Error::ResponseFormat`] where the format holds nothing like the curve.
+    /// [`Error::UnknownExtension`], and [`Error::ResponseFormat`] if the format cannot represent the curve even
+    /// roughly.
     pub fn encode(&self, path: &Path) -> Result<Encoded> {
         let refused = |reason: &str| Error::ResponseFormat { path: path.to_owned(), reason: reason.to_owned() };
         match Format::of(path)? {
             Format::Json => Ok(Encoded { text: self.to_json(), curve: self.curve.clone() }),
             Format::Csv => {
                 let text = csv::write(&self.curve);
-                // What is a billionth of white or less is nothing in nine decimals.
-                let steep = |_| refused("nine decimals do not hold a curve as steep as this");
+                // A billionth of white or less is 0 in nine decimals.
+                let steep = |_| refused("nine decimals are not enough for a curve as steep as this");
                 let curve = csv::read(&text).map_err(steep)?;
                 Ok(Encoded { text, curve })
             }
             Format::Rsp => {
-                let none = || refused("no polynomial up to the fifth degree rises with this curve");
+                let none = || refused("no increasing polynomial up to the fifth degree fits this curve");
                 let text = rsp::write(&self.curve).ok_or_else(none)?;
                 let curve = rsp::read(&text).map_err(|_| none())?;
                 Ok(Encoded { text, curve })
@@ -186,15 +189,16 @@ impl SavedResponse {
         }
     }
 
-    /// The curve in the file `path`, by its extension.
+    /// Reads the curve in the file `path`, by its extension.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], [`Error::Read`], and [`Error::ResponseFile`] where the content is no curve of that format.
+    /// [`Error::UnknownExtension`], [`Error::Read`], and [`Error::ResponseFile`] if the content is not a valid curve
+    /// in that format.
     pub fn read(path: &Path) -> Result<Self> {
         let format = Format::of(path)?;
         let bytes = intake::whole(path, intake::MOST_OF_A_TEXT)?;
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason: reason + MAKE_ONE };
-        let text = String::from_utf8(bytes).map_err(|_| wrong("it is no text".to_owned()))?;
+        let text = String::from_utf8(bytes).map_err(|_| wrong("it is not a text file".to_owned()))?;
         let bare = |curve| SavedResponse { make: None, model: None, curve };
         match format {
             Format::Json => Self::from_json(&text, path),
@@ -203,17 +207,17 @@ impl SavedResponse {
         }
     }
 
-    /// The curve in `text`, the content of the file `path`.
+    /// Reads the curve in `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::ResponseFile`] where the text is no JSON, of another schema, or its numbers are no response: 256 to a channel, finite
-    /// and rising.
+    /// [`Error::ResponseFile`] if the text is not JSON, has another schema, or its numbers are not a response: 256
+    /// per channel, finite and increasing.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e}){MAKE_ONE}")))?;
+            .map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e}){MAKE_ONE}")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
+            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is supported", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let Channels { red, green, blue } = document.ln_exposure;
@@ -224,7 +228,7 @@ impl SavedResponse {
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
         let curve =
-            ResponseCurve::new(g).ok_or_else(|| wrong("its values do not rise from code to code".to_owned()))?;
+            ResponseCurve::new(g).ok_or_else(|| wrong("its values do not increase from code to code".to_owned()))?;
         let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,
@@ -277,7 +281,11 @@ mod tests {
         let path = dir.path().join("photo.json");
         std::fs::write(&path, [0xFF, 0xD8, 0xFF, 0xE0]).unwrap();
         let message = SavedResponse::read(&path).unwrap_err().to_string();
-        assert!(message.contains("photo.json") && message.contains("no text") && message.contains("hdralign response"));
+        assert!(
+            message.contains("photo.json")
+                && message.contains("not a text file")
+                && message.contains("hdralign response")
+        );
     }
 
     #[test]
@@ -295,7 +303,8 @@ mod tests {
         assert!(refused.contains("c.rsp") && refused.contains("blue 0.60") && refused.contains(".json"), "{refused}");
     }
 
-    /// Found by reading for the fuzzer: a curve of forty decades was written as zeros, and was none when it was read again.
+    /// Found by code review for the fuzz target: a curve of forty decades was written as zeros, which could not be
+    /// read again.
     #[test]
     fn what_no_decimals_hold_is_not_saved_in_them() {
         let steep = |decades: f64| {
@@ -320,10 +329,10 @@ mod tests {
         assert!(reason(&v.to_string()).contains("green has 255 values"));
         let mut v = good.clone();
         v["ln_exposure"]["blue"][7] = 9.0.into();
-        assert!(reason(&v.to_string()).contains("do not rise"));
+        assert!(reason(&v.to_string()).contains("do not increase"));
         let mut v = good.clone();
         v["ln_exposure"]["red"][255] = 1e300.into();
-        assert!(reason(&v.to_string()).contains("red") || reason(&v.to_string()).contains("rise"));
+        assert!(reason(&v.to_string()).contains("red") || reason(&v.to_string()).contains("increase"));
         let mut v = good;
         v["ln_exposure"].as_object_mut().unwrap().remove("blue");
         assert!(reason(&v.to_string()).contains("blue"));

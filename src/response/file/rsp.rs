@@ -1,8 +1,9 @@
 //! `.rsp`: the response files of Greg Ward's hdrgen.
 //!
-//! In and out: a [`ResponseCurve`] and three lines of text, for R, G and B: the degree of a polynomial and its coefficients, the highest
-//! power first. The polynomial gives the relative exposure of a code z at x = (z + 1/2) / 256. Cost: none.
-//! Source: panlib (radiance-org/panlib) `src/phdrimg.h`, the stream operators of PPolynomial, and PbyteVal; degrees from 0 to 5.
+//! In and out: a [`ResponseCurve`] and three lines of text, for R, G and B: the degree of a polynomial and its
+//! coefficients, highest power first. The polynomial gives the relative exposure of code z at x = (z + 1/2) / 256.
+//! Cost: negligible. Source: panlib (radiance-org/panlib) `src/phdrimg.h`, the stream operators of PPolynomial, and
+//! PbyteVal; degrees 0 to 5.
 //!
 //! ```text
 //! 3 1.16 -0.32 0.15 0.0021
@@ -10,40 +11,42 @@
 //! 3 1.19 -0.35 0.16 0.0018
 //! ```
 //!
-//! A curve of 256 values is more than such a polynomial holds. That written is, of all degrees up to 5, the one with the least residual
-//! that is positive and rises at every code. What is lost is for the caller to find, by reading it again.
+//! Such a polynomial cannot represent every curve of 256 values. Of all degrees up to 5, the polynomial with the
+//! smallest residual is written that is positive and increases at every code. The caller finds the loss by reading it
+//! again.
 
 use crate::response::{CODES, MID, ResponseCurve, hat, stops};
 use nalgebra::{DMatrix, DVector};
 use std::fmt::Write;
 
-/// hdrgen reads no higher degree.
+/// The highest degree that hdrgen reads.
 const MOST_DEGREE: usize = 5;
-/// Codes that the residual is taken over: below and above, the weights of a merge are next to nothing.
+/// Codes over which the residual is computed: the weights of a merge are close to 0 outside of them.
 const JUDGED: std::ops::RangeInclusive<usize> = 10..=245;
 
-/// Exposure of white over one that is as good as black: nine stops; sRGB's code 10 is 8.4 below white.
+/// Exposure of white relative to black: nine stops; sRGB's code 10 is 8.4 stops below white.
 const BLACKEST: f64 = 512.0;
 
-/// The curve in `text`; the reason where it is none.
+/// Reads the curve in `text`. The error is the reason.
 pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut numbers = text.split_whitespace();
     let mut channels = [[0.0; CODES]; 3];
     for (channel, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let short = || {
             format!(
-                "it ends before the polynomial of {name} does; hdrgen writes a line for each of red, green and blue"
+                "it ends before the polynomial of {name} is complete; hdrgen writes one line each for red, green and blue"
             )
         };
         let word = numbers.next().ok_or_else(short)?;
         let degree = word.parse().ok().filter(|d| *d <= MOST_DEGREE);
         let degree = degree
-            .ok_or_else(|| format!("the degree of {name} is {word:?}, and a number from 0 to {MOST_DEGREE} is read"))?;
+            .ok_or_else(|| format!("the degree of {name} is {word:?}; a number from 0 to {MOST_DEGREE} is required"))?;
         let mut coefficients = Vec::with_capacity(degree + 1);
         for _ in 0..=degree {
             let word = numbers.next().ok_or_else(short)?;
             let value = word.parse().ok().filter(|v: &f64| v.is_finite());
-            coefficients.push(value.ok_or_else(|| format!("a coefficient of {name} is {word:?}, which is no number"))?);
+            coefficients
+                .push(value.ok_or_else(|| format!("a coefficient of {name} is {word:?}, which is not a number"))?);
         }
         *channel = std::array::from_fn(|z| evaluate(&coefficients, at(z)));
     }
@@ -51,28 +54,28 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         return Err(format!("{word:?} follows the three polynomials"));
     }
     rising(&mut channels)?;
-    // One scale for the three: what hdrgen's channels mean to each other stays.
+    // One scale for the three, so that the ratios of hdrgen's channels are kept.
     let ln_mid = channels.iter().map(|x| libm::log(x[MID])).sum::<f64>() / 3.0;
     ResponseCurve::new(channels.map(|x| x.map(|v| libm::log(v) - ln_mid)))
-        .ok_or_else(|| "its exposures are beyond what a float holds".to_owned())
+        .ok_or_else(|| "its exposures do not fit into a 32-bit float".to_owned())
 }
 
-/// Lifts the darkest codes, where hdrgen's polynomials may fall or be negative, onto a line to 0.
+/// Raises the darkest codes, where hdrgen's polynomials may fall or be negative, to a line through 0.
 fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
     for (x, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let sound = |z: usize| x[z] > 0.0 && x[z + 1] > x[z];
         let first = (0..CODES - 1).rev().take_while(|&z| sound(z)).last();
-        // At the dark end hdrgen never looks; a fault above these codes is no response.
+        // hdrgen does not use the dark end; a fault above these codes makes the curve invalid.
         let first = first.filter(|&z| z < MID / 2);
         let first =
-            first.ok_or_else(|| format!("the polynomial of {name} does not rise from code {} to 255", MID / 2))?;
+            first.ok_or_else(|| format!("the polynomial of {name} does not increase from code {} to 255", MID / 2))?;
         let (value, place) = (x[first], first as f64 + 0.5);
         (0..first).for_each(|z| x[z] = value * (z as f64 + 0.5) / place);
     }
     Ok(())
 }
 
-/// The text of a file with `curve` as polynomials; none where no polynomial rises with it.
+/// Returns the text of a file with `curve` as polynomials, or `None` if no increasing polynomial fits it.
 pub(crate) fn write(curve: &ResponseCurve) -> Option<String> {
     let white = (0..3).map(|c| curve.ln_exposure(c)[CODES - 1]).fold(f64::MIN, f64::max);
     let channels: [_; 3] = std::array::from_fn(|c| curve.ln_exposure(c).map(|g| g - white));
@@ -89,14 +92,16 @@ pub(crate) fn write(curve: &ResponseCurve) -> Option<String> {
     Some(text)
 }
 
-/// The polynomial of this degree, highest power first, that is next to exp(g) in stops, weighted by the hat, and rises; and how far it
-/// is, in stops.
+/// Returns the increasing polynomial of this degree, highest power first, that is closest to exp(g) in stops,
+/// weighted by the hat, and its distance in stops.
 ///
-/// Of all polynomials the nearest, where that rises. Otherwise the nearest of those whose coefficients in Bernstein's basis rise, which
-/// makes them rise throughout: a sum of cumulative Bernstein polynomials with weights that are not negative.
+/// This is the closest of all polynomials if that increases. Otherwise it is the closest of those whose coefficients
+/// in Bernstein's basis increase, which makes them increase everywhere: a sum of cumulative Bernstein polynomials
+/// with non-negative weights.
 fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     let columns = bernstein_sums(degree);
-    // d ln x = dx / x: weighted by 1 / x, the least squares are those of the logarithm; but not for what is as good as black.
+    // d ln x = dx / x: with weights 1 / x the least squares are those of the logarithm; the weight is limited near
+    // black.
     let weight = |z: usize| (hat(z as f64) + 0.02) * libm::exp(-g[z]).min(BLACKEST);
     let matrix = DMatrix::from_fn(CODES, degree + 1, |z, k| weight(z) * evaluate(&columns[k], at(z)));
     let right = DVector::from_fn(CODES, |z, _| weight(z) * libm::exp(g[z]));
@@ -115,7 +120,7 @@ fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
         let residual = (JUDGED.map(|z| (miss(z) - mean) * (miss(z) - mean)).sum::<f64>() / n).sqrt();
         Some((coefficients, residual))
     };
-    // Least squares with weights that are not negative, by trying which of at most six are zero.
+    // Non-negative least squares, by trying which of at most six weights are zero.
     let free = |set: usize| {
         let used: Vec<usize> = (0..=degree).filter(|k| set >> k & 1 == 1).collect();
         let small = DMatrix::from_fn(used.len(), used.len(), |i, k| normal[(used[i], used[k])]);
@@ -134,8 +139,8 @@ fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     })
 }
 
-/// For k from 0 to `degree`, the sum of Bernstein's polynomials b_k to b_degree, by their coefficients, highest power first: 1 for k = 0,
-/// and all others rise from 0 to 1.
+/// Returns, for k from 0 to `degree`, the sum of the Bernstein polynomials b_k to b_degree, as coefficients, highest
+/// power first: 1 for k = 0; all others rise from 0 to 1.
 fn bernstein_sums(degree: usize) -> Vec<Vec<f64>> {
     let choose = |n: usize, k: usize| (0..k).fold(1.0, |c, i| c * (n - i) as f64 / (i + 1) as f64);
     let bernstein = |k: usize| {
@@ -155,12 +160,12 @@ fn bernstein_sums(degree: usize) -> Vec<Vec<f64>> {
     (0..=degree).map(sum).collect()
 }
 
-/// Where code z is in hdrgen's polynomials.
+/// Position of code z in hdrgen's polynomials.
 fn at(z: usize) -> f64 {
     (z as f64 + 0.5) / 256.0
 }
 
-/// Horner, the highest power first.
+/// Horner's method, highest power first.
 fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().fold(0.0, |sum, c| sum * x + c)
 }
@@ -169,7 +174,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Root mean square over codes 10..=245 of what is left between two curves after one shift for all channels, in stops.
+    /// Root mean square over codes 10..=245 of the difference between two curves after one shift for all channels, in
+    /// stops.
     fn difference(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
         let d: Vec<f64> = (0..3)
             .flat_map(|c| JUDGED.map(move |z| (c, z)))
@@ -187,7 +193,7 @@ mod tests {
         let square = |z: f64| 3.0 * x(z) * x(z) + 0.5 * x(z) + 0.25;
         assert!((ratio(0, 200, 10) - square(200.0) / square(10.0)).abs() < 1e-9);
         assert!((ratio(1, 200, 10) - (2.0 * x(200.0) + 0.1) / (2.0 * x(10.0) + 0.1)).abs() < 1e-9);
-        // Between the channels, too.
+        // Also between the channels.
         let mixed = libm::exp(curve.ln_exposure(0)[50] - curve.ln_exposure(1)[50]);
         assert!((mixed - square(50.0) / (2.0 * x(50.0) + 0.1)).abs() < 1e-9);
     }
@@ -196,7 +202,8 @@ mod tests {
     fn a_polynomial_comes_back_as_it_was() {
         let first = read("3 1.16 -0.32 0.15 0.0021\n3 1.13 -0.29 0.15 0.0024\n4 0.3 0.9 -0.35 0.16 0.0018\n").unwrap();
         let second = read(&write(&first).unwrap()).unwrap();
-        // A polynomial of degree 4 is one of degree 5: only rounding is left, some 1e-16 times the condition of the powers (1e8).
+        // A polynomial of degree 4 is also one of degree 5: only rounding remains, about 1e-16 times the condition of
+        // the powers (1e8).
         assert!(difference(&first, &second) < 1e-6, "{}", difference(&first, &second));
     }
 
@@ -209,7 +216,7 @@ mod tests {
 
     #[test]
     fn a_curve_that_no_polynomial_suits_is_still_written_as_one_that_rises() {
-        // Film: nothing for thirty codes, steep ends.
+        // Film: black for thirty codes, and steep ends.
         let film = |z: usize| {
             let v = z as f64 / 255.0;
             6.0 * v + 2.5 * v.max(0.8) * v.max(0.8) - 3.0 * (0.12 - v).max(0.0) - 1.5 * libm::exp(-40.0 * v)
@@ -240,8 +247,8 @@ mod tests {
         assert!(read("6 1 1 1 1 1 1 1\n").unwrap_err().contains("degree"));
         assert!(read("1 1 x\n").unwrap_err().contains("\"x\""));
         assert!(read("1 1 0\n1 1 0\n1 1 0\n5").unwrap_err().contains("follows"));
-        assert!(read("1 -1 1\n1 1 0\n1 1 0\n").unwrap_err().contains("does not rise"));
-        assert!(read("1 inf 0\n").unwrap_err().contains("no number"));
+        assert!(read("1 -1 1\n1 1 0\n1 1 0\n").unwrap_err().contains("does not increase"));
+        assert!(read("1 inf 0\n").unwrap_err().contains("not a number"));
     }
 
     #[test]

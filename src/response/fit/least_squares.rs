@@ -1,29 +1,31 @@
-//! Least squares by orthogonal transformations alone.
+//! Least squares by orthogonal transformations.
 //!
-//! In: weighted equations, row by row. Out: the unknowns, and the condition of the equations. Cost: 2 n^2 operations a row for n unknowns, some 4 us for 47,
-//! and one singular value decomposition of n x n; memory for a few hundred rows, however many there are.
-//! Source: Golub & Van Loan, "Matrix Computations", sections 5.2 (Householder), 5.3 (full-rank least squares) and 5.4 (R-SVD).
+//! In: weighted equations, row by row. Out: the unknowns, and the condition of the equations. Cost: 2 n^2 operations
+//! per row for n unknowns, about 4 us for 47, and one singular value decomposition of n x n; memory for a few hundred
+//! rows, for any number of them. Source: Golub & Van Loan, "Matrix Computations", sections 5.2 (Householder), 5.3
+//! (full-rank least squares) and 5.4 (R-SVD).
 //!
-//! Rows are folded into a triangle R by Householder's reflections: R has the singular values of the whole matrix, and the same solution, to the rounding of an
-//! `f64`. The normal equations A'A have their squares, and half of the digits. The singular values decide whether there is a solution: see [`fit::determined`].
+//! Rows are folded into a triangle R by Householder reflections: R has the singular values of the whole matrix and
+//! the same solution, up to the rounding of an `f64`. The normal equations A'A would square the singular values and
+//! lose half of the digits. The singular values decide whether there is a solution: see [`fit::determined`].
 
 use crate::response::fit::{self, Fitted};
 use nalgebra::{DMatrix, SVD};
 
-/// Rows that are folded into the triangle at once: with it they fit the cache of a core.
+/// Rows that are folded into the triangle at once; with it they fit the cache of a core.
 const ROWS: usize = 128;
-/// Steps of the singular value decomposition, at most: it converges in two or three for each unknown.
+/// Largest number of steps of the singular value decomposition; it converges in two or three per unknown.
 const STEPS: usize = 30 * 256;
 
-/// Equations in a number of unknowns, of which there may be more than are solvable at once.
+/// Equations in several unknowns; there may be more than fit into memory.
 pub struct LeastSquares {
-    /// Above, the triangle of [A b] so far; below, rows that are not yet in it, and zeros.
+    /// Above, the triangle of [A b] so far; below, rows that are not yet folded, and zeros.
     rows: DMatrix<f64>,
     waiting: usize,
 }
 
 impl LeastSquares {
-    /// No equations yet.
+    /// Creates a system without equations.
     pub fn new(unknowns: usize) -> Self {
         LeastSquares { rows: DMatrix::zeros(unknowns + 1 + ROWS, unknowns + 1), waiting: 0 }
     }
@@ -38,7 +40,7 @@ impl LeastSquares {
         }
     }
 
-    /// Folds the waiting rows into the triangle.
+    /// Folds the pending rows into the triangle.
     fn fold(&mut self) {
         let (rows, columns) = self.rows.shape();
         let triangle = std::mem::take(&mut self.rows).qr().unpack_r();
@@ -46,7 +48,7 @@ impl LeastSquares {
         self.waiting = 0;
     }
 
-    /// The unknowns, and the ratio of the largest to the least singular value of the equations.
+    /// Returns the unknowns, and the ratio of the largest to the smallest singular value of the equations.
     pub fn solve(mut self) -> Fitted<(Vec<f64>, f64)> {
         self.fold();
         let n = self.rows.ncols() - 1;
@@ -63,9 +65,9 @@ impl LeastSquares {
     }
 }
 
-/// Eliminates an unknown of its own from the weighted `rows` of one place, each `width` long: of them, what is at right angles to its column `own`, by
-/// Householder's reflection that turns `own` into the first axis. The first row then has the unknown alone, and is left out; what is returned has
-/// one row less.
+/// Eliminates an unknown that is only in the weighted `rows` of one place, each `width` long, by the Householder
+/// reflection that turns its column `own` into the first axis. The first row then contains the unknown and is
+/// dropped. Returns the other rows, which are orthogonal to `own`: one fewer.
 pub fn eliminate<'a>(rows: &'a mut [f64], width: usize, own: &mut [f64]) -> &'a [f64] {
     let norm = own.iter().map(|v| v * v).sum::<f64>().sqrt();
     if norm > 0.0 {

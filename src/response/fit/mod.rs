@@ -1,8 +1,9 @@
-//! What every fit of a curve shares: whether samples can tell one, which of them contradict it, and whether it may be a camera's.
+//! Common parts of the fits: whether the samples determine a curve, which of them contradict it, and whether it is
+//! plausible for a camera.
 //!
-//! In: [`Sample`]s of a channel and what a model found in them. Out: g(Z), rising, with g(128) = 0, and how well it is
-//! [known](Fit); or, in words, why it cannot be known. Cost: a pass over the samples. Sources: Tukey's biweight is Beaton & Tukey 1974;
-//! the rest is bookkeeping.
+//! In: the [`Sample`]s of a channel and the fit of a model to them. Out: g(Z), rising, with g(128) = 0, and its
+//! [accuracy](Fit), or the reason why it cannot be recovered. Cost: a pass over the samples. Source: Tukey's biweight
+//! is Beaton & Tukey 1974.
 
 pub(super) mod least_squares;
 pub(super) mod monotone;
@@ -14,46 +15,48 @@ use crate::error::{Error, Result};
 use crate::statistics::{self, MEDIAN_DEVIATION, median};
 use std::f64::consts::LN_2;
 
-/// The least rise of g from one code to the next: far below what matters, and enough that g can be inverted.
+/// Smallest rise of g per code: far below what matters, and enough to invert g.
 const RISE: f64 = 1e-5;
-/// Smallest number of samples from which a channel's response is recovered.
+/// Smallest number of samples from which the response of a channel is recovered.
 const FEWEST: usize = 24;
-/// Codes that the samples must span.
+/// Smallest range of the samples' codes.
 const SPAN: f64 = 96.0;
-/// Exposures that differ by less than this many stops, first to last, say nothing of the curve.
+/// Smallest range of exposures, first to last, in stops.
 const STEP: f64 = 0.3;
-/// Condition of a least-squares problem above which its solution is noise: a singular value below 1e-5 of the largest counts as 0. Codes
-/// are right to some 1e-3, of which that much would be left where they tell nothing. Brackets have some 1e2 to 1e4.
+/// Largest condition of a least-squares problem; above it, the solution is noise: singular values below 1e-5 of the
+/// largest count as 0. Codes are accurate to about 1e-3, and this much of it would remain in directions that they do
+/// not determine. Brackets have about 1e2 to 1e4.
 const CONDITION: f64 = 1e5;
-/// Stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a print film scan 10.
+/// Range of stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a scan
+/// of print film 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// Any so many codes between 16 and 240 must span so many stops. At the least [`CONTRAST`], spread evenly, they span 0.43. Where samples contradict each
-/// other the fitted curve falls, and making it monotone leaves it flat.
+/// Any so many codes between 16 and 240 must span so many stops. With the smallest [`CONTRAST`], spread evenly, they
+/// span 0.43. If samples contradict each other, the fitted curve falls, and making it monotone leaves it flat.
 const FLAT: (usize, f64) = (64, 0.1);
-/// Root mean square residual, in stops, above which the model does not hold.
+/// Largest root mean square residual of a valid model, in stops.
 pub(super) const RESIDUAL: f64 = 0.5;
 
-/// A result, or why there is none, in words.
+/// A result, or the reason why there is none.
 pub type Fitted<T> = std::result::Result<T, String>;
 
-/// What a model found in a channel's samples.
+/// The fit of a model to the samples of a channel.
 #[derive(Debug, Clone)]
 pub struct Found {
-    /// ln(E dt) at codes 0..=255, not yet rising everywhere, and up to a constant.
+    /// ln(E dt) at codes 0..=255, up to a constant, and not yet rising everywhere.
     pub g: [f64; CODES],
-    /// How far each sample was trusted, 0..=1.
+    /// Weight of each sample, 0..=1.
     pub trust: Vec<f64>,
-    /// Ratio of the largest to the least singular value of the equations; none where none are solved at once.
+    /// Ratio of the largest to the smallest singular value of the equations; `None` if no system is solved.
     pub condition: Option<f64>,
-    /// The degree of the polynomial, where it is one.
+    /// Degree of the polynomial, if the model is one.
     pub degree: Option<usize>,
 }
 
-/// The curve of what was found, made to rise, and how well it is known.
+/// Makes the curve rise everywhere. Returns it with its accuracy, or the reason why it is not plausible.
 pub fn judge(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
     let Found { g, trust, condition, degree } = found;
     if g.iter().any(|v| !v.is_finite()) {
-        return Err("the curve found is not finite".to_owned());
+        return Err("the recovered curve is not finite".to_owned());
     }
     let mut weights = [1e-6; CODES];
     let all: f64 = samples.iter().zip(&trust).flat_map(|(s, t)| s.views.iter().map(move |v| t * square(v))).sum();
@@ -78,48 +81,51 @@ pub fn judge(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
     verdict(&curve, &fit).map(|()| (curve, fit))
 }
 
-/// The least and the greatest of a number of all views.
+/// Returns the smallest and the largest value of `of` over all views.
 fn span(samples: &[Sample], of: fn(&View) -> f64) -> (f64, f64) {
     let values = samples.iter().flat_map(|s| s.views.iter().map(of));
     values.fold((f64::MAX, f64::MIN), |(least, most), v| (least.min(v), most.max(v)))
 }
 
-/// Whether `samples`, as an option, can be enough for a curve.
+/// Checks that the number of `samples` is large enough for a curve.
 pub fn enough(samples: usize) -> Result<()> {
     if samples >= FEWEST {
         return Ok(());
     }
-    let reason = format!("{samples} samples do not make a curve; give {FEWEST} or more");
+    let reason = format!("{samples} samples are too few for a curve; give {FEWEST} or more");
     Err(Error::Option { option: "--response-model", reason })
 }
 
-/// Whether samples can tell a curve at all.
+/// Checks that samples determine a curve.
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} flat places of the scene are unclipped in two frames, and {FEWEST} are needed",
+            "only {} flat places of the scene are unclipped in at least two frames, and {FEWEST} are needed",
             samples.len()
         ));
     }
     let (times, codes) = (span(samples, |v| v.ln_time), span(samples, |v| v.code));
     if times.1 - times.0 < STEP * LN_2 {
-        return Err(format!("the exposures differ by {:.2} stops, and {STEP} are needed", stops(times.1 - times.0)));
+        return Err(format!(
+            "the exposures differ by only {:.2} stops, and {STEP} are needed",
+            stops(times.1 - times.0)
+        ));
     }
     if codes.1 - codes.0 < SPAN {
-        return Err(format!("flat places have codes from {:.0} to {:.0} only", codes.0, codes.1));
+        return Err(format!("flat places have only codes from {:.0} to {:.0}", codes.0, codes.1));
     }
     Ok(())
 }
 
-/// Whether the curve may be a camera's.
+/// Checks that the curve is plausible for a camera.
 fn verdict(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let contrast = stops(g[240] - g[16]);
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
     if let Some(z) = flat {
-        Err(format!("the curve found does not rise from code {z} to code {}", z + codes))
+        Err(format!("the recovered curve does not rise from code {z} to code {}", z + codes))
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
-        Err(format!("the curve found has {contrast:.1} stops from code 16 to code 240"))
+        Err(format!("the recovered curve has {contrast:.1} stops from code 16 to code 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
         Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
     } else {
@@ -127,40 +133,40 @@ fn verdict(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     }
 }
 
-/// Whether equations of this condition have a solution that is not noise.
+/// Checks that equations with this condition have a solution that is not noise.
 pub fn determined(condition: f64) -> Fitted<()> {
     if condition.is_nan() || condition > CONDITION { Err(undetermined(condition)) } else { Ok(()) }
 }
 
-/// Why there is no solution.
+/// Returns the reason why there is no solution.
 pub fn undetermined(condition: f64) -> String {
-    format!("the frames leave the curve undetermined (condition {condition:.0e})")
+    format!("the frames do not determine the curve (condition {condition:.0e})")
 }
 
-/// A code between two, as weights of two neighbouring codes.
+/// Returns the two neighbours of a code between integers, with their weights.
 pub fn between(code: f64) -> [(usize, f64); 2] {
     let below = (code.max(0.0) as usize).min(CODES - 2);
     let f = code - below as f64;
     [(below, 1.0 - f), (below + 1, f)]
 }
 
-/// A table's value at a code between two.
+/// Returns the interpolated value of a table at a code between integers.
 pub fn at(table: &[f64], code: f64) -> f64 {
     between(code).iter().map(|&(z, f)| f * table[z]).sum()
 }
 
-/// w^2 of a view.
+/// Returns w^2 of a view.
 pub fn square(view: &View) -> f64 {
     let w = hat(view.code);
     w * w
 }
 
-/// A view as it enters the sums: w^2, g - ln dt.
+/// Returns w^2 and g - ln dt for each view.
 fn weighted<'a>(sample: &'a Sample, g: &'a [f64]) -> impl Iterator<Item = (f64, f64)> + Clone + 'a {
     sample.views.iter().map(move |view| (square(view), at(g, view.code) - view.ln_time))
 }
 
-/// sum w^2 and sum w^2 (g - ln E - ln dt)^2 of a sample, ln E the best for g.
+/// Returns sum w^2 and sum w^2 (g - ln E - ln dt)^2 of a sample, with the best ln E for g.
 fn misfit(sample: &Sample, g: &[f64]) -> (f64, f64) {
     let views = weighted(sample, g);
     let weight: f64 = views.clone().map(|(w2, _)| w2).sum();
@@ -168,39 +174,41 @@ fn misfit(sample: &Sample, g: &[f64]) -> (f64, f64) {
     (weight, views.map(|(w2, v)| w2 * (v - ln_e) * (v - ln_e)).sum())
 }
 
-/// Root mean square of g - ln E - ln dt over all views, by their weights.
+/// Returns the weighted root mean square of g - ln E - ln dt over all views.
 pub fn residual(samples: &[Sample], trust: &[f64], g: &[f64]) -> f64 {
     let sums = samples.iter().zip(trust).map(|(sample, t)| (misfit(sample, g), t));
     let (weight, square) = sums.fold((0.0, 0.0), |(a, b), ((w, s), t)| (a + t * w, b + t * s));
     (square / weight).sqrt()
 }
 
-/// How far each sample is trusted, by its weighted misfit: [`tukey`].
+/// Returns the weight of each sample from its weighted misfit, by [`tukey`].
 pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
     let misfits: Vec<f64> = samples.iter().map(|s| (misfit(s, g).1 / s.views.len() as f64).sqrt()).collect();
     tukey(&misfits)
 }
 
-/// Tukey's biweight of each misfit, 0 or more, with 4.685 robust standard deviations as its reach: 1 for none, 0 beyond.
+/// Returns Tukey's biweight of each misfit (0 or more), with a reach of 4.685 robust standard deviations: 1 for no
+/// misfit, 0 beyond.
 pub fn tukey(misfits: &[f64]) -> Vec<f64> {
     let median = median(misfits.iter().copied()).unwrap_or(0.0);
     let reach = 4.685 * median / MEDIAN_DEVIATION + f64::MIN_POSITIVE;
     misfits.iter().map(|&m| statistics::biweight(m / reach)).collect()
 }
 
-/// Made-up cameras, for the tests of all models.
+/// Synthetic cameras for the tests of all models.
 #[cfg(test)]
 pub mod scene {
     use super::*;
 
-    /// A number in -0.5..0.5 that depends on the seed alone.
+    /// Returns a number in -0.5..0.5 that depends only on the seed.
     pub fn noise(seed: usize) -> f64 {
         let x = (seed as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let x = (x ^ (x >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// `count` places of evenly spread brightness, seen in exposures `stops`, by a camera with the response `code` of exposure 0..=1.
+    /// Returns `count` places of evenly spread brightness in the given exposures, taken by a camera with the response
+    /// `code` of exposure 0..=1.
     pub fn scene(count: usize, exposures: &[f64], code: impl Fn(f64) -> f64) -> Vec<Sample> {
         let place = |i: usize| {
             let ln_e = (9.0 * i as f64 / count as f64 - 7.0) * LN_2;
@@ -213,12 +221,12 @@ pub mod scene {
         (0..count).map(place).filter(|s| s.views.len() >= 2).collect()
     }
 
-    /// Root mean square over codes 10..=245 of what is left between two curves after a shift, in stops.
+    /// Root mean square over codes 10..=245 of the difference between two curves after a shift, in stops.
     pub fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         difference_from(10, g, exposure)
     }
 
-    /// The same over codes `from`..=245: of those below, `g` may be but a guess.
+    /// The same over codes `from`..=245, because `g` is not determined below.
     pub fn difference_from(from: usize, g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         let d: Vec<f64> = (from..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
         let mean = d.iter().sum::<f64>() / d.len() as f64;
@@ -244,7 +252,8 @@ mod tests {
         assert!(trust[100] < 0.5, "{}", trust[100]);
         let kept = trust.iter().filter(|&&t| t > 0.5).count();
         assert!(kept > 300, "{kept}");
-        // g = 2 ln z bends by 1 / z^2 between codes, and the noise is 0.43 codes: 2 x 0.43 / z nepers, weighted to the middle.
+        // g = 2 ln z has a curvature of 1 / z^2 between codes, and the noise is 0.43 codes: 2 x 0.43 / z nepers,
+        // weighted to the middle.
         assert!((0.001..0.03).contains(&residual(&samples, &trust, &g)));
     }
 
@@ -265,7 +274,7 @@ mod tests {
         let n = samples.len();
         assert!(judge(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
         assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
-        // The curve falls from code 110 to 200, as where samples contradict each other.
+        // The curve falls from code 110 to 200, as it does if samples contradict each other.
         let falls =
             found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);
         assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));

@@ -1,14 +1,15 @@
-//! The nearest curve that rises.
+//! The closest monotone curve.
 //!
-//! In: values and weights. Out: the values that rise everywhere by at least a given step and differ least from those given, in the
-//! weighted squares. Cost: one pass. Source: Ayer, Brunk, Ewing, Reid & Silverman 1955, "An empirical distribution function for
-//! sampling with incomplete information": pool adjacent violators.
+//! In: values and weights. Out: values that rise by at least a given step everywhere, with the smallest weighted
+//! squared differences from those given. Cost: one pass. Source: Ayer, Brunk, Ewing, Reid & Silverman 1955, "An
+//! empirical distribution function for sampling with incomplete information": pool adjacent violators.
 
-/// `values`, moved as little as the weighted squares allow, so that each is at least `step` above the one before.
+/// Returns `values` changed as little as possible, in weighted squares, so that each is at least `step` above the
+/// previous one.
 ///
-/// Weights are positive. Values that rise enough already are given back as they are, but for rounding.
+/// Weights are positive. Values that rise enough already are returned unchanged, except for rounding.
 pub fn rising(values: &[f64], weights: &[f64], step: f64) -> Vec<f64> {
-    // A curve rises by `step` where what is left after taking a line of that slope away does not fall.
+    // A curve rises by `step` if it does not fall after a line of that slope is subtracted.
     let mut blocks: Vec<(f64, f64, usize)> = Vec::with_capacity(values.len());
     for (i, (&v, &w)) in values.iter().zip(weights).enumerate() {
         let mut block = (v - step * i as f64, w, 1);
@@ -38,7 +39,7 @@ mod tests {
 
     #[test]
     fn violators_are_pooled_by_weight() {
-        // By hand: 3 and 0 with weights 1 and 2 pool to 1; the 5 after them stays.
+        // By hand: 3 and 0 with weights 1 and 2 pool to 1; the 5 after them is unchanged.
         assert_eq!(rising(&[3.0, 0.0, 5.0], &[1.0, 2.0, 1.0], 0.0), [1.0, 1.0, 5.0]);
     }
 
@@ -48,7 +49,7 @@ mod tests {
         let cost = |x: &[f64]| x.iter().zip(&v).zip(&w).map(|((a, b), w)| w * (a - b) * (a - b)).sum::<f64>();
         let best = rising(&v, &w, 0.05);
         assert!(best.windows(2).all(|p| p[1] - p[0] >= 0.05 - 1e-12));
-        // Convex: if no small feasible move of a run of values helps, nothing does.
+        // The problem is convex: if no small feasible change of a run of values improves it, nothing does.
         for (from, to) in (0..7).flat_map(|a| (a + 1..=7).map(move |b| (a, b))) {
             for d in [-1e-3, 1e-3] {
                 let mut other = best.clone();

@@ -1,9 +1,11 @@
 //! Cubic splines over the codes: smooth curves in a few dozen numbers instead of 256.
 //!
-//! In: nothing but the knots below. Out: a [`Basis`] of 47 cubic B-splines. Cost: 256 x 4 numbers. Source: de Boor 1978, "A Practical Guide to Splines", chapter X.
+//! In: the knots below. Out: a [`Basis`] of 47 cubic B-splines. Cost: 256 x 4 numbers. Source: de Boor 1978, "A
+//! Practical Guide to Splines", chapter X.
 //!
-//! Response curves bend most near black, so that knots stand at every code there, and at every eighth in the middle. A curve recovered
-//! in this basis differs from that in 256 free values by less than 0.001 stops on truth brackets.
+//! Response curves have the largest curvature near black, so there is a knot at every code there, and at every eighth
+//! in the middle. A curve recovered in this basis differs from one with 256 free values by less than 0.001 stops on
+//! rendered brackets.
 
 use crate::response::CODES;
 
@@ -12,27 +14,27 @@ const KNOTS: [u8; 45] = [
     0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 23, 28, 34, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 128, 136, 144, 152,
     160, 168, 176, 184, 192, 200, 208, 216, 224, 232, 236, 240, 244, 248, 251, 253, 255,
 ];
-/// Splines that are not 0 at a code.
+/// Number of splines that are not 0 at a code.
 const ORDER: usize = 4;
 
 /// A basis of curves over the codes.
 pub struct Basis {
-    /// Of each code, the first spline that is not 0 there, and the values of that and the following.
+    /// For each code, the first spline that is not 0 there, and the values of that and the following ones.
     rows: Vec<(usize, Vec<f64>)>,
     count: usize,
 }
 
 impl Basis {
-    /// Cubic B-splines; they add up to 1 at every code.
+    /// Returns cubic B-splines; they add up to 1 at every code.
     pub fn cubic() -> Self {
         let ends = |z: u8| std::iter::repeat_n(f64::from(z), ORDER - 1);
         let knots: Vec<f64> = ends(0).chain(KNOTS.map(f64::from)).chain(ends(255)).collect();
         let count = knots.len() - ORDER;
         let row = |z: usize| {
             let code = z as f64;
-            // The last piece has its right end as well.
+            // The last piece includes its right end.
             let piece = (ORDER - 1..count).rev().find(|&i| knots[i] <= code).unwrap_or(ORDER - 1);
-            // Cox and de Boor: of each order from the one below.
+            // Cox-de Boor recursion: each order from the one below.
             let mut values = vec![1.0];
             for order in 1..ORDER {
                 let mut next = vec![0.0; order + 1];
@@ -49,13 +51,13 @@ impl Basis {
         Basis { rows: (0..CODES).map(row).collect(), count }
     }
 
-    /// The 256 values themselves: no basis at all.
+    /// The 256 values themselves, without a basis.
     #[cfg(test)]
     pub fn values() -> Self {
         Basis { rows: (0..CODES).map(|z| (z, vec![1.0])).collect(), count: CODES }
     }
 
-    /// How many splines there are.
+    /// Returns the number of splines.
     pub fn count(&self) -> usize {
         self.count
     }
@@ -66,7 +68,7 @@ impl Basis {
         row[*first..].iter_mut().zip(values).for_each(|(sum, b)| *sum += factor * b);
     }
 
-    /// B c: the curve with these coefficients.
+    /// B c: returns the curve with these coefficients.
     pub fn curve(&self, coefficients: &[f64]) -> [f64; CODES] {
         std::array::from_fn(|z| {
             let (first, row) = &self.rows[z];
@@ -88,7 +90,7 @@ mod tests {
             assert!(first + row.len() <= basis.count && row.iter().all(|b| (0.0..=1.0).contains(b)));
             assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
-        // Least squares give a cubic back as it is: splines of order 4 hold all polynomials of degree 3.
+        // Least squares reproduce a cubic: splines of order 4 contain all polynomials of degree 3.
         let cubic: [f64; CODES] = std::array::from_fn(|z| {
             let x = z as f64 / 255.0;
             1.0 - 2.0 * x + 3.0 * x * x - 4.0 * x * x * x

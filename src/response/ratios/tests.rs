@@ -5,14 +5,15 @@ use crate::align::Alignment;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice};
 
-/// A number in -0.5..0.5 that depends on the seed alone.
+/// Returns a number in -0.5..0.5 that depends only on the seed.
 fn noise(seed: usize) -> f64 {
     let x = (seed as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let x = (x ^ (x >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
 }
 
-/// Places of evenly spread brightness in exposures `stops`, written down as `written`, by a camera steeper than sRGB; an eighth moved.
+/// Returns places of evenly spread brightness at `exposures`, recorded as `written`, by a camera with a steeper curve
+/// than sRGB's; an eighth moved.
 fn scene(exposures: &[f64], written: &[f64]) -> [Vec<Sample>; 3] {
     std::array::from_fn(|c| {
         let place = |i: usize| {
@@ -34,7 +35,7 @@ fn found(exposures: &[f64], written: &[f64]) -> Vec<f64> {
     fit(&scene(exposures, written), &times, 0.07).unwrap()
 }
 
-/// What is left of `wrong` when a common factor and a common power of the exposures `written` are taken out.
+/// Returns `wrong` without its common factor and common power of the exposures `written`.
 fn knowable(wrong: &[f64], written: &[f64]) -> Vec<f64> {
     let v = DVector::from_row_slice(wrong);
     free_directions(written).iter().fold(DVector::zeros(wrong.len()), |sum, b| sum + b * b.dot(&v)).as_slice().to_vec()
@@ -45,7 +46,8 @@ fn what_was_written_wrong_comes_out_as_far_as_it_can_be_known() {
     let (exact, wrong) = ([-4.0, -2.5, -1.0, 0.5, 2.0], [0.09, -0.12, 0.05, 0.1, -0.07]);
     let written: Vec<f64> = exact.iter().zip(wrong).map(|(e, w)| e + w).collect();
     let (got, wanted) = (found(&exact, &written), knowable(&wrong.map(|w| -w), &written));
-    // Noise of half a code over 500 places is far below; a hundredth of a stop is the prior's pull and what moved.
+    // Noise of half a code over 500 places is far smaller; a hundredth of a stop is the influence of the prior and of
+    // motion.
     assert!(got.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 0.012), "{got:?} for {wanted:?}");
     assert!(wanted.iter().any(|w| w.abs() > 0.08));
 }
@@ -66,7 +68,8 @@ fn a_common_factor_and_a_common_power_are_kept_as_written() {
     assert_eq!(free_directions(&[0.0, 1.0, 3.0]).len(), 1);
 }
 
-/// The normal equations without the elimination of ln E, the splines or the projection in parts: all unknowns in one dense system.
+/// The normal equations without the elimination of ln E, the splines or the separate projection: all unknowns in one
+/// dense system.
 #[test]
 fn parts_give_what_the_whole_system_gives() {
     let written = [-3.0, -1.4, 0.0, 1.6];
@@ -82,7 +85,7 @@ fn parts_give_what_the_whole_system_gives() {
     let places: usize = samples.iter().map(Vec::len).sum();
     let unknowns = 3 * SPLINE + free.ncols() + places;
     let weight: f64 = samples.iter().flatten().flat_map(|s| &s.views).map(|v| hat(v.code) * hat(v.code)).sum();
-    // Unknowns with their coefficients, the value wanted, the weight.
+    // Unknowns with their coefficients, the right side, the weight.
     type Row = (Vec<(usize, f64)>, f64, f64);
     let mut rows: Vec<Row> = Vec::new();
     let mut place = 3 * SPLINE + free.ncols();
@@ -118,7 +121,7 @@ fn parts_give_what_the_whole_system_gives() {
     }
     let x = matrix.cholesky().unwrap().solve(&right);
     let whole = &free * x.rows(3 * SPLINE, free.ncols());
-    // Both are normal equations of condition 1e9 or so, times 2e-16, with a margin.
+    // Both are normal equations with a condition of about 1e9, times 2e-16, with a margin.
     assert!((&whole - &d).amax() < 1e-6, "{whole} {d}");
 }
 
@@ -135,7 +138,7 @@ fn exposed(frame: &Frame, exposure: Exposure) -> Frame {
     frame
 }
 
-/// The bracket of `times` as if its EXIF said `written`.
+/// Returns the bracket of `times` with `written` in its EXIF.
 fn written(times: &[f64], written: &[f64]) -> (Bracket, Alignment) {
     let (bracket, alignment) = still((400, 300), times, tiles);
     let frames = bracket.frames().iter().zip(written).map(|(frame, &time)| {
@@ -154,10 +157,10 @@ fn a_bracket_is_corrected_within_bounds_but_not_against_the_user() {
     let (rounded, alignment) = written(&times, &[0.0625, 0.23, 1.08, 4.0]);
     let mut places = Places::of(&rounded, &alignment).unwrap();
     let (tuned, warnings) = fine_tuned(rounded, &mut places);
-    // The places have the exposures as corrected: nothing is left to correct.
+    // The places have the corrected exposures: there is nothing left to correct.
     assert!(corrections(&tuned, &places).0.iter().all(|c| c.stops == 0.0));
     let ev: Vec<f64> = tuned.frames().iter().map(|f| f.exposure.ev()).collect();
-    // The second step against its neighbours: 2 + 2 - 2 * 2 = 0, whatever the common power.
+    // The second step relative to its neighbours: 2 + 2 - 2 * 2 = 0, for any common power.
     assert!((ev[0] - 3.0 * ev[1] + 3.0 * ev[2] - ev[3]).abs() < 0.03, "{ev:?}");
     assert!(warnings.is_empty() && tuned.frames()[1].exposure.correction_stops() > 0.05);
 

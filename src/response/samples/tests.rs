@@ -55,7 +55,7 @@ fn edges_and_what_darkens_are_left_out() {
 
 #[test]
 fn film_base_is_black() {
-    // A camera whose black is 18 codes up: short exposures of dark places say nothing.
+    // A camera whose black is code 18: short exposures of dark places are not used.
     let (bracket, alignment) =
         still((400, 300), &[1.0 / 64.0, 1.0 / 8.0, 1.0], |x, y| tiles(x, y).map(|e| e.max(1e-9)));
     assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).black.iter().all(|&b| b < 4.0));
@@ -71,7 +71,8 @@ fn film_base_is_black() {
 
 #[test]
 fn a_mover_is_not_black() {
-    // Before a dim wall stands, in the second frame, somebody who is as dark as that wall is in the first: it grows no brighter there.
+    // In the second frame somebody stands in front of a dim wall, as dark as the wall is in the first frame: the
+    // place becomes no brighter.
     let wall = |x: usize, y: usize| if x < 200 && y < 150 { [0.04; 3] } else { tiles(x, y) };
     let coat = |x: usize, y: usize| if x < 200 && y < 150 { [0.01; 3] } else { tiles(x, y) };
     let times = [0.25, 1.0, 4.0];
@@ -89,7 +90,7 @@ fn a_mover_is_not_black() {
 fn codes_are_parted_where_the_fewest_are_on_the_wrong_side() {
     let parted = |below: &[f64], above: &[f64]| parting(below.iter().copied(), above.to_vec());
     assert_eq!(parted(&[1.0, 2.0, 3.0], &[4.0, 5.0]), 3.0);
-    // One that is misplaced among many.
+    // One value of many is on the wrong side.
     assert_eq!(parted(&[1.0, 2.0, 3.0, 3.5, 9.0], &[2.5, 4.0, 5.0, 6.0]), 3.5);
     assert_eq!(parted(&[9.0], &[1.0, 2.0]), f64::MIN);
     assert_eq!(parted(&[], &[]), f64::MIN);
@@ -97,7 +98,8 @@ fn codes_are_parted_where_the_fewest_are_on_the_wrong_side() {
 
 #[test]
 fn blocks_of_noise_in_black_are_black() {
-    // Nine exposures of a place of which a third is black; there JPEG leaves blocks of codes 0 to 2, in each frame others, now darker and now brighter.
+    // Nine exposures of a scene of which a third is black. JPEG leaves blocks of codes 0 to 2 there, different in
+    // each frame, sometimes darker and sometimes brighter.
     let times: Vec<f64> = (0..9).map(|i| libm::exp2(f64::from(i) - 4.0)).collect();
     let (bracket, alignment) =
         still((400, 300), &times, |x, y| if x < 130 { [1e-6; 3] } else { tiles(x, y).map(|e| e * 0.1) });

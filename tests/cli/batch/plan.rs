@@ -104,7 +104,7 @@ fn what_is_no_plan_is_refused_with_the_line() {
     assert!(run("").contains("--id"));
     assert!(run(&format!("--id {id} --tmo drago")).contains("must be given with --plan"));
     folder.put("plan.jsonl", line.to_string().replace("hdralign 0", "hdralign 99").as_bytes());
-    assert!(run(&format!("--id {id}")).contains("must be given with --plan"));
+    assert!(run(&format!("--id {id}")).contains("create the plan again"));
     folder.put("plan.jsonl", b"\n{\"schema\": 1}\n");
     assert!(run(&format!("--id {id}")).contains("line 2"));
     folder.put("plan.jsonl", b"");
