@@ -1,32 +1,33 @@
-//! What a step takes, before it is done: memory and time.
+//! Estimates of memory and time for a step, before it runs.
 //!
-//! In: how many photographs, and of what size. Out: bytes and seconds of one core. Cost: none.
-//! Source: memory is that by which a run is planned ([`budget`](crate::budget)), and enough; time was measured (see the tests), and it is meant to be
-//! about right on a core of a server of 2023.
+//! In: number and size of the photographs. Out: bytes, and seconds of one core. Cost: negligible. Source: memory is
+//! that of the [`budget`](crate::budget) of a run, and is sufficient; time was measured (see the tests), and is
+//! approximately that of one core of a server of 2023.
 
 use crate::budget::{Demand, Stages};
 
-/// What a step is made of.
+/// The work of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    /// Whether the frames are merged, and not only looked at for the response.
+    /// Whether the frames are merged, and not only used for the response.
     pub merges: bool,
-    /// Photographs of the bracket; of the largest one where there are several.
+    /// Number of photographs of the bracket; of the largest one if there are several.
     pub frames: usize,
-    /// Photographs of all brackets.
+    /// Number of photographs of all brackets.
     pub photographs: usize,
-    /// Width and height of one, in pixels.
+    /// Width and height of a photograph, in pixels.
     pub size: (usize, usize),
-    /// Bytes of a pixel of one: 3, or 6 with 16 bit.
+    /// Bytes per pixel: 3, or 6 with 16 bits.
     pub bytes: usize,
-    /// Whether what moved is sought.
+    /// Whether motion is detected.
     pub seeks_ghosts: bool,
-    /// Whether the frames are fused.
+    /// Whether exposures are fused.
     pub fuses: bool,
 }
 
 impl Size {
-    /// Bytes of the whole process at its peak on one thread, if it may have them: with less, what does not fit is put on disk.
+    /// Returns the peak memory of the whole process with one thread, in bytes, if it is not limited; otherwise frames
+    /// are moved to disk.
     pub fn memory(&self) -> u64 {
         let frame = (self.size.0 * self.size.1 * self.bytes) as u64;
         let stages = Stages {
@@ -40,7 +41,7 @@ impl Size {
         Demand { stages, frames: self.frames, size: self.size, frame, decoding: 3 * frame }.enough(1)
     }
 
-    /// Seconds of one core.
+    /// Returns the time in seconds of one core.
     pub fn time_s(&self) -> f64 {
         let megapixels = (self.size.0 * self.size.1) as f64 / 1e6;
         let photographs = self.photographs as f64;
@@ -78,7 +79,7 @@ mod tests {
         ] {
             assert!(more.memory() >= plain.memory() && more.time_s() > plain.time_s(), "{more:?}");
         }
-        // Seen: three frames of 12 MP took 328 MB and nine 540 MB; on one core four 2.8 s and ten 6.2 s.
+        // Measured: three frames of 12 MP took 328 MB and nine 540 MB; on one core four took 2.8 s and ten 6.2 s.
         for (frames, megabytes) in [(3, 328), (9, 540)] {
             let memory = size(frames, 4013, false, false).memory() / 1_000_000;
             assert!((megabytes..megabytes * 5 / 4).contains(&memory), "{memory}");

@@ -1,10 +1,11 @@
-//! Many brackets: found in folders, planned as steps, and done on one machine or by any engine.
+//! Batches: brackets are found in folders, planned as steps, and processed on one machine or by a workflow engine.
 //!
-//! In: folders of photographs. Out: a plan, the results of its steps, and a summary. Cost: a look at the header of every photograph;
-//! then that of the steps.
+//! In: folders of photographs. Out: a plan, the results of its steps, and a summary. Cost: reading the header of
+//! every photograph, and that of the steps.
 //!
-//! [`find`](find::find) finds brackets, [`plan`](plan::plan) makes steps of them. [`step::run`] does one, whole or not at all and only where
-//! it is not done; [`schedule::run`] does all on this machine. [`summary::Summary`] tells how they went.
+//! [`find`](find::find) finds brackets and [`plan`](plan::plan) turns them into steps. [`step::run`] runs one step,
+//! completely or not at all, and only if its results are missing; [`schedule::run`] runs all on this machine.
+//! [`summary::Summary`] reports the results.
 
 mod estimate;
 pub mod find;

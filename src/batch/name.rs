@@ -1,12 +1,13 @@
 //! Names of results, by a template.
 //!
-//! In: a template as `{folder}/{first}-{last}`, and a bracket. Out: a path without extension, below the folder for results. Cost: none.
+//! In: a template such as `{folder}/{first}-{last}`, and a bracket. Out: a path without extension, relative to the
+//! folder for results. Cost: negligible.
 
 use crate::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
-/// What a template is made of.
+/// A part of a template.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Field {
     Folder,
@@ -20,17 +21,17 @@ enum Field {
     Time,
 }
 
-/// The fields, as they are typed, and what they stand for.
+/// The fields as typed, with their meaning.
 const FIELDS: [(&str, Field, &str); 9] = [
-    ("folder", Field::Folder, "the folder of the photographs, below the one that was searched"),
+    ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder"),
     ("first", Field::First, "the first photograph by name, without extension"),
-    ("last", Field::Last, "the last one"),
+    ("last", Field::Last, "the last photograph by name, without extension"),
     ("number", Field::Number, "the bracket's number, from 0001"),
-    ("count", Field::Count, "how many photographs it has"),
-    ("set", Field::Set, "the number of the panorama that it belongs to, from 001"),
-    ("camera", Field::Camera, "the camera, as Canon_EOS_5D"),
-    ("date", Field::Date, "when it was taken, as 2026-11-21"),
-    ("time", Field::Time, "when it was taken, as 17-05-59"),
+    ("count", Field::Count, "the number of its photographs"),
+    ("set", Field::Set, "the number of its panorama, from 001"),
+    ("camera", Field::Camera, "the camera, for example Canon_EOS_5D"),
+    ("date", Field::Date, "the date when it was taken, for example 2026-11-21"),
+    ("time", Field::Time, "the time when it was taken, for example 17-05-59"),
 ];
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,33 +40,33 @@ enum Part {
     Field(Field),
 }
 
-/// A template, known to be one.
+/// A valid template.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Template(Vec<Part>);
 
-/// What the fields stand for in one bracket; what is not known is `unknown`.
+/// The values of the fields for one bracket; unknown values become `unknown`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Values {
     /// The folder of the photographs, relative.
     pub folder: PathBuf,
     /// The first photograph by name, without extension.
     pub first: OsString,
-    /// The last one.
+    /// The last photograph by name, without extension.
     pub last: OsString,
     /// The bracket's number, from 1.
     pub number: usize,
-    /// How many photographs it has.
+    /// Its number of photographs.
     pub count: usize,
     /// The number of its panorama, from 1.
     pub set: usize,
     /// The camera.
     pub camera: Option<String>,
-    /// `YYYY:MM:DD HH:MM:SS`, as EXIF has it.
+    /// `YYYY:MM:DD HH:MM:SS`, as in EXIF.
     pub date_time: Option<String>,
 }
 
 impl Default for Template {
-    /// `{folder}/{first}-{last}`: the results lie as the photographs do.
+    /// `{folder}/{first}-{last}`: results are in the same folders as the photographs.
     fn default() -> Self {
         let text = |t: &str| Part::Text(t.into());
         Template(vec![
@@ -79,10 +80,10 @@ impl Default for Template {
 }
 
 impl Template {
-    /// The template `text`.
+    /// Parses the template `text`.
     ///
     /// # Errors
-    /// [`Error::Option`] for a field that there is none of, and for a name outside of the folder for results.
+    /// [`Error::Option`] for an unknown field, and for a name outside of the folder for results.
     pub fn parse(text: &str) -> Result<Template> {
         let refused = |reason: String| Error::Option { option: "--name", reason };
         let mut parts = Vec::new();
@@ -90,11 +91,11 @@ impl Template {
         while let Some(begin) = rest.find(['{', '}']) {
             let end = rest[begin..].find('}').filter(|_| rest[begin..].starts_with('{'));
             let Some(end) = end.map(|end| begin + end) else {
-                return Err(refused(format!("{text:?} has a brace without its other; fields are {}", listed())));
+                return Err(refused(format!("{text:?} has an unmatched brace; the fields are {}", listed())));
             };
             let name = &rest[begin + 1..end];
             let Some((_, field, _)) = FIELDS.iter().find(|(known, ..)| *known == name) else {
-                return Err(refused(format!("there is no field {{{name}}}; there are {}", listed())));
+                return Err(refused(format!("there is no field {{{name}}}; the fields are {}", listed())));
             };
             if begin > 0 {
                 parts.push(Part::Text(rest[..begin].into()));
@@ -106,20 +107,20 @@ impl Template {
             parts.push(Part::Text(rest.into()));
         }
         if Path::new(text).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
-            return Err(refused(format!("{text:?} leads out of the folder for results; name a path below it")));
+            return Err(refused(format!("{text:?} is outside of the folder for results; give a path inside it")));
         }
         if text.is_empty() || text.ends_with('/') {
-            return Err(refused(format!("{text:?} ends with no name; put `{{first}}-{{last}}` behind it")));
+            return Err(refused(format!("{text:?} does not end with a name; append `{{first}}-{{last}}`")));
         }
         Ok(Template(parts))
     }
 
-    /// What fields there are, a line each.
+    /// Returns the list of fields, one per line.
     pub fn help() -> String {
         FIELDS.iter().map(|(name, _, about)| format!("  {:<10} {about}\n", format!("{{{name}}}"))).collect()
     }
 
-    /// The path of a bracket's results, without extension.
+    /// Returns the path of a bracket's results, without extension.
     pub fn path(&self, values: &Values) -> PathBuf {
         let mut text = OsString::new();
         for part in &self.0 {
@@ -128,13 +129,14 @@ impl Template {
                 Part::Field(field) => text.push(values.text(*field)),
             }
         }
-        // A bracket in the searched folder itself has no folder: nothing must begin with `/` for that.
+        // If the folder of a bracket is the searched folder itself, `{folder}` is empty; then a leading `/` is
+        // dropped.
         Path::new(&text).components().filter(|c| matches!(c, Component::Normal(_))).collect()
     }
 }
 
 impl Values {
-    /// What stands for `field`; names of files and folders need be no UTF-8.
+    /// Returns the value of `field`; names of files and folders may be invalid UTF-8.
     fn text(&self, field: Field) -> OsString {
         let date_time = self.date_time.as_deref().unwrap_or("unknown unknown");
         let (date, time) = date_time.split_once(' ').unwrap_or((date_time, "unknown"));
@@ -153,11 +155,11 @@ impl Values {
     }
 }
 
-/// `text` in letters that no shell, job or file system takes for something else: others become `_`.
+/// Replaces characters of `text` that have a meaning for shells, job systems or file systems by `_`.
 pub fn plain(text: &str) -> String {
     let letter = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '.') { c } else { '_' };
     let plain: String = text.chars().map(letter).collect();
-    // What begins with a dot is hidden, with a dash an option.
+    // A leading dot would hide the file, and a leading dash would make it an option.
     if plain.starts_with(['.', '-']) { format!("_{}", &plain[1..]) } else { plain }
 }
 
@@ -207,8 +209,8 @@ mod tests {
             ("{lens}", "{folder}"),
             ("{first", "brace"),
             ("first}", "brace"),
-            ("../{first}", "leads out"),
-            ("/tmp/{first}", "leads out"),
+            ("../{first}", "is outside"),
+            ("/tmp/{first}", "is outside"),
             ("{folder}/", "no name"),
             ("", "no name"),
         ] {

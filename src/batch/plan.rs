@@ -1,8 +1,10 @@
-//! The plan: a line for each step, that any engine can run anywhere, in any order that its needs allow.
+//! The plan: one line for each step, which any workflow engine can run on any machine, in any order that respects
+//! `needs`.
 //!
-//! In: brackets that were found, and where their results go. Out: [`Step`]s, and JSON lines of them. Cost: none to speak of.
+//! In: the brackets that were found, and settings for the results. Out: [`Step`]s, and JSON lines of them. Cost:
+//! negligible.
 //!
-//! A step needs nothing but its own files: all that acts on its results stands in its line. Paths are absolute.
+//! A step needs only its own files: its line contains everything that affects its results. Paths are absolute.
 
 mod names;
 
@@ -18,16 +20,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The version of the format: keys are only ever added to it.
+/// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-plan/1";
 
-/// What is done.
+/// The kind of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// A bracket is merged.
+    /// Merges a bracket.
     Merge,
-    /// A camera's response is recovered from brackets.
+    /// Recovers the response of a camera from brackets.
     Response,
 }
 
@@ -36,71 +38,72 @@ pub enum Kind {
 pub struct Step {
     /// [`SCHEMA`].
     pub schema: String,
-    /// The program and its version: another version may give other bytes.
+    /// The program and its version: another version may write other bytes.
     pub software: String,
-    /// What is done.
+    /// The kind of step.
     pub kind: Kind,
-    /// Its name in the plan: letters, digits, `.`, `_` and `-`.
+    /// The id, unique in the plan: letters, digits, `.`, `_` and `-`.
     pub id: String,
-    /// Steps that must be done before.
+    /// Ids of the steps that must be done first.
     pub needs: Vec<String>,
-    /// The photographs, in their order; of all brackets, one after the other.
+    /// The photographs in order; those of all brackets, one bracket after the other.
     pub inputs: Vec<PathBuf>,
-    /// How many of the inputs each bracket has.
+    /// The number of inputs of each bracket.
     pub brackets: Vec<usize>,
-    /// The panorama that the bracket belongs to, from 1; none for a response.
+    /// The number of the panorama that contains the bracket, from 1; null for a response.
     pub set: Option<usize>,
-    /// The results.
+    /// The result files.
     pub outputs: Vec<PathBuf>,
-    /// Of the results those that are the picture, whatever their extension.
+    /// The results that are pictures, for any extension.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pictures: Vec<PathBuf>,
-    /// The report as a page to look at, where that is wanted.
+    /// The report page, if requested.
     pub page: Option<PathBuf>,
-    /// The report, as JSON; the step's record is in it.
+    /// The JSON report; it contains the record of the step.
     pub report: PathBuf,
     /// The JSON file that is written if the job fails, with the reason.
     pub failure: PathBuf,
-    /// The response that is used; none where the bracket's own is recovered.
+    /// The response file; null if the response is recovered from the bracket.
     pub response: Option<PathBuf>,
-    /// The relative exposure t ISO / N^2 (s) of which radiance 1 gives the middle code; none for that of the bracket's reference.
+    /// The relative exposure t ISO / N^2 (s) at which radiance 1 gives the middle code; null for that of the
+    /// reference frame.
     pub unit_exposure_s: Option<f64>,
-    /// Options of `hdralign batch` that act on the results, as they are typed.
+    /// Options of `hdralign batch` that affect the results, as typed.
     pub options: Vec<String>,
     /// Width of the photographs.
     pub width_px: usize,
     /// Height of the photographs.
     pub height_px: usize,
-    /// Threads that the estimates are for.
+    /// Number of threads for which the estimates are made.
     pub threads: usize,
-    /// Memory that is enough, in units of 10^6 bytes.
+    /// Estimated memory in units of 10^6 bytes; it is sufficient.
     pub memory_mb: u64,
-    /// Wall time on one core of a server of 2023, about.
+    /// Approximate wall time on one core of a server of 2023, in seconds.
     pub time_s: f64,
     /// The summary of all steps.
     pub summary: PathBuf,
 }
 
-/// A bracket, as far as its step depends on it.
+/// A bracket, with what its step depends on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Planned {
-    /// Folder for its results when none is named: the one that was searched.
+    /// The searched folder; results go there if no other folder is given.
     pub root: PathBuf,
-    /// The folder of the photographs below that.
+    /// The folder of the photographs, relative to `root`.
     pub folder: PathBuf,
-    /// The photographs, in their order.
+    /// The photographs in order.
     pub photographs: Vec<PathBuf>,
-    /// Width and height of each, in pixels, orientation applied.
+    /// Width and height of each in pixels, after EXIF orientation.
     pub size: (usize, usize),
-    /// Bits of a sample.
+    /// Bits per sample.
     pub depth: u8,
-    /// Relative exposures t ISO / N^2 (s), of those that say.
+    /// Relative exposures t ISO / N^2 (s) of the photographs that have one.
     pub exposures: Vec<f64>,
     /// Make and model.
     pub camera: Option<String>,
-    /// When it was taken, as EXIF has it.
+    /// The time when it was taken, as in EXIF.
     pub date_time: Option<String>,
-    /// The panorama that it belongs to, from 1.
+    /// The number of the panorama that contains it, from 1.
     pub set: usize,
 }
 
@@ -121,61 +124,62 @@ impl From<&FoundBracket> for Planned {
     }
 }
 
-/// Exposure whose radiance is the unit of a bracket's.
+/// The exposure that defines the unit of radiance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Normalisation {
-    /// Each bracket's own reference.
+    /// That of the reference frame of each bracket.
     #[default]
     Bracket,
-    /// One for all brackets of a panorama, so that their overlaps have the same radiance.
+    /// The same for all brackets of a panorama, so that their overlaps have the same radiance.
     Set,
-    /// One for all brackets.
+    /// The same for all brackets.
     All,
 }
 
-/// Where the response is from.
+/// The source of the response.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Responses {
-    /// Each bracket's own.
+    /// Recovered from each bracket.
     #[default]
     Own,
-    /// A file, for all.
+    /// A file, for all brackets.
     Given(PathBuf),
     /// One for each camera, recovered from all its brackets.
     Shared,
 }
 
-/// Where results go, and what they have in common.
+/// Settings for the results of all brackets.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Settings {
-    /// The folder for results; none for beside the photographs.
+    /// The folder for results; `None` for the folder of the photographs.
     pub output: Option<PathBuf>,
-    /// Names below that.
+    /// The template for names in that folder.
     pub template: Template,
-    /// Extensions of the results, without dots; there must be one.
+    /// Extensions of the results, without dots; at least one.
     pub formats: Vec<String>,
-    /// Extensions of the pictures beside them; none of the same.
+    /// Extensions of the additional pictures.
     pub pictures: Vec<String>,
-    /// Whether a page is made of each.
+    /// Whether a report page is written for each bracket.
     pub page: bool,
-    /// Where the response is from.
+    /// The source of the response.
     pub responses: Responses,
-    /// Whose exposure is the unit of radiance.
+    /// The exposure that defines the unit of radiance.
     pub normalisation: Normalisation,
-    /// Options that act on the results, as they are typed.
+    /// Options that affect the results, as typed.
     pub options: Vec<String>,
-    /// Whether what moved is sought.
+    /// Whether motion is detected.
     pub seeks_ghosts: bool,
-    /// Whether frames are fused.
+    /// Whether exposures are fused.
     pub fuses: bool,
 }
 
-/// The steps for `brackets`, responses first; ids and names are unique, and do not depend on the order of `brackets` where they differ.
+/// Returns the steps for `brackets`, responses first. Ids and names are unique, and are the same for any order of
+/// `brackets` unless names collide.
 ///
 /// # Errors
-/// [`Error::Option`] where a path cannot be made absolute.
+/// [`Error::Option`] if a path cannot be made absolute.
 pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
     let absolute = |path: &Path| {
         let reason = |e| Error::Option { option: "FOLDER", reason: format!("{}: {e}", path.display()) };
@@ -199,7 +203,8 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             settings.template.path(&values(bracket, i, if roots.len() > 1 { Some(&bracket.root) } else { None }));
         let base = match &settings.output {
             Some(_) => home.join(&name),
-            // Beside the photographs, and below the folder that was searched; several of those are several places already.
+            // In the folder of the photographs, relative to the searched folder; several searched folders are
+            // different places already.
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
         let formats = || settings.formats.iter().chain(&settings.pictures).map(String::as_str);
@@ -252,7 +257,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
     Ok(all)
 }
 
-/// The steps that recover a response for each camera.
+/// Returns the steps that recover a response for each camera.
 fn responses(
     brackets: &[Planned],
     settings: &Settings,
@@ -313,7 +318,7 @@ fn responses(
     Ok(steps)
 }
 
-/// Bytes of a pixel in memory.
+/// Bytes per pixel in memory.
 fn bytes(depth: u8) -> usize {
     if depth > 8 { 6 } else { 3 }
 }
@@ -325,7 +330,7 @@ fn rounded(seconds: f64) -> f64 {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem = |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_owned();
     let names = || bracket.photographs.iter();
-    // Where several folders were searched, what came of each is in a folder of its own.
+    // If several folders were searched, each has its own folder for results.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),
@@ -339,7 +344,7 @@ fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     }
 }
 
-/// Of which brackets the unit is.
+/// Returns the group of brackets that share a unit with `bracket`.
 fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     match normalisation {
         Normalisation::Bracket => None,
@@ -348,8 +353,8 @@ fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     }
 }
 
-/// The middle one of the exposures of all brackets that share a unit: about that of their references. Where none is known it is 1 s,
-/// and the step says that the photographs do not tell.
+/// Returns the median exposure of all brackets that share a unit: about that of their reference frames. It is 1 s if
+/// none is known, and the step then reports that the photographs have no exposure.
 fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<usize>, Option<f64>> {
     let mut exposures: BTreeMap<Option<usize>, Vec<f64>> = BTreeMap::new();
     for bracket in brackets {
@@ -363,10 +368,10 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
 }
 
 impl Step {
-    /// The step as a line of JSON, without its end.
+    /// Returns the step as a line of JSON, without a line feed.
     ///
     /// # Errors
-    /// [`Error::Option`] for a path that is no UTF-8: JSON cannot hold it.
+    /// [`Error::Option`] if a path is not valid UTF-8, because JSON cannot contain it.
     pub fn to_line(&self) -> Result<String> {
         let all = self.inputs.iter().chain(&self.outputs).chain([&self.report, &self.summary]).chain(&self.response);
         if let Some(path) = all.into_iter().find(|path| path.to_str().is_none()) {
@@ -379,10 +384,10 @@ impl Step {
         serde_json::to_string(self).map_err(|e| Error::Option { option: "--plan", reason: e.to_string() })
     }
 
-    /// The steps in the file `path`.
+    /// Reads the steps in the file `path`.
     ///
     /// # Errors
-    /// [`Error::Read`]; [`Error::PlanFile`] for what is no plan, of another version, or has an id twice.
+    /// [`Error::Read`]; [`Error::PlanFile`] if it is not a plan, has another version, or contains an id twice.
     pub fn read_all(path: &Path) -> Result<Vec<Step>> {
         let text = intake::text(path, intake::MOST_OF_A_PLAN)?;
         let refused = |line: usize, reason: String| Error::PlanFile { path: path.to_owned(), line, reason };
@@ -391,23 +396,24 @@ impl Step {
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let step: Step = serde_json::from_str(line).map_err(|e| refused(i + 1, e.to_string()))?;
             if step.schema != SCHEMA {
-                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is read", step.schema)));
+                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is supported", step.schema)));
             }
             if step.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(step.inputs.len()) {
-                return Err(refused(i + 1, "its brackets do not have as many photographs as there are inputs".into()));
+                return Err(refused(i + 1, "the sizes of its brackets do not add up to the number of inputs".into()));
             }
             if !ids.insert(step.id.clone()) {
-                return Err(refused(i + 1, format!("the id {:?} stands there twice", step.id)));
+                return Err(refused(i + 1, format!("the id {:?} is used twice", step.id)));
             }
             steps.push(step);
         }
         Ok(steps)
     }
 
-    /// The steps `ids` of the plan in the file `path`, in that order.
+    /// Reads the steps `ids` of the plan in the file `path`, in that order.
     ///
     /// # Errors
-    /// Those of [`read_all`](Self::read_all); [`Error::Option`] where there is none, or where this version is not the one that planned.
+    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if there is no such step, or if another version of
+    /// hdralign made the plan.
     pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Step>> {
         let all = Step::read_all(path)?;
         ids.iter().map(|id| Step::named(path, &all, id)).collect()
@@ -430,7 +436,7 @@ impl Step {
         }
     }
 
-    /// The photographs of each bracket.
+    /// Returns the photographs of each bracket.
     pub fn by_bracket(&self) -> Vec<Vec<PathBuf>> {
         let mut rest = self.inputs.iter();
         self.brackets.iter().map(|&n| rest.by_ref().take(n).cloned().collect()).collect()

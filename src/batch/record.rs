@@ -1,11 +1,13 @@
-//! What a step leaves behind of itself, by which a later run knows what is whole, and what is its own.
+//! The record of a step, by which a later run recognises complete results and its own files.
 //!
-//! In: a step, what it would be done with, and its files. Out: a key of its inputs, options and version, by content and never by date; and
-//! a record of the files that were made, kept in the step's report under `step`. Cost: every input and output is read once, for SHA-256.
+//! In: a step, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and
+//! a record of the files that were written, stored in the step's report under `step`. Cost: every input and output is
+//! read once, for SHA-256.
 //!
-//! The report gets its name before the results do. Whoever is killed between the two leaves a record whose results are missing or are
-//! still those of the run before; [`Record::is_whole`] says so, and the record knows the older ones as [replaced](Record::replaced), so
-//! that the next run may put its own in their place. What nobody recorded is the user's and is never replaced.
+//! The report gets its final name before the results do. If the process is killed between the two, the results in the
+//! record are missing or still those of the previous run. [`Record::is_whole`] detects this, and the record lists the
+//! previous files as [replaced](Record::replaced), so that the next run may replace them. Files that are in no record
+//! belong to the user and are never replaced.
 
 use super::plan::Step;
 use crate::error::{Error, Result};
@@ -18,22 +20,22 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-/// Bytes that are read at once.
+/// Bytes per read.
 const AT_ONCE: usize = 1 << 18;
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Content {
-    /// Its name, without the folder; what is no UTF-8 in it becomes a replacement character.
+    /// Its name, without the folder; bytes that are not valid UTF-8 become a replacement character.
     pub name: String,
-    /// Its length.
+    /// Its length in bytes.
     pub bytes: u64,
     /// SHA-256 of its bytes, in hexadecimal digits.
     pub sha256: String,
 }
 
 impl Content {
-    /// Of the file `path`.
+    /// Reads the content of the file `path`.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -42,7 +44,7 @@ impl Content {
         Content::read(path, intake::open_regular(path)?).map_err(failed)
     }
 
-    /// Of what `file` gives, which is or will be named `path`.
+    /// Reads the content of `file`, which has or will have the name `path`.
     ///
     /// # Errors
     /// Those of reading.
@@ -72,40 +74,41 @@ fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What was done, and what came of it.
+/// The inputs, options and results of a step.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     /// [`Step::id`].
     pub id: String,
-    /// SHA-256 over the content of all inputs, the options and the version: what is equal would give the same bytes.
+    /// SHA-256 of the contents of all inputs, the options and the version: equal keys give equal bytes.
     pub key: String,
     /// The program and its version.
     pub software: String,
     /// [`Step::options`].
     pub options: Vec<String>,
-    /// The photographs, in their order.
+    /// The photographs in order.
     pub inputs: Vec<Content>,
     /// The results.
     pub outputs: Vec<Content>,
-    /// SHA-256 of the older results that these take the place of.
+    /// SHA-256 of the previous results that these replace.
     pub replaced: Vec<String>,
 }
 
-/// The report with its record, as far as that is of interest.
+/// The part of the report that contains the record.
 #[derive(Deserialize)]
 struct Report {
     step: Record,
 }
 
 impl Record {
-    /// The record in the report `path`; none where there is no such file, or none of ours.
+    /// Reads the record in the report `path`. Returns `None` if the file does not exist or has no record.
     pub fn read(path: &Path) -> Option<Record> {
         let text = intake::whole(path, intake::MOST_OF_A_TEXT).ok()?;
         Some(serde_json::from_slice::<Report>(&text).ok()?.step)
     }
 
-    /// Whether all of `outputs` are there: as this record has them, by their length, for names are given to whole files alone; or changed
-    /// since by somebody else, whose they are now. What an earlier run made is not enough.
+    /// Whether all `outputs` exist and are either those of this record, by length (only complete files get their
+    /// names), or were changed later by somebody else, to whom they now belong. Files of an earlier run are not
+    /// enough.
     pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
         let is_there = |path: &PathBuf| {
             let Some(content) = self.outputs.iter().find(|content| content.name == name(path)) else { return false };
@@ -115,12 +118,13 @@ impl Record {
         outputs.iter().all(is_there)
     }
 
-    /// Whether this is the record of a bracket that has some of `inputs`: of other photographs of the same names otherwise.
+    /// Whether this is the record of a bracket that has some of `inputs`, and not of other photographs with the same
+    /// names.
     pub fn is_of(&self, inputs: &[Content]) -> bool {
         self.inputs.iter().any(|known| inputs.iter().any(|content| content.sha256 == known.sha256))
     }
 
-    /// Whether the file `path` is one that this run, or one before it, made: by content.
+    /// Whether the file `path` was written by this run or one before it, by hash.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -130,7 +134,7 @@ impl Record {
     }
 }
 
-/// The key of `step`, done to `inputs` with `options`.
+/// Returns the key of `step` with `inputs` and `options`.
 ///
 /// # Errors
 /// [`Error::Read`] for the response file.
@@ -141,7 +145,8 @@ pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String>
         hash.update(text);
     };
     take(super::SOFTWARE);
-    // Every option, so that none can be forgotten here; where results go and what they may use up is none of their content.
+    // Every option is included, so that none can be forgotten here, except where results go and how much memory and
+    // how many threads they may use.
     let mut acting =
         Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
     acting.pictures = Vec::new();
@@ -172,7 +177,7 @@ mod tests {
     #[test]
     fn the_digest_is_sha_256() {
         let content = Content::read(Path::new("d/abc.txt"), &b"abc"[..]).unwrap();
-        // FIPS 180-4's example.
+        // The example of FIPS 180-4.
         assert_eq!(content.sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
         assert_eq!((content.name.as_str(), content.bytes), ("abc.txt", 3));
     }
@@ -188,7 +193,7 @@ mod tests {
         let plain = Options::default();
         let of = |names, options: &Options| key(&step(), &contents(names), options).unwrap();
         let first = of(["a", "b"], &plain);
-        assert_eq!(first, of(["c", "b"], &plain), "names do not count");
+        assert_eq!(first, of(["c", "b"], &plain), "names have no influence");
         assert_ne!(first, of(["b", "a"], &plain));
         let flare = Options { flare: true, ..Options::default() };
         assert_ne!(first, of(["a", "b"], &flare));

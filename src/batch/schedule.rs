@@ -1,10 +1,11 @@
-//! All steps of a plan on one machine: as many at a time as cores and memory allow.
+//! Runs all steps of a plan on one machine: as many at a time as cores and memory allow.
 //!
-//! In: steps, in an order in which what is needed comes first. Out: how each ended. Cost: that of the steps; a step runs on one core while
-//! there are enough of them, which takes less than several cores for one step, and the last ones share what is left.
+//! In: steps, each after those that it needs. Out: the outcome of each. Cost: that of the steps. A step runs on one
+//! core while there are enough steps, because that takes less time in total than several cores for one step; the last
+//! steps share the remaining cores.
 //!
-//! A thread of its own waits for the disk and gives files their names, so that no core does. One bad step stops nothing but those that
-//! need it. Results do not depend on what runs beside what.
+//! A separate thread waits for the disk and gives files their names, so that no core waits. A failed step stops only
+//! those that need it. Results do not depend on which steps run at the same time.
 
 use super::plan::Step;
 use super::step::{self, Begun, Brief, Made};
@@ -19,46 +20,46 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Steps that may wait for the disk before those that compute do too.
+/// Number of steps that may wait for the disk; if there are more, computing waits too.
 const WAITING: usize = 4;
 
-/// What the machine may be used for.
+/// Resources of the machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
-    /// Steps at a time; at least 1.
+    /// Number of steps at a time; at least 1.
     pub jobs: usize,
-    /// Threads that compute, of all steps together; at least 1.
+    /// Number of computing threads of all steps together; at least 1.
     pub threads: usize,
     /// Memory of all steps together.
     pub memory: Option<MemoryLimit>,
 }
 
-/// How a step ended.
+/// The outcome of a step.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ending {
-    /// It was done.
+    /// It was run.
     Done(Brief),
-    /// It was done before, with the same inputs, options and version.
+    /// It was done in a previous run, with the same inputs, options and version.
     Unchanged(Brief),
-    /// It failed, and why.
+    /// It failed, with the reason.
     Failed(String),
-    /// It was not begun: the run was stopped before, or there is no room where its results go.
+    /// It was not started: the run was stopped before, or the disk of its results is full.
     NotBegun,
 }
 
 /// An event of a batch, reported from any thread.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// A step begins.
+    /// A step starts.
     Begins(&'a Step),
-    /// A step ended.
+    /// A step has ended.
     Ends(&'a Step, &'a Ending),
-    /// There is no room for the results of this step, and none of those that go to the same disk is begun any more.
+    /// The disk of this step's results is full; no further step is started that writes to the same disk.
     Fills(&'a Step),
 }
 
-/// Does `steps` with `options`, and gives how each ended, in their order. With `force` what was done is done again. Once `stop` is set, what
-/// has begun is ended and nothing else is begun.
+/// Runs `steps` with `options`. Returns their outcomes in the same order. With `force` finished steps are run again.
+/// After `stop` is set, running steps are finished and no other is started.
 pub fn run(
     steps: &[Step],
     options: &Options,
@@ -70,7 +71,8 @@ pub fn run(
     let board = Board::new(steps, limits, stop, watch);
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
-        // This thread works too, and names files where there is none for it: the system may refuse others.
+        // This thread also works, and names files if there is no other thread for it, because the system may refuse
+        // threads.
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let _ = thread("hdralign names").spawn_scoped(scope, || name(&board, made));
         for _ in 1..workers(steps, limits) {
@@ -83,17 +85,17 @@ pub fn run(
     board.endings()
 }
 
-/// How many steps there may ever be at a time, by their number and by memory.
+/// Returns the largest number of steps at a time, by their number and by memory.
 fn workers(steps: &[Step], limits: &Limits) -> usize {
     let least = steps.iter().map(pixels).min().unwrap_or(0).max(1);
     let fitting = usize::try_from(capacity(limits) / least).unwrap_or(usize::MAX);
     limits.jobs.min(steps.len()).min(fitting).max(1)
 }
 
-/// Takes one step after the other.
+/// Runs one step after the other.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
-    // Threads are kept from step to step, for each has memory of its own that would be left behind with it; but not while there is nothing to
-    // do, for they keep what they had.
+    // The thread pool is kept from step to step, because memory of its threads is not returned when it ends. It is
+    // dropped while there is no work, because it keeps that memory.
     let mut pool: Option<ThreadPool> = None;
     while let Some((i, share)) = board.take(|| pool = None) {
         let own = share.options(options);
@@ -101,7 +103,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
         }
         let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &pipeline::unwatched), || board.fill(i));
-        // Where there is no pool to be had, the step says so itself.
+        // If a pool cannot be created, the step reports the error.
         let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
         match begun {
@@ -117,7 +119,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
     }
 }
 
-/// Waits for the disk, and gives names.
+/// Waits for the disk, and names the files.
 fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
     made.iter().for_each(|(i, made)| board.end(i, named(board, i, made)));
 }
@@ -126,13 +128,13 @@ fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
     guarded(|| made.commit(), || board.fill(i)).map_or_else(Ending::Failed, Ending::Done)
 }
 
-/// What `work` gives; should it panic, that is this step's failure alone. Where it found the disk full, `fill` is called.
+/// Runs `work`. A panic fails only this step. If the disk is full, `fill` is called.
 fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
     let result = outcome.map_err(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-        let why = text.unwrap_or("for a reason unknown");
-        format!("the program failed in an unforeseen way ({why}); please report it with these photographs")
+        let why = text.unwrap_or("unknown reason");
+        format!("internal error ({why}); please report it, with these photographs")
     })?;
     result.map_err(|error| {
         if error.is_disk_full() {
@@ -142,7 +144,7 @@ fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::res
     })
 }
 
-/// The disk that the results of `step` go to; where that cannot be known, all are one.
+/// Returns the disk of the results of `step`; if it is not known, all steps count as on one disk.
 #[cfg(unix)]
 fn disk(step: &Step) -> u64 {
     use std::os::unix::fs::MetadataExt;
@@ -158,17 +160,18 @@ fn disk(_: &Step) -> u64 {
     0
 }
 
-/// What one step may use.
+/// Resources of one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Share {
     threads: usize,
-    /// Bytes of those for all steps: for pixels, and for threads beside the first.
+    /// Bytes of the total memory: for pixels, and for threads in addition to the first.
     taken: u64,
 }
 
 impl Share {
-    /// Of a step that needs `pixels` of the bytes that are `free`, and `thread` for each thread beside the first, and may have so many `threads`: a
-    /// small one has the threads that there is memory for, a large one gives up some of its own for them.
+    /// Returns the share of a step that needs `pixels` of the `free` bytes and `thread` bytes for each additional
+    /// thread, and may use at most `threads`: a small step has as many threads as memory allows; a large one uses
+    /// memory of its pixels for them.
     fn of(pixels: u64, thread: u64, free: u64, threads: usize) -> Share {
         let extra = thread * (threads as u64 - 1);
         if pixels.saturating_add(extra) <= free {
@@ -196,7 +199,7 @@ enum State {
     Ended(Ending),
 }
 
-/// Which steps are open, going on, ended; and what is free.
+/// Open, running and ended steps, and free resources.
 struct Board<'a> {
     steps: &'a [Step],
     places: BTreeMap<&'a str, usize>,
@@ -209,9 +212,9 @@ struct Board<'a> {
 
 struct Open {
     states: Vec<State>,
-    /// Bytes for pixels that no step has.
+    /// Bytes for pixels that no step uses.
     free: u64,
-    /// Steps that compute.
+    /// Number of steps that compute.
     going: usize,
 }
 
@@ -231,11 +234,12 @@ impl<'a> Board<'a> {
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
-        // Whoever holds it does nothing that could panic half-way.
+        // Code that holds the lock does not panic in an inconsistent state.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next step, and what it may use; none when there is nothing left to begin. Whoever has to wait for it is `idle`.
+    /// Returns the next step with its resources, or `None` if no step is left to start. `idle` is called before
+    /// waiting.
     fn take(&self, mut idle: impl FnMut()) -> Option<(usize, Share)> {
         let mut open = self.lock();
         loop {
@@ -253,7 +257,7 @@ impl<'a> Board<'a> {
             }
             let ready: Vec<usize> = (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
-                // Where there is memory for one at a time alone, it may have all cores.
+                // If memory is enough for only one step at a time, it may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
                 let step = &self.steps[i];
@@ -274,8 +278,8 @@ impl<'a> Board<'a> {
         }
     }
 
-    /// Of the steps `ready` the longest that there is memory for, and how much it takes: one that is long is not left to the end, when
-    /// others have nothing to do beside it. Of equal ones it is the first.
+    /// Returns the longest of the `ready` steps for which there is memory, with its bytes, so that a long step does
+    /// not run alone at the end. Of equal steps it is the first.
     fn longest(&self, open: &Open, ready: &[usize]) -> Option<(usize, u64)> {
         let sized = ready.iter().map(|&i| (i, pixels(&self.steps[i]).min(capacity(self.limits))));
         let fitting = sized.filter(|(_, pixels)| *pixels <= open.free);
@@ -290,10 +294,10 @@ impl<'a> Board<'a> {
         matches!(open.states[i], State::Open) && self.steps[i].needs.iter().all(is_done)
     }
 
-    /// Open steps that need one that failed, was not begun, or that there is none of.
+    /// Returns open steps that need one that failed, was not started, or does not exist.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
-            None => Some(Ending::Failed(format!("it needs the step {id}, which the plan does not have"))),
+            None => Some(Ending::Failed(format!("it needs the step {id}, which is not in the plan"))),
             Some(State::Ended(Ending::Failed(why))) => {
                 Some(Ending::Failed(format!("it needs {id}, which failed: {why}")))
             }
@@ -306,7 +310,7 @@ impl<'a> Board<'a> {
         open_steps.filter_map(failed).collect()
     }
 
-    /// There is no room for the results of step `i`: what goes to the same disk stays undone, to be taken up when there is room again.
+    /// Marks the disk of step `i` as full: steps that write there are not started.
     fn fill(&self, i: usize) {
         let full = disk(&self.steps[i]);
         let mut left = 0;
@@ -324,7 +328,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// The step computes no more.
+    /// Returns the resources of a step that has finished computing.
     fn give_back(&self, share: &Share) {
         let mut open = self.lock();
         open.free += share.taken;
@@ -338,7 +342,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// Writes and prints, and so is for whoever does not hold the board.
+    /// Reports an outcome. It writes and prints, so the board must not be locked.
     fn tell(&self, i: usize, ending: &Ending) {
         if let Ending::Failed(error) = ending {
             step::remember_failure(&self.steps[i], error);

@@ -1,10 +1,11 @@
-//! One step: a bracket merged, or a response recovered, whole or not at all, and only where that was not done before.
+//! One step: merge a bracket or recover a response, completely or not at all, and only if it is not done yet.
 //!
-//! In: a [`Step`] and the options it stands for. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`, and
-//! reading inputs and outputs once for their digests.
+//! In: a [`Step`] and its options. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`,
+//! and of reading inputs and outputs once for their hashes.
 //!
-//! A step may be begun again at any time, by anyone: what is whole is left alone, what was interrupted is done again, and what a step made
-//! may be replaced by the same step, but nothing else is. Two that do the same step at once both end with the same files.
+//! A step may be started again at any time by any process: complete results are kept, and interrupted steps are run
+//! again. A step replaces only its own earlier results. Two processes that run the same step at the same time end
+//! with the same files.
 
 use super::plan::{Kind, Step};
 use super::record::{self, Content, Record};
@@ -21,23 +22,24 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// What a summary tells of a step that was done.
+/// The part of a report that a summary shows.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Brief {
-    /// Whether the result is less than what was asked for: a frame left out or doubtful, an exposure or the response guessed.
+    /// Whether the result is degraded: a frame was rejected or is uncertain, or an exposure or the response was
+    /// estimated or assumed.
     pub degraded: bool,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
-    /// Photographs that were left out.
+    /// Number of rejected photographs.
     pub left_out: usize,
-    /// The least confidence of the frames that were placed.
+    /// The smallest confidence of the merged frames.
     pub least_confidence: Option<f64>,
-    /// Wall time of the run that made the files.
+    /// Wall time of the run that wrote the files.
     pub time_s: Option<f64>,
 }
 
 impl Brief {
-    /// Of a report.
+    /// Extracts it from a report.
     pub fn of(report: &Value) -> Brief {
         let list = |value: &Value, key: &str| value[key].as_array().cloned().unwrap_or_default();
         let warnings = list(report, "warnings");
@@ -55,18 +57,18 @@ impl Brief {
         }
     }
 
-    /// Of the report in the file `path`.
+    /// Reads it from the report in the file `path`.
     pub fn read(path: &Path) -> Option<Brief> {
         Some(Brief::of(&serde_json::from_slice(&intake::whole(path, intake::MOST_OF_A_TEXT).ok()?).ok()?))
     }
 }
 
-/// How far a step is when its pixels are done.
+/// The state of a step when its pixels are computed.
 #[derive(Debug)]
 pub enum Begun<'a> {
     /// It was done before, with the same inputs, options and version.
     Unchanged(Brief),
-    /// All is made but for the names.
+    /// Everything is written except the final names.
     Made(Box<Made<'a>>),
 }
 
@@ -77,24 +79,25 @@ pub struct Made<'a> {
     key: String,
     inputs: Vec<Content>,
     replaced: Vec<String>,
-    /// Results and report that are there, and are ours.
+    /// Existing results and report of this step.
     existing: Vec<PathBuf>,
     prepared: Prepared,
 }
 
-/// What either kind of step prepares.
+/// Results of either kind of step.
 #[derive(Debug)]
 enum Prepared {
     Merged(Box<pipeline::Prepared<Report>>),
     Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
-/// Does `step` up to the names of its files. Of `options` all counts but what the step says itself: files, and the response. With `force`
-/// it is done again, and files that somebody else made are replaced.
+/// Runs `step` up to the naming of its files. All `options` apply except those in the step itself: files and
+/// response. With `force` it is run again, and files of others are replaced.
 ///
 /// # Errors
-/// Those of [`pipeline::run`]; [`Error::Changed`] where a photograph is another at the end than it was at the begin; [`Error::OutputExists`], [`Error::OutputChanged`], [`Error::OtherPhotographs`] for a result that neither this
-/// step nor an earlier form of it made; [`Error::FrameLost`].
+/// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run; [`Error::OutputExists`],
+/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for a result that neither this step nor an earlier form
+/// of it wrote; [`Error::FrameLost`].
 pub fn begin<'a>(step: &'a Step, options: &Options, force: bool, watch: Watch) -> Result<Begun<'a>> {
     let stamps: Vec<Stamp> = step.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = step.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
@@ -114,7 +117,7 @@ pub fn begin<'a>(step: &'a Step, options: &Options, force: bool, watch: Watch) -
     }
     let folder = step.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
-    // The run itself would blame -o, which is no option of a batch.
+    // The run itself would report -o, which is not an option of a batch.
     write::check_targets(&Target::of("--name", &results), &step.inputs, true)?;
     let older = existing.iter().filter(|path| **path != step.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
@@ -125,18 +128,19 @@ pub fn begin<'a>(step: &'a Step, options: &Options, force: bool, watch: Watch) -
                 pipeline: options.clone(),
                 curves: step.outputs.clone(),
                 plots: Vec::new(),
-                // One bad bracket stops nothing.
+                // One failing bracket does not stop the others.
                 lenient: true,
             };
             Prepared::Recovered(Box::new(camera::prepare(&step.by_bracket(), &options, watch)?))
         }
     };
-    // The record must be of what was merged: photographs are read once for it, and once for their pixels.
+    // The record must describe the photographs that were merged: they are read once for the record, and once for
+    // their pixels.
     stamps.iter().try_for_each(Stamp::check)?;
     Ok(Begun::Made(Box::new(Made { step, key, inputs, replaced, existing, prepared })))
 }
 
-/// Whether what is there may be replaced: it is what this step made before, of these photographs.
+/// Checks that existing files may be replaced: this step wrote them before, from these photographs.
 fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inputs: &[Content]) -> Result<()> {
     let Some(record) = known else {
         return existing.first().map_or(Ok(()), |path| Err(Error::OutputExists { path: path.clone() }));
@@ -162,7 +166,7 @@ fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inp
     Ok(())
 }
 
-/// The options of a run of the pipeline that does `step`.
+/// Returns the options of the pipeline for `step`.
 fn acting(step: &Step, options: &Options) -> Options {
     let mut options = options.clone();
     let results = step.outputs.iter().filter(|path| !step.pictures.contains(path));
@@ -171,17 +175,17 @@ fn acting(step: &Step, options: &Options) -> Options {
     options.report.clone_from(&step.page);
     options.response_file.clone_from(&step.response);
     options.unit_exposure = step.unit_exposure_s;
-    // What exists is looked at here, file by file.
+    // Existing files are checked here, one by one.
     options.write.overwrite = true;
     options
 }
 
 impl Made<'_> {
-    /// Waits until all is on the disk and gives the files their names: first the report, that what follows is known as this step's even if
-    /// it is interrupted.
+    /// Waits until everything is on the disk and names the files: first the report, so that the others are known as
+    /// this step's even if it is interrupted.
     ///
     /// # Errors
-    /// [`Error::Write`]; [`Error::OutputExists`] where a file appeared meanwhile.
+    /// [`Error::Write`]; [`Error::OutputExists`] if a file was created in the meantime.
     pub fn commit(self) -> Result<Brief> {
         let Made { step, key, inputs, replaced, existing, prepared } = self;
         let (mut report, files) = match prepared {
@@ -216,7 +220,8 @@ impl Made<'_> {
     }
 }
 
-/// Gives the report its name and then the results theirs; those that are `existing`, or that a `twin` made meanwhile, are replaced.
+/// Names the report and then the results; files that are `existing`, or that a `twin` wrote in the meantime, are
+/// replaced.
 fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
     let is_ours = |path: &Path| existing.iter().any(|there| there == path);
     let replaces_report = is_ours(report.target()) || twin.is_some();
@@ -228,12 +233,13 @@ fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], t
     write::rename_all(new, false)
 }
 
-/// The record of another process that did the same step meanwhile: an engine may begin one again while it is still going on elsewhere.
+/// Returns the record of another process that ran the same step in the meantime: an engine may start a step again
+/// while it is still running elsewhere.
 fn twin(step: &Step, key: &str) -> Option<Record> {
     Record::read(&step.report).filter(|record| record.key == key)
 }
 
-/// Whether a twin that was a moment earlier has named all of its files, which are the same; it may be just about to.
+/// Whether a twin has named all of its files, which are the same; waits if it is about to.
 fn is_done_by_twin(step: &Step, own: &Record) -> bool {
     let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
     let is_done = || twin(step, &own.key).is_some_and(|record| record.is_whole(&results));
@@ -243,22 +249,22 @@ fn is_done_by_twin(step: &Step, own: &Record) -> bool {
     })
 }
 
-/// Tenths of a second that a twin is waited for.
+/// How long to wait for a twin, in tenths of a second.
 const TRIES: u32 = 50;
 
-/// What a whole file holds, before it has its name.
+/// Returns the content of a complete file before it has its name.
 fn content(file: &CompleteFile) -> Result<Content> {
     let target = file.target();
     let failed = |source| Error::Write { path: target.to_owned(), source };
     Content::read(target, file.open().map_err(failed)?).map_err(failed)
 }
 
-/// Strings, numbers and lists of them: nothing in it can fail.
+/// Only strings, numbers and lists of them: conversion cannot fail.
 fn as_value(report: &impl Serialize) -> Value {
     serde_json::to_value(report).unwrap_or_default()
 }
 
-/// Does `step` as a whole; and whether there was something to do.
+/// Runs `step` completely. Returns its brief, and whether there was work to do.
 ///
 /// # Errors
 /// Those of [`begin`] and [`Made::commit`]; they are also written to [`Step::failure`].
@@ -273,14 +279,14 @@ pub fn run(step: &Step, options: &Options, force: bool, watch: Watch) -> Result<
     outcome
 }
 
-/// Why a step failed, beside its results.
+/// The reason why a step failed, stored beside its results.
 #[derive(Debug, Clone, PartialEq, Serialize, serde::Deserialize)]
 pub struct Failure {
     /// `hdralign-failure/1`.
     pub schema: String,
     /// [`Step::id`].
     pub id: String,
-    /// What went wrong, and the remedy.
+    /// The error message.
     pub error: String,
 }
 
@@ -296,8 +302,8 @@ impl Failure {
 /// The version of the format of failures.
 const FAILURE: &str = "hdralign-failure/1";
 
-/// Tells beside the results of `step` why it failed. Where even that cannot be written, or a file of somebody else's is in its place, nothing more
-/// can be done for it.
+/// Writes the error of `step` to a file beside its results. If that is not possible, or a file of somebody else has
+/// the name, nothing is written.
 pub fn remember_failure(step: &Step, error: &str) {
     let failure = Failure { schema: FAILURE.into(), id: step.id.clone(), error: error.into() };
     let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
@@ -307,10 +313,10 @@ pub fn remember_failure(step: &Step, error: &str) {
     let _ = write::complete(&step.failure, text.as_bytes()).and_then(|whole| write::rename_all(vec![whole], is_ours));
 }
 
-/// The step is whole now.
+/// Removes the recorded failure of a completed step.
 fn forget_failure(step: &Step) {
     if Failure::read(step).is_some() {
-        // A note that cannot be removed is older than the report, and the summary goes by that.
+        // A failure file that cannot be removed is older than the report, which the summary checks.
         let _ = fs::remove_file(&step.failure);
     }
 }

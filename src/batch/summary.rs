@@ -1,6 +1,7 @@
-//! The summary of a batch: a row for each step, for programs (JSON) and for tables (CSV).
+//! The summary of a batch: a row for each step, as JSON and as CSV.
 //!
-//! In: steps and how they ended; or steps alone, whose files then tell. Out: a [`Summary`]. Cost: none; or reading the steps' reports.
+//! In: steps and their outcomes; or steps only, whose files are then read. Out: a [`Summary`]. Cost: negligible; or
+//! reading the steps' reports.
 
 use super::plan::{Kind, Step};
 use super::record::Record;
@@ -13,25 +14,25 @@ use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The version of the format: keys are only ever added to it.
+/// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-batch/1";
 
-/// What became of a step.
+/// The status of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
-    /// Done in this run; or, where only files tell, done.
+    /// Done in this run; or done, if the summary is made from files.
     Done,
-    /// Done in a run before, with the same inputs, options and version.
+    /// Done in a previous run, with the same inputs, options and version.
     Unchanged,
     /// Failed.
     Failed,
-    /// Not begun, or interrupted.
+    /// Not started, or interrupted.
     NotDone,
 }
 
 impl Status {
-    /// As it is written.
+    /// Returns the name used in files.
     pub fn name(self) -> &'static str {
         match self {
             Status::Done => "done",
@@ -42,40 +43,40 @@ impl Status {
     }
 }
 
-/// A step.
+/// A row of the summary: one step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// [`Step::id`].
     pub id: String,
-    /// What was to be done.
+    /// The kind of step.
     pub kind: Kind,
-    /// What became of it.
+    /// The status of the step.
     pub status: Status,
-    /// The panorama that it belongs to.
+    /// The number of its panorama.
     pub set: Option<usize>,
     /// The photographs.
     pub photographs: Vec<String>,
-    /// The results, where it is done.
+    /// The results, if it is done.
     pub outputs: Vec<String>,
-    /// The report, where it is done.
+    /// The report, if it is done.
     pub report: Option<String>,
-    /// Why it failed.
+    /// The reason, if it failed.
     pub error: Option<String>,
-    /// What its report says.
+    /// Extracts from its report.
     #[serde(flatten)]
     pub brief: Brief,
 }
 
-/// A photograph that belongs to no bracket.
+/// A photograph that is in no bracket.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Unused {
     /// The file.
     pub path: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
-/// How many steps ended how.
+/// Numbers of steps by status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Counts {
     /// All steps.
@@ -88,28 +89,28 @@ pub struct Counts {
     pub failed: usize,
     /// [`Status::NotDone`].
     pub not_done: usize,
-    /// Done, but with less than was asked for.
+    /// Done, with a degraded result.
     pub degraded: usize,
 }
 
-/// A batch.
+/// The summary of a batch.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// [`SCHEMA`].
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// How many ended how.
+    /// Numbers of steps by status.
     pub counts: Counts,
     /// The steps, in the order of the plan.
     pub steps: Vec<Row>,
-    /// Photographs that belong to no bracket; null where only the plan is known.
+    /// Photographs that are in no bracket; null if only the plan is known.
     pub left_over: Option<Vec<Unused>>,
-    /// Wall time in seconds; null where steps were done elsewhere.
+    /// Wall time in seconds; null if steps were run elsewhere.
     pub time_s: Option<f64>,
 }
 
-/// How a batch went, all in all.
+/// The outcome of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// Every step is done.
@@ -121,7 +122,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Of `done` steps of `all`; where there are none, none is done.
+    /// Returns the outcome for `done` steps of `all`; `None` if there are no steps.
     pub fn of(done: usize, all: usize) -> Verdict {
         match done {
             0 => Verdict::None,
@@ -132,7 +133,7 @@ impl Verdict {
 }
 
 impl Summary {
-    /// Of `steps` that ended as `endings` say.
+    /// Creates the summary of `steps` with their outcomes `endings`.
     pub fn new(steps: &[Step], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
         let rows = steps.iter().zip(endings).map(|(step, ending)| {
             let (status, brief, error) = match ending {
@@ -146,8 +147,8 @@ impl Summary {
         Summary::of(rows.collect(), Some(left_over), Some(time_s))
     }
 
-    /// Of `steps` that were done elsewhere, by what their files tell: a report of the same options and version, and whole results; else a
-    /// failure.
+    /// Creates the summary of `steps` that were run elsewhere, from their files: a step is done if its report has the
+    /// same options and version and its results are complete; otherwise its failure file is used.
     pub fn collected(steps: &[Step]) -> Summary {
         let rows = steps.iter().map(|step| {
             let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
@@ -155,7 +156,8 @@ impl Summary {
                 record.options == step.options && record.software == step.software && record.is_whole(&results)
             });
             match (record.and_then(|_| Brief::read(&step.report)), Failure::read(step)) {
-                // A step takes its failure away when it is done: where both are there, what was done is of an earlier form of it.
+                // A completed step removes its failure file: if both exist, the report is of an earlier form of the
+                // step.
                 (_, Some(failure)) => row(step, Status::Failed, Brief::default(), Some(failure.error)),
                 (Some(brief), None) => row(step, Status::Done, brief, None),
                 (None, None) => row(step, Status::NotDone, Brief::default(), None),
@@ -177,21 +179,21 @@ impl Summary {
         Summary { schema: SCHEMA, software: super::SOFTWARE, counts, steps, left_over, time_s }
     }
 
-    /// How it went.
+    /// Returns the outcome.
     pub fn verdict(&self) -> Verdict {
         Verdict::of(self.counts.done + self.counts.unchanged, self.counts.steps)
     }
 
-    /// As JSON, ended by a line feed.
+    /// Returns the summary as JSON, with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them: nothing in it can fail.
+        // Only strings, numbers and lists of them: conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// As CSV (RFC 4180), a row for each step under a row of names.
+    /// Returns the summary as CSV (RFC 4180), with a header row and a row for each step.
     pub fn to_csv(&self) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
-        // Writing to memory does not fail, and all rows have one length.
+        // Writing to memory does not fail, and all rows have the same length.
         let _ = writer.write_record(COLUMNS);
         for row in &self.steps {
             let number = |n: Option<f64>| n.map(|n| n.to_string()).unwrap_or_default();
@@ -214,10 +216,10 @@ impl Summary {
         writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
     }
 
-    /// Writes the summary to `path`, and beside it as `.csv`. Existing files are replaced as [`check`] says.
+    /// Writes the summary to `path`, and beside it as `.csv`. Existing files are replaced as described for [`check`].
     ///
     /// # Errors
-    /// [`Error::Write`], also for files that are kept.
+    /// [`Error::Write`], also for existing files that are not replaced.
     pub fn write(&self, path: &Path, overwrite: bool) -> Result<[PathBuf; 2]> {
         let [json, table] = files(path);
         let whole = vec![
@@ -229,8 +231,8 @@ impl Summary {
     }
 }
 
-/// Whether a summary can be written to `path`, before any work is done. A file that is there is replaced if it is the summary of another
-/// run, or with `overwrite`; so is the table beside it, of which only the summary tells whose it is.
+/// Checks, before any work, that a summary can be written to `path`. An existing file is replaced if it is the
+/// summary of another run, or with `overwrite`; so is the table beside it, whose owner only the summary records.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -238,12 +240,12 @@ pub fn check(path: &Path, overwrite: bool) -> Result<()> {
     write::check_targets(&Target::of("-d", &files(path)), &[], overwrite || is_summary(path)).map_err(kept)
 }
 
-/// The summary `path` and its table.
+/// Returns the paths of the summary and its table.
 fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_owned(), path.with_extension("csv")]
 }
 
-/// Whether the file `path` is a summary: it carries [`SCHEMA`].
+/// Whether the file `path` is a summary: it contains [`SCHEMA`].
 fn is_summary(path: &Path) -> bool {
     #[derive(Deserialize)]
     struct Header {
@@ -254,7 +256,7 @@ fn is_summary(path: &Path) -> bool {
     header.is_some_and(|Header { schema }| schema == SCHEMA)
 }
 
-/// The error of a target that exists, with what to do about it: a summary has no other name.
+/// Returns the error for an existing target, with the remedy: a summary has no other name.
 fn kept(error: Error) -> Error {
     let Error::OutputExists { path } = error else { return error };
     let reason = "it exists already, and `hdralign batch` did not write it; move it away, name another folder with -d, or \

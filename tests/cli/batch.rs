@@ -145,7 +145,7 @@ fn results_have_the_names_and_formats_asked_for() {
         assert!(run.code == 2 && run.stderr.contains(said), "{run:?}");
     };
     wrong(&["--name", "{lens}"], "{camera}");
-    wrong(&["--name", "../{first}"], "leads out");
+    wrong(&["--name", "../{first}"], "is outside");
     wrong(&["--formats", "exr,gif"], "gif");
     wrong(&["--formats", "exr,exr"], "twice");
     wrong(&["--bracket", "1"], "from 2 on");

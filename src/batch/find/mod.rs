@@ -1,11 +1,11 @@
-//! Finding brackets: folders as they come from a card, to brackets and what is left over.
+//! Finds brackets in folders, as they come from a card.
 //!
-//! In: folders. Out: [`Found`]: brackets, each with its photographs in the order of time, and every other photograph with the [`Reason`] that it is
-//! in none. The same whatever the order of the folders, of their entries and of the threads. Cost: a header a photograph ([`Header`]), and
-//! some 50 us to place it.
+//! In: folders. Out: [`Found`]: brackets, each with its photographs in order of time, and every other photograph with
+//! the [`Reason`] why it is in none. The result is the same for any order of folders and entries and any number of
+//! threads. Cost: reading the header of each photograph ([`Header`]), and about 50 us to assign it.
 //!
-//! Photographs are taken apart into streams, in which a bracket's frames follow each other (`streams`), and each stream is divided where
-//! that costs least (`segment`). See docs/reference/bracket-detection.md for users.
+//! Photographs are separated into streams in which the frames of a bracket follow each other (`streams`), and each
+//! stream is divided at the smallest cost (`segment`). For users: docs/reference/bracket-detection.md.
 
 mod rhythm;
 mod segment;
@@ -22,48 +22,49 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What the user says of the brackets.
+/// Options of the search.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FindOptions {
-    /// Brackets are of exactly so many photographs; then also those are found that do not say how or when they were taken, by their names.
-    /// Default: any number from 2 to 32.
+    /// Brackets have exactly this number of photographs; then photographs without exposure or time are also grouped,
+    /// by name. Default: any number from 2 to 32.
     pub frames: Option<usize>,
-    /// The longest pause in a bracket, from the end of an exposure to the begin of the next, in seconds. Default: 120.
+    /// Longest pause within a bracket, from the end of an exposure to the start of the next, in seconds. Default:
+    /// 120.
     pub gap_s: Option<f64>,
-    /// Each folder is one bracket, whatever its photographs say.
+    /// Each folder is one bracket, regardless of EXIF.
     pub by_folder: bool,
-    /// Folders that are not entered: where results go.
+    /// Folders that are not searched, because results go there.
     pub skip: Vec<PathBuf>,
-    /// The most pixels that a photograph may have; others are left over. Default: [`Limits::MAX_PIXELS`].
+    /// Largest number of pixels of a photograph; larger ones are not used. Default: [`Limits::MAX_PIXELS`].
     pub max_pixels: Option<u64>,
 }
 
-/// What there is in the folders.
+/// The brackets and other files in the folders.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Found {
     /// By folder, then by time.
     pub brackets: Vec<FoundBracket>,
     /// Photographs that are in no bracket, and folders that cannot be read; by name.
     pub left_over: Vec<LeftOver>,
-    /// Files that are no photographs by their name: videos, texts, results.
+    /// Number of files that are not photographs by name: videos, texts, results.
     pub other_files: usize,
 }
 
 /// A bracket.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoundBracket {
-    /// The folder given in which it is.
+    /// The searched folder that contains it.
     pub root: PathBuf,
-    /// The folder of its first photograph, from `root` on; empty where that is `root` itself.
+    /// The folder of its first photograph, relative to `root`; empty for `root` itself.
     pub folder: PathBuf,
-    /// In the order of time, or of name where nothing says when they were taken; at least two.
+    /// In order of time, or of name if the time is not known; at least two.
     pub photographs: Vec<Shot>,
-    /// The panorama that it belongs to, counted from 0: brackets of one set were taken one after the other, by one pattern.
+    /// The number of its panorama, from 0: brackets of one set were taken one after the other, with the same pattern.
     pub set: usize,
 }
 
 impl FoundBracket {
-    /// The relative exposure t ISO / N^2 (s) of each photograph as merging will take it, where its file says.
+    /// Returns the relative exposure t ISO / N^2 (s) of each photograph as it is merged, if its file has one.
     pub fn exposures(&self) -> Vec<Option<f64>> {
         let tags: Vec<_> = self.photographs.iter().map(|shot| shot.header.exposure).collect();
         let (exposures, _) = exposure::by_tags(&tags);
@@ -71,12 +72,12 @@ impl FoundBracket {
     }
 }
 
-/// A photograph that was found.
+/// A photograph in a bracket.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shot {
-    /// The file: the folder given, and the way from there.
+    /// The file: the searched folder and the relative path.
     pub path: PathBuf,
-    /// What it says of itself.
+    /// Its header.
     pub header: Header,
 }
 
@@ -85,39 +86,39 @@ pub struct Shot {
 pub struct LeftOver {
     /// The file or the folder.
     pub path: PathBuf,
-    /// Why, and what to do about it.
+    /// The reason, with the remedy.
     pub reason: Reason,
 }
 
-/// Why a photograph is in no bracket; the text has the remedy where there is one.
+/// Why a photograph is in no bracket, with the remedy if there is one.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// A raw file; the photograph that is used in its place, where there is one.
+    /// A raw file; the photograph that is used instead, if there is one.
     Raw(Option<PathBuf>),
-    /// A photograph in a format that is not read.
+    /// A photograph in an unsupported format.
     Format(&'static str),
     /// Another file of the same shot is used.
     Twin(PathBuf),
-    /// The same file by another name is used.
+    /// The same file is used under another name.
     SameFile(PathBuf),
-    /// hdralign wrote it; by the program that the file names.
+    /// A file written by hdralign, with its program name.
     Result(String),
-    /// It cannot be read: why.
+    /// It cannot be read, with the reason.
     Unreadable(String),
-    /// It does not say how it was exposed.
+    /// Its EXIF has no exposure.
     NoExposure,
-    /// The flash fired, and not in the photographs around it.
+    /// The flash fired for it, but not for the photographs around it.
     Flash,
-    /// No photograph of another exposure is near enough in time.
+    /// No photograph of another exposure is close enough in time.
     Single,
-    /// One of so many in a row of one exposure.
+    /// It is in a series of so many photographs with one exposure.
     Burst(usize),
-    /// By count: fewer than so many are left of its kind.
+    /// With `frames`: fewer than so many are left of its kind.
     Remainder(usize),
-    /// By folder: its size, and that of the others.
+    /// With `by_folder`: its size, and that of the others.
     OtherSize((usize, usize), (usize, usize)),
-    /// By folder: it is the only one.
+    /// With `by_folder`: it is the only one.
     Alone,
 }
 
@@ -127,9 +128,12 @@ impl fmt::Display for Reason {
         match self {
             Reason::Raw(Some(used)) => write!(f, "a raw file; {} beside it is used", name(used)),
             Reason::Raw(None) => {
-                write!(f, "a raw file, which is not read; develop it to a 16-bit TIFF, all frames alike")
+                write!(
+                    f,
+                    "a raw file, which is not supported; develop it to a 16-bit TIFF, with the same settings for all frames"
+                )
             }
-            Reason::Format(format) => write!(f, "{format}, which is not read; convert it to TIFF or JPEG"),
+            Reason::Format(format) => write!(f, "{format}, which is not supported; convert it to TIFF or JPEG"),
             Reason::Twin(used) => write!(f, "the same shot as {}, which is used", name(used)),
             Reason::SameFile(used) => write!(f, "the same file as {}, which is used", used.display()),
             Reason::Result(by) => write!(f, "a result, written by {by}"),
@@ -137,16 +141,18 @@ impl fmt::Display for Reason {
             Reason::NoExposure => {
                 write!(f, "its EXIF has no exposure; group the photographs with --bracket N or --by-folder")
             }
-            Reason::Flash => write!(f, "the flash fired, and not in the photographs around it"),
+            Reason::Flash => write!(f, "the flash fired, but not for the photographs around it"),
             Reason::Single => write!(
                 f,
-                "a single one: none of another exposure that goes with it is near in time; --gap sets how near, --bracket N how many"
+                "a single photograph: no other exposure of the scene is close enough in time; --gap sets the longest pause, --bracket N the number of frames"
             ),
             Reason::Burst(count) => write!(
                 f,
-                "one of {count} in a row of one exposure; if their EXIF is wrong, say what belongs together by --bracket N or --by-folder"
+                "one of {count} in a row with the same exposure; if their EXIF is wrong, group them with --bracket N or --by-folder"
             ),
-            Reason::Remainder(frames) => write!(f, "no bracket of {frames} can be made with it and those around it"),
+            Reason::Remainder(frames) => {
+                write!(f, "it and the photographs around it are fewer than the {frames} of a bracket")
+            }
             Reason::OtherSize(own, others) => {
                 write!(f, "{}x{} pixels in a folder of {}x{}", own.0, own.1, others.0, others.1)
             }
@@ -155,11 +161,13 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Finds the brackets in the folders `roots` and below, and calls `watch` with the number of headers read so far, from any thread.
+/// Finds the brackets in the folders `roots` and below. Calls `watch` with the number of headers read so far, from
+/// any thread.
 ///
 /// # Errors
-/// [`Error::Read`](crate::error::Error::Read) where one of `roots` is no folder or cannot be read; [`Error::Option`](crate::error::Error::Option) where a
-/// bracket would be of fewer than two or a pause of no length. All else is [left over](Found::left_over).
+/// [`Error::Read`](crate::error::Error::Read) if one of `roots` is not a folder or cannot be read;
+/// [`Error::Option`](crate::error::Error::Option) if a bracket would have fewer than two photographs, or for an
+/// invalid pause. Other faults are in [`Found::left_over`].
 pub fn find(roots: &[PathBuf], options: &FindOptions, watch: &(dyn Fn(usize) + Sync)) -> Result<Found> {
     streams::check(options)?;
     let walk::Walk { candidates, mut left_over, other_files } = walk::walk(roots, &options.skip)?;

@@ -1,8 +1,8 @@
-//! The pauses between exposures: how long, and what they say of a bracket.
+//! The pauses between exposures and their cost within a bracket.
 //!
-//! In: exposures in the order of time. Out: the seconds from the end of each to the begin of the next, and the cost of such pauses within one
-//! bracket. Cost: nothing to speak of. Source: EXIF 2.32 leaves open whether DateTimeOriginal is the begin or the end of an exposure;
-//! most cameras write the begin, some the end, and long exposures tell which.
+//! In: exposures in order of time. Out: the seconds from the end of each to the start of the next, and the cost of
+//! such pauses within one bracket. Cost: negligible. Source: EXIF 2.32 does not define whether DateTimeOriginal is
+//! the start or the end of an exposure. Most cameras write the start, some the end; long exposures show which.
 
 use crate::statistics::of_rank;
 
@@ -16,25 +16,25 @@ pub(super) const BURST_S: f64 = 10.0;
 /// One exposure.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Beat {
-    /// Seconds from any begin that the stream has in common; none where nothing says when.
+    /// Seconds since an arbitrary time that is the same for the whole stream; `None` if the time is not known.
     pub at_s: Option<f64>,
-    /// The step of the clock, in seconds.
+    /// Resolution of the clock, in seconds.
     pub resolution_s: f64,
-    /// Shutter time in seconds; 0 where unknown.
+    /// Shutter time in seconds; 0 if unknown.
     pub time_s: f64,
-    /// Relative exposure, in stops, where known.
+    /// Relative exposure in stops, if known.
     pub ev: Option<f64>,
-    /// What set it.
+    /// The exposure mode.
     pub mode: Mode,
-    /// What the camera calls its place in the bracket, or the compensation, in stops.
+    /// The position in the bracket, or the compensation, as recorded by the camera, in stops.
     pub place: Option<f64>,
-    /// The compensation beside such a place, in stops.
+    /// The compensation in addition to such a position, in stops.
     pub bias: Option<f64>,
     /// Focal length in millimetres.
     pub focal_length_mm: Option<f64>,
 }
 
-/// What set the exposure.
+/// How the exposure was set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Mode {
     AutoBracket,
@@ -44,15 +44,15 @@ pub(super) enum Mode {
     Unknown,
 }
 
-/// What a camera's clock marks.
+/// Which end of an exposure the camera's clock records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Clock {
     Begin,
     End,
 }
 
-/// What the clock marks: two exposures cannot overlap, so what makes them do so for less time is right; the begin, where nothing tells.
-/// A clock of whole seconds makes some overlap by either, but by the wrong one more of them.
+/// Determines what the clock records. Exposures cannot overlap, so the choice with less overlap is right; the start
+/// if they are equal. With a clock of whole seconds both choices have some overlap, and the wrong one has more.
 pub(super) fn clock(beats: &[Beat]) -> Clock {
     let overlap = |exposed: fn(&[Beat]) -> f64| {
         let of = |pair: &[Beat]| Some((exposed(pair) - apart(pair)?).max(0.0));
@@ -65,29 +65,29 @@ fn apart(pair: &[Beat]) -> Option<f64> {
     Some(pair[1].at_s? - pair[0].at_s?)
 }
 
-/// Seconds from the end of each exposure to the begin of the next; `None` where nothing says when they were.
+/// Returns the seconds from the end of each exposure to the start of the next; `None` if the times are not known.
 pub(super) fn gaps(beats: &[Beat], clock: Clock) -> Vec<Option<f64>> {
     beats.windows(2).map(|pair| gap(&pair[0], &pair[1], clock)).collect()
 }
 
-/// Seconds from the end of `a` to the begin of `b`, a later one.
+/// Returns the seconds from the end of `a` to the start of `b`, which is later.
 pub(super) fn gap(a: &Beat, b: &Beat, clock: Clock) -> Option<f64> {
     let exposed = if clock == Clock::Begin { a.time_s } else { b.time_s };
     Some((b.at_s? - a.at_s? - exposed).max(0.0))
 }
 
-/// A pause of this is as good as none: a camera in an automatic bracket, and hands at the dials.
+/// Pauses up to this length cost little: a camera in an automatic bracket, and hands at the dials.
 const UNHURRIED_AUTO_S: f64 = 1.0;
 const UNHURRIED_S: f64 = 15.0;
 const UNHURRIED_UNKNOWN_S: f64 = 4.0;
-/// How fast the cost of a pause rises with the logarithm of its length.
+/// Factor between the cost of a pause and the logarithm of its length.
 const LONG: f64 = 0.6;
-/// The same of its ratio to the rhythm of the others.
+/// The same for its ratio to the other pauses.
 const UNEVEN: f64 = 0.8;
-/// Pauses differ by so much without any reason, in seconds.
+/// Random differences between pauses, in seconds.
 const JITTER_S: f64 = 0.5;
 
-/// What the pauses of a bracket cost: each for its length, and for being another than the middle one of them.
+/// Returns the cost of the pauses of a bracket: for the length of each, and for differing from the median.
 pub(super) fn cost(beats: &[Beat], gaps: &[Option<f64>]) -> f64 {
     let known: Vec<f64> = gaps.iter().flatten().copied().collect();
     let rank = known.len().saturating_sub(1) / 2;
@@ -102,7 +102,7 @@ pub(super) fn cost(beats: &[Beat], gaps: &[Option<f64>]) -> f64 {
             _ => UNHURRIED_UNKNOWN_S,
         };
         let resolution = pair[0].resolution_s.max(pair[1].resolution_s);
-        // Taking off the noise of a long exposure takes as long again.
+        // Cameras take as long as a long exposure to subtract its noise.
         let scale = unhurried + resolution + pair[0].time_s;
         let jitter = JITTER_S + resolution + pair[0].time_s;
         sum += LONG * libm::log1p(gap / scale);

@@ -1,85 +1,88 @@
-//! Where brackets begin and end in what one camera took: the cheapest way to read a row of exposures.
+//! Divides the exposures of one camera into brackets, at the smallest cost.
 //!
-//! In: the exposures of one stream in the order of time. Out: the ranges that are brackets; what lies between is no part of one. Cost: the
-//! number of frames times [`MOST_FRAMES`] times the length of a bracket.
+//! In: the exposures of one stream in order of time. Out: the ranges that are brackets; photographs between them are
+//! in none. Cost: the number of frames times [`MOST_FRAMES`] times the length of a bracket.
 //!
-//! A reading of the row is a division into brackets and single photographs, and its cost is a sum over them: a single costs [`SINGLE`], a
-//! bracket [`BRACKET`] and what is odd about it (see [`cost`]). The cheapest of all divisions is found by dynamic programming. That is how a
-//! stray frame beside a repeated pattern finds its place: rules that look from frame to frame take it for the first of the pattern and are
-//! off by one for the rest of the night. Costs are in nats: 1 is "2.7 times less likely". Source: Jackson et al. 2005, "An algorithm for
-//! optimal partitioning of data on an interval", for the scheme; the costs are our own, set on habits of photographers made up in the tests.
+//! The cost of a division into brackets and single photographs is a sum: a single costs [`SINGLE`], a bracket
+//! [`BRACKET`] plus the costs of what is unusual about it (see [`cost`]). The division with the smallest cost is
+//! found by dynamic programming. This assigns a stray frame beside a repeated pattern correctly; rules that proceed
+//! from frame to frame use it as the first frame of the pattern, and all later brackets are wrong by one. Costs are
+//! in nats: 1 means "2.7 times less likely". Source: Jackson et al. 2005, "An algorithm for optimal partitioning of
+//! data on an interval", for the algorithm; the costs are our own, set with the simulated photographers of the tests.
 
 use super::rhythm::{self, Beat, Clock, Mode};
 use crate::statistics::median;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// What is known before.
+/// Known properties of the brackets.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rules {
-    /// Brackets are of so many frames.
+    /// Every bracket has this number of frames.
     pub frames: Option<usize>,
-    /// The longest pause in a bracket, in seconds.
+    /// Longest pause within a bracket, in seconds.
     pub gap_s: f64,
 }
 
-/// Most frames of a bracket that is found by itself.
+/// Largest number of frames of a bracket if the user gives none.
 pub(super) const MOST_FRAMES: usize = 32;
-/// Exposures nearer than this, in stops, are the same: half of the smallest step of a camera.
+/// Exposures within this distance, in stops, are equal: half of the smallest step of a camera.
 pub(super) const SAME_STOPS: f64 = 0.17;
-/// Stops between the darkest and the brightest frame from which on it is a bracket.
+/// Smallest range of the exposures of a bracket, in stops.
 pub(super) const LEAST_STOPS: f64 = 0.5;
 
-/// A photograph that belongs to nothing.
+/// Cost of a photograph in no bracket.
 const SINGLE: f64 = 3.0;
-/// The same where the user says that all is brackets of so many.
+/// The same if the user gives the number of frames.
 const SINGLE_OF_COUNTED: f64 = 8.0;
-/// A bracket, before all that is odd about it.
+/// Cost of a bracket, without unusual properties.
 const BRACKET: f64 = 4.0;
-/// Two frames are as often chance.
+/// Two frames, which are as often chance.
 const TWO: f64 = 1.5;
-/// Frames more than three, and then two by two: 3, 5, 7 and 9 are sold.
+/// For each two frames more than three: brackets of 3, 5, 7 and 9 are common.
 const UNUSUAL_COUNT: f64 = 0.3;
 /// A range of less than a stop.
 const NARROW: f64 = 1.0;
-/// One exposure for the second time.
+/// A repeated exposure.
 const TWICE: f64 = 4.0;
-/// More of these, and no longer bracket is looked at.
+/// If there are more repeated exposures, no longer bracket is tried.
 const MOST_TWICE: usize = 5;
-/// The last exposure once more, at the end of a ladder of [`LONG_LADDER`] frames: the dial went no further.
+/// A repeated last exposure, at the end of a ladder of [`LONG_LADDER`] frames: the dial was at its end.
 const ONCE_MORE: f64 = 1.5;
 const LONG_LADDER: usize = 5;
-/// A step that differs from the others, and at most so much of them.
+/// A step that differs from the others, and the largest sum of these.
 const ODD_STEP: f64 = 1.5;
 const ODD_STEPS: f64 = 4.0;
-/// Up where it went down before, in no order that cameras have.
+/// A change of direction, in an order that no camera uses.
 const TURN: f64 = 0.7;
 const TURNS: f64 = 5.0;
-/// A frame of an automatic bracket beside one that is of none.
+/// A frame in automatic bracket mode next to one in another mode.
 const MIXED: f64 = 8.0;
-/// The meter changed its mind: a step that nobody asked for.
+/// A step of the light meter that the photographer did not set.
 const METERED: f64 = 3.0;
-/// The same within a second, by a stop and more and evenly: cameras that do not say that they bracket; light does not change so.
+/// The same within a second, by a stop or more and evenly: cameras that do not record bracketing. Light does not
+/// change like this.
 const METERED_AT_ONCE: f64 = 0.7;
 const AT_ONCE_S: f64 = 1.0;
-/// The camera says: a place in the bracket that was taken before.
+/// A position in the bracket that was recorded before.
 const PLACE_TWICE: f64 = 2.5;
 const PLACES_TWICE: f64 = 5.0;
-/// The camera says: each of three or more another place of one bracket.
+/// Three or more frames with different positions of one bracket.
 const PLACES: f64 = 2.0;
-/// The camera's bracket was shifted by its own length, so that the ladder goes on: nobody does that by chance.
+/// The camera's bracket was shifted by its own length, which continues the ladder: not by chance.
 const EXTENDED: f64 = 4.0;
 /// The same steps again: two brackets rather than one.
 const REPEATED: f64 = 4.0;
-/// Most that a pattern gains by being found often.
+/// Largest gain of a pattern that is found often.
 const POPULAR: f64 = 2.5;
 
-/// The brackets of `beats` by a `clock`, as ranges in their order.
+/// Returns the brackets of `beats` as ranges in order.
 pub(super) fn brackets(beats: &[Beat], clock: Clock, rules: &Rules) -> Vec<Range<usize>> {
     let gaps = rhythm::gaps(beats, clock);
     let mut popular = Popular::default();
     let mut found = divided(beats, &gaps, rules, &popular);
-    // What was found often is likelier than it was: twice is enough, the pattern of a card settles at once.
+    // Patterns that were found often become more likely. Two passes are enough, because the pattern of a card settles
+    // at once.
     for _ in 0..2 {
         popular = Popular::of(beats, &found);
         let again = divided(beats, &gaps, rules, &popular);
@@ -91,17 +94,18 @@ pub(super) fn brackets(beats: &[Beat], clock: Clock, rules: &Rules) -> Vec<Range
     found
 }
 
-/// The cheapest division, by dynamic programming over where the last bracket began. Ties go to the brackets that come first.
+/// Returns the division with the smallest cost, by dynamic programming over the start of the last bracket. Of equal
+/// divisions it is the one whose brackets come first.
 fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
     let single = if rules.frames.is_some() { SINGLE_OF_COUNTED } else { SINGLE };
-    // The cost of what comes before each frame, and where the last part of that begins.
+    // The cost of the frames before each frame, and the start of the last part of them.
     let mut best = vec![(0.0, 0); beats.len() + 1];
     let mut reached = vec![f64::INFINITY; beats.len() + 1];
     reached[0] = 0.0;
     for begin in 0..beats.len() {
         let so_far = reached[begin];
         let mut offer = |end: usize, cost: f64| {
-            // Later begins come later: at equal cost what is single comes last.
+            // Later starts are tried later: at equal cost the single photographs come last.
             if so_far + cost <= reached[end] + 1e-9 {
                 reached[end] = so_far + cost;
                 best[end] = (cost, begin);
@@ -142,7 +146,7 @@ fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popula
     found
 }
 
-/// Whether the lens was not turned between two frames: within a hundredth.
+/// Whether the lens was not zoomed between two frames: within a hundredth.
 pub(super) fn is_one_view(a: &Beat, b: &Beat) -> bool {
     match (a.focal_length_mm, b.focal_length_mm) {
         (Some(a), Some(b)) => (a - b).abs() <= 0.01 * a.max(b),
@@ -150,16 +154,16 @@ pub(super) fn is_one_view(a: &Beat, b: &Beat) -> bool {
     }
 }
 
-/// What it costs to take `beats` for a bracket, of which `gaps` are the pauses; `None` where it cannot be one.
+/// Returns the cost of `beats` as a bracket with the pauses `gaps`, or `None` if it cannot be one.
 ///
-/// It is the sum of: the bracket itself; pauses, long ones and those out of the rhythm of the others; exposures that occur twice; steps that
-/// differ from the others; an order that no camera has; frames that were metered one by one or belong to no automatic bracket beside
-/// such that do; places in the camera's own bracket that are taken twice; the same steps twice in a row. Less where the camera itself says
-/// that they are different places of one bracket.
+/// The cost is the sum for: the bracket itself; long and uneven pauses; repeated exposures; uneven steps; an order
+/// that no camera uses; frames that were metered separately, or without automatic bracketing beside frames with it;
+/// repeated positions in the camera's own bracket; the same steps twice in a row. It is less if the camera records
+/// different positions of one bracket.
 fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
     let known: Option<Vec<f64>> = beats.iter().map(|b| b.ev).collect();
     let Some(evs) = known else {
-        // Nothing to go by but the user's word.
+        // Without exposures only the user's number is used.
         return rules.frames.map(|_| 0.0);
     };
     let sorted = in_order(&evs);
@@ -201,7 +205,7 @@ fn is_same(a: f64, b: f64) -> bool {
     (a - b).abs() < SAME_STOPS
 }
 
-/// Exposures that occur more than once.
+/// Returns the cost of repeated exposures.
 fn of_twice(evs: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (i, &ev) in evs.iter().enumerate() {
@@ -213,7 +217,7 @@ fn of_twice(evs: &[f64]) -> f64 {
     sum
 }
 
-/// Steps from one of the `sorted` exposures to the next that are not as the middle one of them.
+/// Returns the cost of steps between the `sorted` exposures that differ from the median step.
 fn of_steps(sorted: &[f64]) -> f64 {
     let steps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|&step| step >= SAME_STOPS).collect();
     let Some(middle) = median(steps.iter().copied()) else { return 0.0 };
@@ -221,14 +225,14 @@ fn of_steps(sorted: &[f64]) -> f64 {
     (ODD_STEP * odd as f64).min(ODD_STEPS)
 }
 
-/// Turns from brighter to darker and back, where the order is none that cameras have: one way, from the middle one way and then the other,
-/// or to and fro outward.
+/// Returns the cost of changes between brighter and darker, if the order is none that cameras use: monotone; from the
+/// middle one way and then the other; or alternating outward.
 fn of_order(evs: &[f64]) -> f64 {
     let signs: Vec<bool> = evs.windows(2).filter(|w| !is_same(w[0], w[1])).map(|w| w[1] > w[0]).collect();
     let turns = signs.windows(2).filter(|w| w[0] != w[1]).count();
     let rank = |ev: f64| evs.iter().filter(|&&other| other < ev).count();
     let is_from_the_middle = rank(evs[0]) == (evs.len() - 1) / 2 || rank(evs[0]) == evs.len() / 2;
-    // After the middle frame: one way through all of them, with a leap over the middle.
+    // After the middle frame: one way through all of them, skipping the middle.
     let is_one_way = |evs: &[f64]| {
         evs.windows(2).all(|w| w[1] > w[0] + SAME_STOPS) || evs.windows(2).all(|w| w[1] < w[0] - SAME_STOPS)
     };
@@ -243,7 +247,7 @@ fn of_order(evs: &[f64]) -> f64 {
     }
 }
 
-/// Frames that are part of no automatic bracket among such that are, and steps of the meter.
+/// Returns the cost of frames without automatic bracketing among frames with it, and of steps of the light meter.
 fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
     let count = |mode: Mode| beats.iter().filter(|b| b.mode == mode).count();
     let (bracketed, others) = (count(Mode::AutoBracket), count(Mode::Manual) + count(Mode::Automatic));
@@ -253,7 +257,7 @@ fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
         let (a, b) = (&beats[i], &beats[i + 1]);
         let asked = b.place.unwrap_or(0.0) - a.place.unwrap_or(0.0);
         let given = evs[i + 1] - evs[i];
-        // The photographer asks by the dial of the compensation; the light may have changed by half of a stop meanwhile.
+        // The photographer uses the compensation dial; the light may have changed by half a stop in the meantime.
         let most = if is_same(asked, 0.0) { SAME_STOPS } else { 0.5 };
         if a.mode != Mode::Automatic || b.mode != Mode::Automatic || (given - asked).abs() <= most {
             return 0.0;
@@ -265,7 +269,7 @@ fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
     mixed + (0..gaps.len()).map(of_step).sum::<f64>()
 }
 
-/// What the camera calls the frames of its bracket.
+/// Returns the cost of the positions recorded by the camera.
 fn of_places(beats: &[Beat]) -> f64 {
     let places: Vec<f64> = beats.iter().filter(|b| b.mode != Mode::Manual).filter_map(|b| b.place).collect();
     let Some(&first) = places.first() else { return 0.0 };
@@ -280,8 +284,8 @@ fn of_places(beats: &[Beat]) -> f64 {
     }
 }
 
-/// Whether the camera went through its bracket more than once, each time with another compensation, and all together are one ladder of
-/// even steps, no step twice.
+/// Whether the camera went through its bracket more than once, each time with another compensation, and all frames
+/// together are one ladder of even steps without repetition.
 fn is_extended(beats: &[Beat], sorted: &[f64]) -> bool {
     let taken: Option<Vec<(f64, f64)>> = beats.iter().map(|b| Some((b.place?, b.bias?))).collect();
     let Some(taken) = taken else { return false };
@@ -295,7 +299,7 @@ fn is_extended(beats: &[Beat], sorted: &[f64]) -> bool {
             begin = i;
         }
     }
-    // Some cameras write the compensation that was dialled, some what the place makes of it.
+    // Some cameras record the compensation on the dial, some the sum of it and the position.
     let is_shifted = |dialled: fn(&(f64, f64)) -> f64| {
         let is_constant = |run: &&[(f64, f64)]| run.iter().all(|frame| is_same(dialled(frame), dialled(&run[0])));
         runs.iter().all(is_constant) && runs.windows(2).all(|w| !is_same(dialled(&w[0][0]), dialled(&w[1][0])))
@@ -306,7 +310,7 @@ fn is_extended(beats: &[Beat], sorted: &[f64]) -> bool {
         && (is_shifted(|(_, bias)| *bias) || is_shifted(|(place, bias)| bias - place))
 }
 
-/// Whether the steps are those of a shorter bracket, made twice or more.
+/// Returns the cost if the steps are those of a shorter bracket, repeated.
 fn of_repeats(evs: &[f64]) -> f64 {
     let is_repeated = |period: usize| {
         evs.len().is_multiple_of(period)
@@ -315,12 +319,12 @@ fn of_repeats(evs: &[f64]) -> f64 {
                 is_same(later - earlier, offset)
             })
     };
-    // A ladder of equal steps repeats itself, too; that is no sign of anything.
+    // A ladder of equal steps also repeats itself; this has no meaning.
     let is_ladder = of_order(evs) == 0.0;
     if !is_ladder && (2..=evs.len() / 2).any(is_repeated) { REPEATED } else { 0.0 }
 }
 
-/// The patterns of the brackets found so far, and how often each was.
+/// The patterns of the brackets found so far, with their numbers.
 #[derive(Debug, Default)]
 struct Popular(BTreeMap<Vec<i32>, usize>);
 
@@ -342,7 +346,7 @@ impl Popular {
     }
 }
 
-/// The steps of a bracket from its first frame on, in thirds of a stop.
+/// Returns the steps of a bracket from its first frame, in thirds of a stop.
 fn pattern(beats: &[Beat]) -> Option<Vec<i32>> {
     let first = beats.first()?.ev?;
     beats.iter().map(|b| Some(libm::round((b.ev? - first) * 3.0) as i32)).collect()

@@ -1,9 +1,10 @@
-//! Streams: photographs of which a bracket's frames can follow each other, and their brackets.
+//! Streams: photographs in which the frames of a bracket follow each other, and the brackets in them.
 //!
 //! In: photographs. Out: [`Found`]. Cost: that of [`segment`], and of sorting.
 //!
-//! A stream is what one camera took by one lens at one size, with or without flash, into one folder; the numbered folders of a card
-//! (DCF 2.0, section 3.2.3: 100CANON, 101CANON) are one, since the counter rolls over within a bracket.
+//! A stream contains the photographs of one camera with one lens at one size, with or without flash, in one folder.
+//! The numbered folders of a card (DCF 2.0, section 3.2.3: 100CANON, 101CANON) count as one, because the counter may
+//! roll over within a bracket.
 
 use super::rhythm::{self, Beat, Clock, Mode};
 use super::segment::{self, Rules, SAME_STOPS};
@@ -19,7 +20,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Refuses what cannot be looked for.
+/// Checks the options.
 pub(super) fn check(options: &FindOptions) -> Result<()> {
     if let Some(frames @ (0 | 1)) = options.frames {
         let reason = format!("a bracket has at least 2 photographs, and {frames} were given");
@@ -44,11 +45,11 @@ struct Stream {
     lens: Option<String>,
     size: (usize, usize),
     flash: bool,
-    /// What does not say when it was taken goes by its name.
+    /// Photographs without a time are sorted by name.
     is_timed: bool,
 }
 
-/// A folder, or all numbered ones of a card.
+/// A folder, or all numbered folders of a card.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Folder {
     One(PathBuf),
@@ -69,19 +70,19 @@ impl Folder {
     }
 }
 
-/// A bracket, its stream's panoramas counted by themselves.
+/// A bracket; panoramas are numbered within its stream.
 struct Grouped {
     place: std::sync::Arc<Place>,
     frames: Vec<Placed>,
     set: usize,
 }
 
-/// The brackets of `photographs`, and those that are in none beside what is `left_over`.
+/// Returns the brackets of `photographs`, and the photographs in no bracket, including `left_over`.
 pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over: Vec<LeftOver>) -> Found {
     let mut left_over = left_over;
     let per_stream: Vec<(Vec<Grouped>, Vec<LeftOver>)> =
         if options.by_folder { by_folder(photographs) } else { by_time(photographs, options) };
-    // Panoramas get their numbers in the order of the brackets, whichever stream they are of.
+    // Panoramas are numbered in the order of the brackets of all streams.
     let mut brackets: Vec<(usize, Grouped)> = Vec::new();
     for (stream, (grouped, left)) in per_stream.into_iter().enumerate() {
         left_over.extend(left);
@@ -111,7 +112,7 @@ pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over
     Found { brackets, left_over, other_files: 0 }
 }
 
-/// By time, and first what says when it was taken.
+/// Compares by time; photographs with a time come first.
 fn in_time(a: &Header, b: &Header) -> Ordering {
     a.taken.is_none().cmp(&b.taken.is_none()).then(a.taken.cmp(&b.taken))
 }
@@ -144,7 +145,7 @@ fn by_time(photographs: Vec<Placed>, options: &FindOptions) -> Vec<(Vec<Grouped>
         .collect()
 }
 
-/// One stream, divided; `is_odd` where its flash fired and that of others did not.
+/// Divides one stream; `is_odd` if the flash fired for it and not for the others.
 fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) -> (Vec<Grouped>, Vec<LeftOver>) {
     let mut left = Vec::new();
     if options.frames.is_none() {
@@ -191,7 +192,7 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     (grouped, left)
 }
 
-/// By time, and by name within one tick of the clock, the last number of a counter before its first.
+/// Sorts by time, and by name within one tick of the clock, with the last number of a counter before its first.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
@@ -205,16 +206,16 @@ fn sort(photographs: &mut [Placed]) {
     }
 }
 
-/// The number of a name as cameras give it: its last four digits.
+/// Returns the number in a camera's file name: its last four digits.
 fn number(path: &Path) -> Option<u32> {
     let stem = path.file_stem()?.to_str()?;
     stem.get(stem.len().checked_sub(4)?..)?.parse().ok()
 }
 
-/// What the headers of a stream say, in the words of [`segment`].
+/// Converts the headers of a stream for [`segment`].
 fn beats(photographs: &[Placed]) -> Vec<Beat> {
     let begin = photographs.first().and_then(|placed| placed.shot.header.taken);
-    // Canon's notes say where in its bracket a frame is; others set the compensation.
+    // Canon's maker notes record the position in the bracket; other cameras set the compensation.
     let has_places = photographs.iter().any(|p| p.shot.header.bracket_stops.is_some_and(|stops| stops != 0.0));
     photographs
         .iter()
@@ -239,7 +240,8 @@ fn beats(photographs: &[Placed]) -> Vec<Beat> {
         .collect()
 }
 
-/// The panorama of each bracket, counted from 0: brackets of the same steps and focal length that follow each other within [`rhythm::SET_S`].
+/// Returns the panorama of each bracket, from 0: brackets with the same steps and focal length that follow each other
+/// within [`rhythm::SET_S`].
 fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     let steps = |range: &Range<usize>| {
         let mut evs: Vec<f64> = beats[range.clone()].iter().filter_map(|b| b.ev).collect();
@@ -248,7 +250,7 @@ fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     };
     let is_one_pattern = |a: &Range<usize>, b: &Range<usize>| {
         let (first, second) = (steps(a), steps(b));
-        // Each end is off by what printing rounds.
+        // Each end has the rounding error of the recorded values.
         let is_step = |i: usize| ((first[i] - first[0]) - (second[i] - second[0])).abs() < 2.0 * SAME_STOPS;
         !first.is_empty() && a.len() == b.len() && first.len() == second.len() && (0..first.len()).all(is_step)
     };
@@ -268,7 +270,7 @@ fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     sets
 }
 
-/// For each that is in no bracket, of how many in a row of one exposure it is; `None` for one alone.
+/// Returns for each photograph in no bracket the length of its series with one exposure; `None` for a single one.
 fn bursts(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
     let mut is_free = vec![true; beats.len()];
     ranges.iter().for_each(|range| is_free[range.clone()].fill(false));
@@ -290,7 +292,7 @@ fn bursts(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<u
     bursts
 }
 
-/// All photographs of a folder as one bracket, in the size that most of them have.
+/// Returns all photographs of a folder as one bracket, with the most frequent size.
 fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
     let mut folders: BTreeMap<PathBuf, Vec<Placed>> = BTreeMap::new();
     for placed in photographs {
@@ -303,7 +305,7 @@ fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
             let size = |placed: &Placed| (placed.shot.header.width, placed.shot.header.height);
             let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
             photographs.iter().for_each(|placed| *sizes.entry(size(placed)).or_insert(0) += 1);
-            // Where no size is that of most, the largest: small ones are previews.
+            // If sizes are equally frequent, the largest is used, because small pictures are previews.
             let most = sizes.into_iter().max_by_key(|&(size, count)| (count, size)).map_or((0, 0), |(size, _)| size);
             let (frames, others): (Vec<_>, Vec<_>) = photographs.into_iter().partition(|placed| size(placed) == most);
             let mut left: Vec<LeftOver> = others

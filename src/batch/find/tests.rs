@@ -1,4 +1,4 @@
-//! Photographs made here, as files with EXIF, and what is found in their folders.
+//! Tests with files that contain EXIF, in folders.
 
 use super::*;
 use exif::experimental::Writer;
@@ -7,13 +7,13 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-/// What the EXIF of a photograph shall say.
+/// The EXIF of a photograph.
 #[derive(Clone)]
 struct Says {
     model: &'static str,
     /// Hundredths of a second after noon.
     at: u32,
-    /// Shutter time: so many over so many seconds.
+    /// Shutter time as a fraction, in seconds.
     time: (u32, u32),
     /// 0 automatic, 1 manual, 2 auto bracket.
     mode: u16,
@@ -52,7 +52,7 @@ fn exif(says: &Says) -> Vec<u8> {
     block.into_inner()
 }
 
-/// A JPEG up to its picture data: all that is read of it.
+/// A JPEG up to its picture data: only this part is read.
 fn jpeg(exif: Option<Vec<u8>>, (width, height): (u16, u16)) -> Vec<u8> {
     let mut bytes = b"\xff\xd8".to_vec();
     let mut segment = |code: u8, content: &[u8]| {
@@ -74,7 +74,7 @@ fn put(folder: &Path, name: &str, says: &Says) {
     fs::write(folder.join(name), jpeg(Some(exif(says)), (300, 200))).unwrap();
 }
 
-/// Three frames of an automatic bracket, a third of a second apart, from `at` on: `IMG_{first}` and on.
+/// Three frames of an automatic bracket, a third of a second apart, starting at `at`, from `IMG_{first}` on.
 fn put_bracket(folder: &Path, first: u32, at: u32, says: &Says) {
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: at + 33 * i as u32, time, bias, ..says.clone() };
@@ -86,7 +86,7 @@ fn found(folder: &Path, options: &FindOptions) -> Found {
     find(&[folder.to_owned()], options, &|_| ()).unwrap()
 }
 
-/// The brackets as the names of their photographs, without what they have in common.
+/// The brackets as the names of their photographs, without the common part.
 fn names(found: &Found) -> Vec<String> {
     let name = |shot: &Shot| shot.path.file_stem().unwrap().to_string_lossy().replace("IMG_", "");
     found.brackets.iter().map(|b| b.photographs.iter().map(name).collect::<Vec<_>>().join(" ")).collect()
@@ -101,7 +101,7 @@ fn reasons(found: &Found) -> Vec<(String, Reason)> {
 fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 100, &MIDDLE);
-    // The other body in the midst of it, and the frame with the flash that real-estate photographers add.
+    // Another camera in between, and the additional flash frame of real-estate photographers.
     put_bracket(folder.path(), 101, 116, &Says { model: "B", ..MIDDLE });
     put(folder.path(), "IMG_0004.JPG", &Says { at: 400, flash: true, mode: 1, ..MIDDLE });
     put(folder.path(), "IMG_0005.JPG", &Says { at: 700, mode: 0, ..MIDDLE });
@@ -109,7 +109,7 @@ fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let found = found(folder.path(), &FindOptions::default());
     assert_eq!(names(&found), ["0001 0002 0003", "0101 0102 0103", "0006 0007 0008"]);
     assert_eq!(reasons(&found), [("IMG_0004.JPG".into(), Reason::Flash), ("IMG_0005.JPG".into(), Reason::Single)]);
-    // 9 s after its first, by the same pattern: one panorama.
+    // 9 s after its first frame, with the same pattern: one panorama.
     assert_eq!(found.brackets.iter().map(|b| b.set).collect::<Vec<_>>(), [0, 1, 0]);
 }
 
@@ -170,7 +170,7 @@ fn each_shot_is_used_once_and_results_never() {
 fn a_tiff_is_used_in_place_of_its_jpeg() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 0, &MIDDLE);
-    // EXIF fields in a TIFF are a TIFF: with a picture of one pixel more than nothing, it is a whole one.
+    // EXIF fields in a TIFF are a TIFF: with a picture of one pixel they are a complete file.
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: 33 * i as u32, time, bias, ..MIDDLE };
         fs::write(folder.path().join(format!("IMG_{:04}.tif", i + 1)), tiff(&says)).unwrap();

@@ -1,7 +1,7 @@
-//! One file of each shot: cameras write a raw file and a JPEG, people develop a TIFF beside them.
+//! One file for each shot: cameras write a raw file and a JPEG, and people develop a TIFF beside them.
 //!
-//! In: the files and their headers. Out: the photographs, each shot once, and what is left over beside them. Cost: nothing to speak of.
-//! Source: DCF 2.0, section 4.4, by which files of one name, but for its extension, are one object.
+//! In: the files and their headers. Out: the photographs, each shot once, and the other files. Cost: negligible.
+//! Source: DCF 2.0, section 4.4: files with the same name and different extensions are one object.
 
 use super::walk::{Candidate, Kind, Place};
 use super::{LeftOver, Reason, Shot};
@@ -11,17 +11,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A photograph, and where it was found.
+/// A photograph and its folder.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Placed {
     pub(super) shot: Shot,
     pub(super) place: Arc<Place>,
 }
 
-/// Clocks of two files of one shot may differ by so much, in seconds: a program that drops the fraction, another that rounds.
+/// Largest difference between the clocks of two files of one shot, in seconds: one program truncates fractions,
+/// another rounds.
 const ONE_SHOT_S: f64 = 2.0;
 
-/// The photographs among `files`, each shot once; all else goes to `left_over`.
+/// Returns the photographs among `files`, each shot once; others are added to `left_over`.
 pub(super) fn photographs(
     files: Vec<(Candidate, Option<Result<Header>>)>,
     left_over: &mut Vec<LeftOver>,
@@ -49,7 +50,7 @@ pub(super) fn photographs(
             }
         }
     }
-    // What is used of a name, best first.
+    // The files with one name, best first.
     for twins in by_name.values_mut() {
         twins.sort_by(|a, b| rank(&b.shot).cmp(&rank(&a.shot)).then_with(|| a.shot.path.cmp(&b.shot.path)));
     }
@@ -73,7 +74,7 @@ pub(super) fn photographs(
     kept
 }
 
-/// What makes a file the one to use: that it says how it was exposed, its depth, and a format that loses nothing.
+/// The rank of a file: whether it has an exposure, its depth, and whether its format is lossless.
 fn rank(shot: &Shot) -> (bool, u8, u8) {
     let extension = shot.path.extension().unwrap_or_default().to_ascii_lowercase();
     let lossless = match extension.to_str() {
@@ -91,7 +92,7 @@ fn is_one_shot(a: &Shot, b: &Shot) -> bool {
     }
 }
 
-/// The words of `error`, but for the file that it names first: that stands beside them.
+/// Returns the text of `error` without the leading path, which is shown beside it.
 fn without_path(error: &Error, path: &Path) -> String {
     let words = error.to_string();
     words.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&words).to_owned()

@@ -1,8 +1,8 @@
-//! The files of the folders: each once, in an order of their own.
+//! The files in the folders, each once, in a fixed order.
 //!
-//! In: folders. Out: the [`Candidate`]s of them by their names, and what was passed over. Cost: that of listing the folders.
+//! In: folders. Out: the [`Candidate`]s among them, by name, and what was skipped. Cost: that of listing the folders.
 //!
-//! Files by their own name come before links to them, whatever the order of the entries, so that a link is what is left over.
+//! Files come before links to them, for any order of the entries, so that the link is the one that is not used.
 
 use super::{LeftOver, Reason};
 use crate::bracket::EXTENSIONS;
@@ -30,35 +30,35 @@ impl Candidate {
     }
 }
 
-/// A folder that was entered.
+/// A folder that is searched.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Place {
-    /// The folder given.
+    /// The folder given by the user.
     pub(super) root: PathBuf,
-    /// The way from there.
+    /// The relative path from there.
     pub(super) folder: PathBuf,
-    /// The same folder by its own name.
+    /// The canonical path of the same folder.
     pub(super) own: PathBuf,
 }
 
 impl Place {
-    /// The folder, as it is reached.
+    /// Returns the path by which it was reached.
     fn path(&self) -> PathBuf {
         self.root.join(&self.folder)
     }
 
-    /// The folder `name` in this one.
+    /// Returns the folder `name` in this one.
     fn below(&self, name: &Path, own: PathBuf) -> Place {
         Place { root: self.root.clone(), folder: self.folder.join(name), own }
     }
 }
 
-/// What a file is by its name.
+/// The kind of a file by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     /// JPEG, PNG or TIFF.
     Picture,
-    /// Of a camera's sensor.
+    /// A camera raw file.
     Raw,
     /// A photograph in another format.
     Other(&'static str),
@@ -71,7 +71,7 @@ const RAW: [&str; 32] = [
 ];
 
 impl Kind {
-    /// `None` for what is no photograph.
+    /// Returns `None` for files that are not photographs.
     pub(super) fn of(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         Some(match extension.as_str() {
@@ -86,7 +86,7 @@ impl Kind {
     }
 }
 
-/// What a walk through the folders finds.
+/// The result of a walk through the folders.
 #[derive(Debug, Default)]
 pub(super) struct Walk {
     pub(super) candidates: Vec<Candidate>,
@@ -94,7 +94,7 @@ pub(super) struct Walk {
     pub(super) other_files: usize,
 }
 
-/// Walks through `roots` and all below, but not into `skip`, unless that is one of the roots itself.
+/// Walks through `roots` and all folders below, except `skip` unless that is a root.
 pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let mut roots: Vec<&PathBuf> = roots.iter().collect();
     roots.sort_by(|a, b| natural(a, b));
@@ -105,7 +105,7 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
             let reason = "it is a file; name the folder that it is in";
             return Err(unreadable(io::Error::new(io::ErrorKind::InvalidInput, reason)));
         }
-        // A root that cannot be listed is an error; a folder in it is left over.
+        // A root that cannot be listed is an error; a folder in it is reported with the unused files.
         fs::read_dir(root).map_err(unreadable)?;
         let own = fs::canonicalize(root).map_err(unreadable)?;
         open.push(Place { root: root.clone(), folder: PathBuf::new(), own });
@@ -117,7 +117,7 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let (mut linked_files, mut linked_folders) = (Vec::new(), Vec::new());
     loop {
         let Some(place) = open.pop() else {
-            // Now that all is entered by its own name: what is reached only by a link.
+            // All folders have been searched by their canonical path; now those that are reached only by a link.
             linked_folders.sort_by(|a: &Place, b: &Place| natural(&a.path(), &b.path()));
             linked_folders.reverse();
             if linked_folders.is_empty() {
@@ -145,7 +145,8 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
         let mut folders = Vec::new();
         for Entry { name, is_link, is_folder } in entries {
             match (is_folder, is_link) {
-                // Its own name follows from that of the folder above: the system would look at all folders above it again.
+                // The canonical path follows from that of the parent: asking the system would read all parent folders
+                // again.
                 (true, false) => folders.push(place.below(&name, place.own.join(&name))),
                 (true, true) => match fs::canonicalize(path.join(&name)) {
                     Ok(own) => linked_folders.push(place.below(&name, own)),
@@ -173,7 +174,8 @@ struct Entry {
     is_folder: bool,
 }
 
-/// What is in the folder `path`, by name, but what is hidden, or put there by a file server or by `hdralign inspect`.
+/// Returns the entries of the folder `path`, by name, without hidden files and those of file servers and `hdralign
+/// inspect`.
 fn entries(path: &Path) -> io::Result<Vec<Entry>> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(path)? {
@@ -184,7 +186,7 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
         }
         let kind = entry.file_type()?;
         let is_link = kind.is_symlink();
-        // What a broken link points to is nothing; it is left over when its header is read.
+        // A broken link has no target; it is reported when its header is read.
         let is_folder = if is_link { fs::metadata(entry.path()).is_ok_and(|m| m.is_dir()) } else { kind.is_dir() };
         if is_folder && name.extension().is_some_and(|e| e == "inspect") {
             continue;
@@ -196,9 +198,8 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
 }
 
 impl Walk {
-    /// Adds `linked`, and leaves each file in once: those by their own name once a folder, as copies of a card by hard links are; links
-    /// only to what is not there already.
-    // Where a file is known by its path, that is no copy.
+    /// Adds `linked`, and keeps each file once: once per folder for canonical paths, because copies on a card may be
+    /// hard links; links only to files that are not present yet. If a file is known by its path, that is not a copy.
     #[allow(clippy::clone_on_copy)]
     fn add_once(&mut self, linked: Vec<Candidate>) {
         let mut in_folder = HashMap::new();

@@ -1,6 +1,6 @@
-//! Names of a plan: the files of its steps, none of which two of them have, nor the summary.
+//! Unique names in a plan: no two steps have the same file, and none has that of the summary.
 //!
-//! In: the names wanted. Out: those, or others with a number behind them. Cost: none to speak of.
+//! In: the requested names. Out: these, or with a number appended. Cost: negligible.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ pub(super) struct StepFiles {
 }
 
 impl StepFiles {
-    /// Named `base`, with an extension behind whatever dots it has.
+    /// Returns the files of a step with the name `base`, with extensions appended after any dots.
     pub(super) fn new<'a>(base: &Path, extensions: impl IntoIterator<Item = &'a str>, has_page: bool) -> StepFiles {
         let with = |extension: &str| {
             let mut name = base.as_os_str().to_owned();
@@ -30,32 +30,33 @@ impl StepFiles {
         }
     }
 
-    /// All of them.
+    /// Returns all of them.
     pub(super) fn all(self) -> Vec<PathBuf> {
         self.outputs.into_iter().chain(self.page).chain([self.report, self.failure]).collect()
     }
 }
 
-/// Names that are taken. A second user of a name gets `-2` behind it.
+/// Names that are used. The second user of a name gets `-2` appended.
 #[derive(Default)]
 pub(super) struct Unique {
     taken: BTreeSet<PathBuf>,
-    /// The next number to try behind a name.
+    /// The next number to try for a name.
     next: BTreeMap<PathBuf, usize>,
 }
 
 impl Unique {
-    /// Some file systems take names that differ in case for one.
+    /// Some file systems do not distinguish names that differ only in case.
     fn folded(path: &Path) -> PathBuf {
         path.to_string_lossy().to_lowercase().into()
     }
 
-    /// Takes `names`.
+    /// Marks `names` as used.
     pub(super) fn reserve(&mut self, names: impl IntoIterator<Item = PathBuf>) {
         self.taken.extend(names.into_iter().map(|name| Unique::folded(&name)));
     }
 
-    /// `wanted`, or with a number behind it: the first of which none of the files `named` after it is taken. They are from now on.
+    /// Returns `wanted`, with a number appended if necessary, so that none of the files `named` after it is used.
+    /// They are used from now on.
     pub(super) fn path(&mut self, wanted: PathBuf, named: impl Fn(&Path) -> Vec<PathBuf>) -> PathBuf {
         let key = Unique::folded(&wanted);
         let mut number = self.next.get(&key).copied().unwrap_or(1);
@@ -75,7 +76,7 @@ impl Unique {
         }
     }
 
-    /// `wanted`, or with a number behind it.
+    /// Returns `wanted`, with a number appended if necessary.
     pub(super) fn text(&mut self, wanted: String) -> String {
         self.path(wanted.into(), |name| vec![name.to_owned()]).to_string_lossy().into_owned()
     }

@@ -5,7 +5,7 @@ use crate::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
-/// Steps of which none can be done: their photographs are missing.
+/// Steps of which none can be done: their photographs do not exist.
 fn steps(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Step> {
     let named = |(id, needs): &(&str, &[&str])| Step {
         id: (*id).into(),
@@ -59,7 +59,7 @@ fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
     };
     let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
     let write = || Error::Write { path: "a.exr".into(), source: full() };
-    // What has no room on the scratch disk may be larger than what comes.
+    // A full scratch disk does not affect smaller steps.
     let scratch = || Error::Scratch { folder: "s".into(), source: full() };
     assert!(write().is_disk_full() && !scratch().is_disk_full());
     let board = Board::new(&steps, &limits, &stop, &watch);
@@ -94,7 +94,7 @@ fn what_is_stopped_begins_nothing() {
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 
-/// Memory is shared out: never more than there is, and always enough for one step to go on.
+/// Memory is divided: never more than there is, and always enough for one step to run.
 #[test]
 fn memory_and_threads_are_shared_out() {
     let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
@@ -114,20 +114,20 @@ fn memory_and_threads_are_shared_out() {
 
     assert_eq!(workers(&all, &two), 2);
 
-    // There is room for one at a time alone: it has both threads.
+    // There is memory for only one step at a time: it has both threads.
     let one = limits(2, Some(MemoryLimit::PROGRAM + of_step + 1));
     assert_eq!(workers(&all, &one), 1);
     let board = Board::new(&all, &one, &stop, &watch);
     let share = board.take(|| ()).unwrap().1;
     assert_eq!(share, Share { threads: 2, taken: of_step + 1 });
 
-    // Memory for threads: enough, none, and of a small step.
+    // Memory for threads: enough, none, and for a small step.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
     assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
     assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
     assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
-    // One that is larger than all there is has all there is, and by itself.
+    // A step that is larger than the memory gets all memory, and runs alone.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);
     let (_, share) = board.take(|| ()).unwrap();
@@ -153,7 +153,7 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     all[0].memory_mb = 150;
     let tight = limits(3, Some(MemoryLimit::PROGRAM + 260_000_000));
     let board = Board::new(&all, &tight, &stop, &watch);
-    // b takes 175 MB of the 260; beside it is no room but for c and, when that is done, d.
+    // b uses 175 MB of the 260; there is memory beside it only for c and, after that, for d.
     assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
 }
 

@@ -81,7 +81,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
 /// Rejects camera raw files, which are TIFF files with a thumbnail or a sensor mosaic.
 fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     if picture.is_raw {
-        return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, all frames alike".into());
+        return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, with the same settings for all frames".into());
     }
     Ok(())
 }

@@ -1,8 +1,8 @@
-//! Cards made up after many habits, and how many of their brackets are found as they were taken.
+//! Simulated cards of photographers with many habits, and how many of their brackets are found exactly.
 
 use super::*;
 
-/// A generator of numbers that are the same for the same seed, everywhere: SplitMix64.
+/// A generator of numbers that depend only on the seed: SplitMix64.
 struct Chance(u64);
 
 impl Chance {
@@ -18,7 +18,7 @@ impl Chance {
         low + (high - low) * self.next()
     }
 
-    /// Between `low` and `high`, each factor as likely.
+    /// Returns a factor between `low` and `high`, uniformly distributed in the logarithm.
     fn scaled(&mut self, low: f64, high: f64) -> f64 {
         libm::exp(self.within(libm::log(low), libm::log(high)))
     }
@@ -32,24 +32,24 @@ impl Chance {
     }
 }
 
-/// How somebody takes photographs.
+/// The habits of a photographer.
 #[derive(Clone)]
 struct Habit {
     name: &'static str,
     counts: &'static [usize],
     steps: &'static [f64],
     mode: Mode,
-    /// Probability that the camera says which place of the bracket it is.
+    /// Probability that the camera records the position in the bracket.
     places: f64,
     /// Pauses in a bracket, in seconds.
     gaps: (f64, f64),
-    /// How much pauses within a bracket differ: a factor.
+    /// Spread of the pauses within a bracket: a factor.
     uneven: f64,
     /// Pauses between brackets, in seconds.
     pauses: (f64, f64),
     /// The shortest and the longest time of the middle frame, in seconds.
     times: (f64, f64),
-    /// Probability that a bracket is exposed as the one before.
+    /// Probability that a bracket is exposed like the previous one.
     alike: f64,
     /// Probability of single frames before a bracket.
     singles: f64,
@@ -61,7 +61,7 @@ struct Habit {
     cuts: f64,
     /// Probability that the count, the steps and the order change.
     changes: f64,
-    /// Every other bracket is taken backwards.
+    /// Every second bracket is taken in reverse order.
     is_to_and_fro: bool,
 }
 
@@ -103,9 +103,9 @@ const MANUAL: Habit = Habit {
     is_to_and_fro: false,
 };
 
-/// Each with the least share of brackets to be found exactly, in percent: what was reached when this was written, rounded down; with
-/// 60 cards a habit instead of 8 it is the table in docs/reference/bracket-detection.md. (Brackets of
-/// which frames were deleted cannot all be found: two frames a third of a stop apart are none.)
+/// Each habit with the smallest percentage of brackets that must be found exactly: the measured value, rounded down.
+/// With 60 cards per habit instead of 8 it is the table in docs/reference/bracket-detection.md. (Brackets with
+/// deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
         (AUTO, 100.0),
@@ -240,7 +240,7 @@ struct CameraClock {
     marks_end: bool,
 }
 
-/// The places of a bracket in one of the orders that cameras have, in steps from the middle.
+/// Returns the positions of a bracket in one of the orders that cameras use, in steps from the middle.
 fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
     let middle = (count - 1) as f64 / 2.0;
     let up: Vec<f64> = (0..count).map(|i| i as f64 - middle).collect();
@@ -270,7 +270,7 @@ struct Card {
     truth: Vec<Range<usize>>,
 }
 
-/// A step that makes a bracket of `count` frames, and one that the times of a camera hold.
+/// Returns a step for a bracket of `count` frames within the camera's range of shutter times.
 fn step(chance: &mut Chance, habit: &Habit, count: usize) -> f64 {
     loop {
         let step = chance.of(habit.steps);
@@ -280,12 +280,12 @@ fn step(chance: &mut Chance, habit: &Habit, count: usize) -> f64 {
     }
 }
 
-/// An exposure for the middle frame, on the thirds of a stop that dials have.
+/// Returns an exposure for the middle frame, in thirds of a stop.
 fn metered(chance: &mut Chance, habit: &Habit) -> f64 {
     libm::round(3.0 * libm::log2(chance.scaled(habit.times.0, habit.times.1))) / 3.0
 }
 
-/// A card of `brackets` brackets by one photographer with one camera.
+/// Returns a card of `brackets` brackets by one photographer with one camera.
 fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let mut chance = Chance(seed.wrapping_mul(0x0123_4567_89AB_CDEF) ^ 77);
     let clock = CameraClock { resolution_s: chance.of(&[1.0, 1.0, 0.01, 0.001]), marks_end: chance.is(0.25) };
@@ -296,7 +296,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
     let (mut now, mut card) = (0.0, Card { beats: Vec::new(), truth: Vec::new() });
     let mut middle = metered(&mut chance, habit);
-    // Thirds of a stop, as printed: off by up to a tenth, the same exposure always by the same.
+    // Thirds of a stop as recorded: wrong by up to a tenth, always the same for one exposure.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
     let take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
         let ev = printed(ev);
@@ -325,7 +325,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         if !chance.is(habit.alike) {
             middle = metered(&mut chance, habit);
         }
-        // Automatic frames beside the bracket are metered; as by hand is as in the bracket.
+        // In automatic mode single frames are metered; in manual mode they have the exposure of the bracket.
         let mode = if habit.mode == Mode::AutoBracket { Mode::Automatic } else { habit.mode };
         let place = says_places.then_some(0.0);
         if chance.is(habit.singles) {
@@ -366,7 +366,7 @@ fn found(beats: &[Beat]) -> Vec<Range<usize>> {
     brackets(beats, rhythm::clock(beats), &RULES)
 }
 
-/// How many brackets there were, how many of them were found as they were, and how many were found that were none.
+/// Returns the number of brackets, of those found exactly, and of found brackets that are wrong.
 fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
     (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
         let card = card(habit, 12, seed + 1000);
@@ -383,7 +383,7 @@ fn brackets_of_many_habits_are_found_as_they_were_taken() {
         let (all, right, wrong) = score(&habit, 8);
         let share = 100.0 * right as f64 / all as f64;
         println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
-        // Of those found that are none, most are a stray or two with frames of another exposure beside them.
+        // Most wrong brackets are a stray frame or two beside frames of another exposure.
         if share < least || wrong > all / 6 {
             failed.push(format!("{}: {share:.1} % of {least} %, {wrong} others", habit.name));
         }
@@ -401,7 +401,7 @@ fn snapshots_are_no_brackets() {
             .map(|_| {
                 let pause = chance.scaled(0.5, 300.0);
                 now += pause;
-                // What is taken at once is of one scene.
+                // Photographs that are taken at once are of one scene.
                 let metered = if pause < 3.0 { ev + chance.within(-0.7, 0.7) } else { chance.within(-11.0, -4.0) };
                 ev = libm::round(3.0 * metered) / 3.0;
                 Beat {
@@ -423,7 +423,8 @@ fn snapshots_are_no_brackets() {
     assert_eq!(found, 0);
 }
 
-/// Five exposures of Canon's 300D: a bracket of three, the compensation dialled up by three stops, and the begin of another.
+/// Five exposures of Canon's 300D: a bracket of three, the compensation changed by three stops, and the start of
+/// another bracket.
 #[test]
 fn a_bracket_that_was_shifted_goes_on() {
     let beat = |at_s: f64, ev: f64, place: f64, bias: f64| Beat {
@@ -446,7 +447,7 @@ fn a_bracket_that_was_shifted_goes_on() {
     assert_eq!(self::found(&shifted), vec![0..5]);
     let as_summed = shifted.clone().map(|beat| Beat { bias: Some(beat.bias.unwrap() + beat.place.unwrap()), ..beat });
     assert_eq!(self::found(&as_summed), vec![0..5]);
-    // Without a word of the compensation, it is as likely that the second was cut short.
+    // Without the compensation, it is equally likely that the second bracket was interrupted.
     let unsaid = shifted.map(|beat| Beat { bias: None, ..beat });
     assert_eq!(self::found(&unsaid)[0], 0..3);
 }
