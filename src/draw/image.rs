@@ -1,8 +1,8 @@
-//! Pictures of a report: PNG and JPEG files in memory, and as `data:` addresses.
+//! Pictures in reports: PNG and JPEG files in memory, and as `data:` URLs.
 //!
-//! In: pixels. Out: files, and [`Picture`]s of a page. Cost: some 30 ns a pixel, for JPEG as often as a quality is tried. Source: ITU-T T.81
-//! (JPEG), by the `jpeg-encoder` crate: colours at half the resolution and Huffman tables of its own for each picture, by which it takes a
-//! fourth less; RFC 2397 (data URLs), RFC 4648 section 4 (base64).
+//! In: pixels. Out: files, and [`Picture`]s for a page. Cost: about 30 ns per pixel; for JPEG once for each quality
+//! that is tried. Source: ITU-T T.81 (JPEG), by the `jpeg-encoder` crate, with chroma at half the resolution and
+//! optimised Huffman tables, which make files a fourth smaller; RFC 2397 (data URLs), RFC 4648 section 4 (base64).
 
 use crate::plane::Plane;
 use base64::Engine;
@@ -11,13 +11,13 @@ use jpeg_encoder::{ColorType as JpegColour, Encoder as Jpeg, SamplingFactor};
 use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
 use rayon::prelude::*;
 
-/// Qualities of JPEG that are tried for pictures that are looked at closely, the best first.
+/// JPEG qualities that are tried for large pictures, the best first.
 const QUALITIES: [u8; 6] = [86, 80, 74, 66, 58, 48];
 
-/// A picture that a page can show without asking anybody.
+/// A picture that is embedded in a page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// The file as a `data:` address.
+    /// The file as a `data:` URL.
     pub address: String,
     /// Width in pixels.
     pub width: usize,
@@ -25,27 +25,27 @@ pub struct Picture {
     pub height: usize,
 }
 
-/// A photograph that is to be encoded, with the profile of its colours; sRGB where there is none.
+/// A photograph to be encoded, with its ICC profile.
 pub struct Photograph {
     /// Its pixels.
     pub pixels: Plane<[u8; 3]>,
-    /// Its profile.
+    /// Its profile; `None` for sRGB.
     pub icc: Option<Vec<u8>>,
 }
 
-/// `pixels` as JPEG of `quality` 1..=100, in the colours of the profile `icc`; of sRGB where there is none.
+/// Encodes `pixels` as JPEG of `quality` 1..=100, with the profile `icc`; `None` for sRGB.
 pub fn jpeg(pixels: &Plane<[u8; 3]>, quality: u8, icc: Option<&[u8]>) -> Result<Picture, String> {
     let bytes = pixels.as_slice().as_flattened();
     encode((pixels.width(), pixels.height()), bytes, JpegColour::Rgb, quality, icc)
 }
 
-/// `grey` as JPEG of `quality` 1..=100.
+/// Encodes `grey` as JPEG of `quality` 1..=100.
 pub fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String> {
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
-/// `photographs` as JPEG, of the best quality at which they take no more than `most` bytes of the page together; of the
-/// least where none does.
+/// Encodes `photographs` as JPEG, with the best quality at which they take at most `most` bytes of the page together,
+/// or the lowest quality.
 pub fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
     let mut encoded = Vec::new();
     for quality in QUALITIES {
@@ -77,7 +77,8 @@ fn encode(
     Ok(picture("jpeg", size, &file))
 }
 
-/// A picture in the colours of `palette`, red, green, blue and opacity, as PNG: two bits a pixel for up to four colours, four for up to 16.
+/// Encodes a picture with the colours of `palette` (red, green, blue and opacity) as PNG: two bits per pixel for up
+/// to four colours, four for up to 16.
 pub fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, String> {
     let size = (indices.width(), indices.height());
     let (depth, bits) = if palette.len() <= 4 { (BitDepth::Two, 2) } else { (BitDepth::Four, 4) };
@@ -93,23 +94,23 @@ pub fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, Str
     Ok(picture("png", size, &file))
 }
 
-/// `plane` as a PNG file.
+/// Encodes `plane` as a PNG file.
 pub fn png_grey(plane: &Plane<u8>) -> Result<Vec<u8>, String> {
     png((plane.width(), plane.height()), ColorType::Grayscale, BitDepth::Eight, plane.as_slice(), drawn)
 }
 
-/// `plane` as a PNG file.
+/// Encodes `plane` as a PNG file.
 pub fn png_rgb(plane: &Plane<[u8; 3]>) -> Result<Vec<u8>, String> {
     png((plane.width(), plane.height()), ColorType::Rgb, BitDepth::Eight, plane.as_slice().as_flattened(), drawn)
 }
 
-/// The bits of a picture of `size` pixels as a PNG file with one bit a pixel: white where `is_set`.
+/// Encodes a bitmap of `size` pixels as a PNG file with one bit per pixel: white where `is_set`.
 pub fn png_bits(size: (usize, usize), is_set: impl Fn(usize, usize) -> bool) -> Result<Vec<u8>, String> {
     let rows = (0..size.1).map(|y| (0..size.0).map(move |x| (x, y)).map(|(x, y)| u8::from(is_set(x, y))));
     png(size, ColorType::Grayscale, BitDepth::One, &packed(rows, 1), drawn)
 }
 
-/// Rows of values of `bits` each, from the left, every row from a byte of its own.
+/// Packs rows of values of `bits` each, first value in the highest bits; every row starts with a new byte.
 fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) -> Vec<u8> {
     let byte = |values: &[u8]| {
         values.iter().zip((0..8).step_by(bits)).fold(0, |byte, (value, from)| byte | value << (8 - bits - from))
@@ -117,7 +118,7 @@ fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) ->
     rows.flat_map(|row| row.collect::<Vec<u8>>().chunks(8 / bits).map(byte).collect::<Vec<u8>>()).collect()
 }
 
-/// Drawings are encoded fast, and name their maker, so that they are not taken for photographs.
+/// Drawings are compressed quickly, and name the program, so that they are not mistaken for photographs.
 fn drawn(encoder: &mut Encoder<&mut Vec<u8>>) -> Result<(), EncodingError> {
     encoder.set_compression(Compression::Fast);
     encoder.add_text_chunk("Software".into(), concat!("hdralign ", env!("CARGO_PKG_VERSION")).into())
@@ -150,7 +151,7 @@ fn picture(format: &str, (width, height): (usize, usize), file: &[u8]) -> Pictur
     Picture { address: data_url(format, file), width, height }
 }
 
-/// A file of the image `format` as a `data:` address.
+/// Returns a file of the image `format` as a `data:` URL.
 pub(super) fn data_url(format: &str, file: &[u8]) -> String {
     format!("data:image/{format};base64,{}", STANDARD.encode(file))
 }
@@ -164,7 +165,7 @@ mod tests {
         image::load_from_memory(&STANDARD.decode(data).unwrap()).unwrap()
     }
 
-    /// Colours that change slowly, with some grain.
+    /// Colours that change slowly, with some noise.
     fn ramp((width, height): (usize, usize)) -> Plane<[u8; 3]> {
         Plane::from_rows(width, height, |y, row: &mut [[u8; 3]]| {
             row.iter_mut().enumerate().for_each(|(x, p)| {
@@ -179,10 +180,10 @@ mod tests {
         let ramp = ramp((41, 30));
         let encoded = jpeg(&ramp, 90, Some(b"a profile")).unwrap();
         assert_eq!((encoded.width, encoded.height), (41, 30));
-        // Not by `image`, whose decoder gets colours at half the resolution wrong where the picture is small and odd.
+        // Not by `image`, whose decoder is wrong for chroma at half the resolution in small pictures of odd size.
         let file = STANDARD.decode(encoded.address.split_once(";base64,").unwrap().1).unwrap();
         let back = jpeg_decoder::Decoder::new(&file[..]).decode().unwrap();
-        // JPEG at this quality, with colours at half the resolution, is within some codes on a ramp.
+        // JPEG at this quality, with chroma at half the resolution, is within some codes on a ramp.
         let worst = back.iter().zip(ramp.as_slice().as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.unwrap() < 20, "{worst:?}");
         let grey = Plane::from_rows(9, 4, |_, row| row.iter_mut().enumerate().for_each(|(x, v)| *v = 20 * x as u8));

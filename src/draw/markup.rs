@@ -1,20 +1,20 @@
-//! Markup: text and numbers made safe for XML and HTML, and numbers as people read them.
+//! Markup: text and numbers escaped for XML and HTML, and number formats.
 //!
-//! In: whatever files and cameras are called, and numbers. Out: text of XML and HTML. Cost: none. Source: XML 1.0 (W3C), section 2.2
-//! (characters); the HTML standard (WHATWG), section 13.1 (writing documents): `&`, `<`, `>` and both quotes are all that means something
-//! in text and in quoted attributes.
+//! In: names of files and cameras, and numbers. Out: text for XML and HTML. Cost: negligible. Source: XML 1.0 (W3C),
+//! section 2.2 (characters); the HTML standard (WHATWG), section 13.1 (writing documents): only `&`, `<`, `>` and
+//! both quotes have a meaning in text and in quoted attributes.
 
 use std::path::Path;
 
-/// A number to a hundredth, no longer than it must be.
+/// Returns a number rounded to hundredths, without trailing zeros.
 pub fn number(v: f64) -> String {
     let text = format!("{v:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Text for use between tags and in quoted attributes, of XML as of HTML. Characters that XML 1.0 forbids, that would not be seen, or that would
-/// turn the order of those around them, become the replacement character.
+/// Escapes text for use between tags and in quoted attributes of XML and HTML. Characters that XML 1.0 forbids, that
+/// are invisible, or that change the direction of the text become the replacement character.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -33,12 +33,13 @@ pub fn escape(text: &str) -> String {
     out
 }
 
-/// The name of a file without its folder.
+/// Returns the name of a file without its folder.
 pub fn file_name(path: &str) -> String {
     Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
-/// A number with its sign, a true minus, and so many decimals; what rounds to nothing has no sign.
+/// Returns a number with its sign (a minus sign, not a hyphen) and so many decimals; numbers that round to zero have
+/// no sign.
 pub fn signed(v: f64, decimals: usize) -> String {
     let text = format!("{:.decimals$}", v.abs());
     if text.chars().all(|c| c == '0' || c == '.') {
@@ -50,7 +51,7 @@ pub fn signed(v: f64, decimals: usize) -> String {
     }
 }
 
-/// A share as percents: to a tenth where it is small.
+/// Returns a fraction as a percentage, with one decimal if it is small.
 pub fn percent(share: f64) -> String {
     let percent = 100.0 * share;
     match percent {

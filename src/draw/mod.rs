@@ -1,9 +1,9 @@
-//! Drawing: the one layer that every picture of a report is made with.
+//! Drawing: the layer that makes every picture of a report.
 //!
-//! In: marks, numbers, text and pixels. Out: SVG, HTML text, PNG and JPEG files in memory. [`svg`] is a page with marks on it, [`plot`] axes
-//! and what is measured along them, [`text`] the widths and outlines of letters, [`scale`] pictures in fewer pixels, [`image`] their
-//! files, [`markup`] text and numbers made safe for XML and HTML. What is drawn is the business of [`inspect`](crate::inspect),
-//! [`page`](crate::page) and [`compare`](crate::compare).
+//! In: marks, numbers, text and pixels. Out: SVG, HTML text, PNG and JPEG files in memory. [`svg`] is a page of
+//! marks, [`plot`] has axes and curves, [`text`] the widths and outlines of letters, [`scale`] reduces pictures,
+//! [`image`] encodes them, [`markup`] escapes text. [`inspect`](crate::inspect), [`page`](crate::page) and
+//! [`compare`](crate::compare) decide what is drawn.
 
 pub(crate) mod image;
 pub(crate) mod markup;

@@ -1,47 +1,47 @@
-//! Plots: axes with round ticks, and where values lie between them.
+//! Plots: axes with round ticks, and the positions of values along them.
 //!
-//! In: ranges of numbers. Out: ticks and their words; places on a page. Cost: none.
+//! In: ranges of numbers. Out: ticks with labels; positions on a page. Cost: negligible.
 
 use super::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 use std::f64::consts::LOG2_10;
 
-/// Sizes of the text of ticks and of names of axes, in pixels.
+/// Text sizes of ticks and axis names, in pixels.
 const TICK: f64 = 15.0;
 const NAME: f64 = 17.0;
 
-/// One axis.
+/// An axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
-    /// Its lower end.
+    /// Value at its lower end.
     pub from: f64,
-    /// Its upper end.
+    /// Value at its upper end.
     pub to: f64,
-    /// Where there are lines, and what stands there.
+    /// Values of the ticks, with their labels.
     pub ticks: Vec<(f64, String)>,
-    /// What it is, with its unit.
+    /// Its name, with the unit.
     pub name: String,
 }
 
 impl Axis {
-    /// From `from` to `to`, widened to round numbers, with about `count` ticks.
+    /// Creates an axis from `from` to `to`, extended to round numbers, with about `count` ticks.
     pub fn round(from: f64, to: f64, count: usize, name: &str) -> Self {
         let step = round_step(from, to, count);
         let (first, last) = ((from / step).floor(), (to / step).ceil());
         Axis { from: first * step, to: last * step, ticks: ticks(step, first, last), name: name.to_owned() }
     }
 
-    /// From `from` to `to` as they are, with ticks at the round numbers between.
+    /// Creates an axis exactly from `from` to `to`, with ticks at the round numbers between.
     pub fn within(from: f64, to: f64, count: usize, name: &str) -> Self {
         let step = round_step(from, to, count);
         Axis { from, to, ticks: ticks(step, (from / step).ceil(), (to / step).floor()), name: name.to_owned() }
     }
 
-    /// With ticks at the numbers `at` alone, which are written as they are.
+    /// Creates an axis with ticks only at the numbers `at`, which are printed unchanged.
     pub fn at<const N: usize>(from: f64, to: f64, at: [usize; N], name: &str) -> Self {
         Axis { from, to, ticks: at.map(|v| (v as f64, v.to_string())).to_vec(), name: name.to_owned() }
     }
 
-    /// A logarithmic axis: from `from` to `to`, both as log2, with ticks at the powers of ten between.
+    /// Creates a logarithmic axis from `from` to `to`, both as log2, with ticks at the powers of ten between.
     pub fn decades(from: f64, to: f64, name: &str) -> Self {
         let word = |d: i64| match d {
             -3..=5 => format!("{}", libm::exp10(d as f64)),
@@ -51,20 +51,21 @@ impl Axis {
         Axis { from, to, ticks: powers.map(|d| (d as f64 * LOG2_10, word(d))).collect(), name: name.to_owned() }
     }
 
-    /// 0 at its lower end, 1 at its upper.
+    /// Position of a value: 0 at the lower end, 1 at the upper.
     fn share(&self, v: f64) -> f64 {
         (v - self.from) / (self.to - self.from).max(1e-9)
     }
 }
 
-/// The round number of which about `count` lie between.
+/// Returns a round step of which about `count` are between the ends.
 fn round_step(from: f64, to: f64, count: usize) -> f64 {
     let rough = (to - from).max(1e-9) / count.max(1) as f64;
     let power = libm::exp10(libm::floor(libm::log10(rough)));
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= rough).unwrap_or(rough)
 }
 
-/// The multiples of `step` from the `first` to the `last`, with as many decimals as the step needs and true minus signs.
+/// Returns the multiples of `step` from `first` to `last`, with as many decimals as the step needs, and with minus
+/// signs.
 fn ticks(step: f64, first: f64, last: f64) -> Vec<(f64, String)> {
     let is_whole = |v: f64| (v - v.round()).abs() < 1e-6;
     let decimals = (0..6u8).find(|d| is_whole(step * libm::exp10(f64::from(*d)))).unwrap_or(6).into();
@@ -72,34 +73,34 @@ fn ticks(step: f64, first: f64, last: f64) -> Vec<(f64, String)> {
     (first as i64..=last as i64).map(|i| i as f64 * step).map(|v| (v, word(v))).collect()
 }
 
-/// A plot: two axes along an area of a page.
+/// A plot: two axes and an area of a page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plot {
-    /// The area within the axes, in pixels.
+    /// The area inside the axes, in pixels.
     pub area: Area,
-    /// The axis to the right.
+    /// The horizontal axis.
     pub x: Axis,
-    /// The axis upwards.
+    /// The vertical axis.
     pub y: Axis,
 }
 
 impl Plot {
-    /// Where `v` lies from the left of the page; outside of the area where it is not on the axis.
+    /// Returns the distance of `v` from the left of the page; outside of the area if it is not on the axis.
     pub fn x(&self, v: f64) -> f64 {
         self.area.x + self.x.share(v) * self.area.width
     }
 
-    /// Where `v` lies from the top of the page.
+    /// Returns the distance of `v` from the top of the page.
     pub fn y(&self, v: f64) -> f64 {
         self.bottom() - self.y.share(v) * self.area.height
     }
 
-    /// The lower edge of the area.
+    /// Returns the lower edge of the area.
     pub fn bottom(&self) -> f64 {
         self.area.y + self.area.height
     }
 
-    /// Draws both axes: lines and words at the ticks, the frame, and the names below and to the left.
+    /// Draws both axes: lines and labels at the ticks, the frame, and the names below and on the left.
     pub fn draw_axes(&self, page: &mut Drawing) {
         let (Area { x: left, y: top, width, height }, bottom) = (self.area, self.bottom());
         let mut grid = Path::default();
@@ -117,7 +118,7 @@ impl Plot {
         page.text_upwards((left - 54.0, top + height / 2.0), NAME, Colour::INK, &self.y.name);
     }
 
-    /// The curve through `points`.
+    /// Returns the curve through `points`.
     pub fn curve(&self, points: impl Iterator<Item = (f64, f64)>) -> Path {
         let mut path = Path::default();
         path.points(&points.map(|(x, y)| (self.x(x), self.y(y))).collect::<Vec<_>>());

@@ -1,29 +1,31 @@
-//! Scale: pictures in fewer pixels, as averages over cells, taken as rows come by.
+//! Scaling: reduces pictures by averaging over cells, row by row.
 //!
-//! In: rows of a picture of any number of channels, from the first to the last, in parts of any number. Out: the same picture in fewer
-//! pixels. Cost: some ns a pixel, and a byte for each value of what comes out. Every pixel counts for the part of it that lies in a cell, in
-//! whole numbers, so that fine patterns stay even whatever the factor. Codes are averaged as they are, which is good enough for a look.
+//! In: rows of a picture of any number of channels, from first to last, in parts of any size. Out: the same picture
+//! with fewer pixels. Cost: some ns per pixel, and a byte for each output value. Every pixel is weighted by the part
+//! of it that is in a cell, with integer arithmetic, so that fine patterns stay even for any factor. Code values are
+//! averaged directly, which is accurate enough for viewing.
 
 use crate::plane::Plane;
 use std::ops::Range;
 
-/// A picture of `N` channels that is being reduced.
+/// Reduces a picture with `N` channels.
 #[derive(Debug, Clone)]
 pub struct Reduced<const N: usize> {
     full: (usize, usize),
     size: (usize, usize),
-    /// The cell of each column, and how much of the column lies in it, of the cells' number; the rest lies in the next.
+    /// For each column, its first cell and the part of the column in that cell, as a numerator over the number of
+    /// cells; the rest is in the next cell.
     columns: Vec<(usize, u32)>,
-    /// Rows that have come.
+    /// Number of rows received.
     rows: usize,
-    /// The last row of these, by cells.
+    /// The last of these rows, by cells.
     line: Vec<[u32; N]>,
     /// The row of cells that is being summed.
     sums: Vec<[u64; N]>,
     done: Vec<[u8; N]>,
 }
 
-/// The size of a picture of `full` pixels that has at most `most` on its long side.
+/// Returns the size of a picture of `full` pixels after reduction to at most `most` along its long side.
 pub fn within(full: (usize, usize), most: usize) -> (usize, usize) {
     let long = full.0.max(full.1);
     if long <= most {
@@ -33,8 +35,8 @@ pub fn within(full: (usize, usize), most: usize) -> (usize, usize) {
     (side(full.0), side(full.1))
 }
 
-/// The size of a picture of `full` pixels that has at most about `most` altogether; what is larger by less than a fourth keeps its size, for so small
-/// a reduction would only make it softer.
+/// Returns the size of a picture of `full` pixels after reduction to at most about `most` in all. A picture that is
+/// larger by less than a fourth keeps its size, because so small a reduction would only blur it.
 pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
     let all = full.0 * full.1;
     if all <= most * 5 / 4 {
@@ -44,28 +46,29 @@ pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
     within(full, ((full.0.max(full.1) as f64 * scale) as usize).max(1))
 }
 
-/// Cells of a picture by whole numbers: `by` x `by` pixels are one, or one pixel is `times` x `times` of them.
+/// Scaling by integer factors: `by` x `by` pixels become one, or one becomes `times` x `times`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cells {
-    /// Pixels of a side that become one.
+    /// Number of pixels along a side that become one.
     pub by: usize,
-    /// Pixels of a side that one becomes.
+    /// Number of pixels along a side that one becomes.
     pub times: usize,
 }
 
 impl Cells {
-    /// For a picture of `size` pixels whose long side is to have `least` to `most`, as nearly as whole numbers allow.
+    /// Returns the factors for a picture of `size` pixels whose long side should have `least` to `most`, as closely
+    /// as integers allow.
     pub fn within((width, height): (usize, usize), least: usize, most: usize) -> Cells {
         let side = width.max(height).max(1);
         Cells { by: side.div_ceil(most), times: (least / side).max(1) }
     }
 
-    /// The size of what becomes of a picture of `width` x `height` pixels.
+    /// Returns the scaled size of a picture of `width` x `height` pixels.
     pub fn size(self, (width, height): (usize, usize)) -> (usize, usize) {
         (width.div_ceil(self.by) * self.times, height.div_ceil(self.by) * self.times)
     }
 
-    /// What becomes of a picture of `size` pixels, where `cell` gives the colour of columns and rows.
+    /// Scales a picture of `size` pixels; `cell` returns the colour of a range of columns and rows.
     pub fn picture(
         self,
         size: (usize, usize),
@@ -83,14 +86,15 @@ impl Cells {
     }
 }
 
-/// The cell in which part `i` of `full` begins, of `cells`, and how much of it lies there, of `cells`.
+/// Returns the cell in which part `i` of `full` begins, of `cells`, and how much of it is in that cell, as a
+/// numerator over `cells`.
 fn share(i: usize, full: usize, cells: usize) -> (usize, usize) {
     let cell = i * cells / full;
     (cell, ((i + 1) * cells).min((cell + 1) * full) - i * cells)
 }
 
 impl<const N: usize> Reduced<N> {
-    /// Of a picture of `full` pixels, to `size`, which is no larger.
+    /// Creates a reduction from `full` pixels to `size`, which is not larger.
     pub fn new(full: (usize, usize), size: (usize, usize)) -> Self {
         let column = |x| {
             let (cell, part) = share(x, full.0, size.0);
@@ -101,7 +105,7 @@ impl<const N: usize> Reduced<N> {
         Reduced { full, size, columns, rows: 0, line, sums, done: Vec::with_capacity(size.0 * size.1) }
     }
 
-    /// Takes the next rows, which are whole.
+    /// Adds the next complete rows.
     pub fn push(&mut self, pixels: &[[u8; N]]) {
         for row in pixels.chunks_exact(self.full.0).take(self.full.1 - self.rows) {
             self.line.fill([0; N]);
@@ -124,14 +128,14 @@ impl<const N: usize> Reduced<N> {
         }
     }
 
-    /// Adds the last row to the row of cells, so many times.
+    /// Adds the last row to the row of cells, with the weight `times`.
     fn add(&mut self, times: u64) {
         for (sum, v) in self.sums.iter_mut().zip(&self.line) {
             (0..N).for_each(|c| sum[c] += times * u64::from(v[c]));
         }
     }
 
-    /// The reduced picture; what was not seen is black.
+    /// Returns the reduced picture; parts without rows are black.
     pub fn finish(&self) -> Plane<[u8; N]> {
         let mut done = self.done.clone();
         done.resize(self.size.0 * self.size.1, [0; N]);
@@ -139,8 +143,8 @@ impl<const N: usize> Reduced<N> {
     }
 }
 
-/// A plane averaged over areas to fit into `most` pixels across and down; one that fits already is as it was. Its sums are of floats: an exact
-/// half is rounded to either side, where [`reduce_to`] rounds it up.
+/// Averages a plane over areas to fit into `most` pixels in both directions; a plane that fits is returned unchanged.
+/// Its sums are floats: exact halves are rounded in either direction, while [`reduce_to`] rounds them up.
 pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     let (w, h) = (plane.width(), plane.height());
     let share = (most.0 as f64 / w as f64).min(most.1 as f64 / h as f64);
@@ -164,14 +168,14 @@ pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     })
 }
 
-/// The pixels that cell `i` of `step` pixels covers, of `n`, and how much of each.
+/// Returns the pixels of `n` that cell `i` of `step` pixels covers, and the fraction of each.
 fn parts(i: usize, step: f64, n: usize) -> Vec<(usize, f64)> {
     let (from, to) = (i as f64 * step, (i + 1) as f64 * step);
     let last = (to.ceil() as usize).min(n);
     (from as usize..last).map(|k| (k, (to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0))).collect()
 }
 
-/// A grey picture in `size` pixels, which is no larger.
+/// Reduces a grey picture to `size` pixels, which is not larger.
 pub fn reduce_to(plane: &Plane<u8>, size: (usize, usize)) -> Plane<u8> {
     let mut reduced = Reduced::new((plane.width(), plane.height()), size);
     reduced.push(plane.as_slice().as_chunks::<1>().0);
@@ -193,7 +197,7 @@ mod tests {
                 reduced.push(part);
             }
             let small = reduced.finish();
-            // The textbook: every pixel by the area of it that lies in the cell.
+            // The textbook version: every pixel weighted by its area in the cell.
             let overlap = |i: usize, full: usize, cell: usize, cells: usize| {
                 let (from, to) = (i as f64 / full as f64, (i + 1) as f64 / full as f64);
                 let (left, right) = (cell as f64 / cells as f64, (cell + 1) as f64 / cells as f64);
@@ -227,7 +231,7 @@ mod tests {
         let small = reduce(&plane, (11, 100));
         assert_eq!((small.width(), small.height()), (11, 7));
         let mean = |p: &Plane<u8>| p.as_slice().iter().map(|&v| f64::from(v)).sum::<f64>() / p.as_slice().len() as f64;
-        // Each value is rounded by at most a half, by chance to either side.
+        // Each value is rounded by at most a half, in either direction.
         assert!((mean(&plane) - mean(&small)).abs() < 0.2);
         assert_eq!(reduce(&plane, (30, 20)), plane);
         // Linear pictures stay linear: the mean of a cell is the value at its centre, (x + 1/2) 30/11 - 1/2.
@@ -240,7 +244,7 @@ mod tests {
         assert_eq!(Cells::within((4000, 3000), 360, 1200), Cells { by: 4, times: 1 });
         assert_eq!(Cells::within((4000, 3000), 360, 1200).size((4000, 2999)), (1000, 750));
         assert_eq!(Cells::within((60, 100), 360, 1200).size((60, 100)), (180, 300));
-        // One pixel of 16 in a cell is seen.
+        // One pixel of 16 in a cell is visible.
         let fit = Cells { by: 4, times: 1 };
         let panel = fit.picture((9, 8), |columns, rows| {
             [u8::from(columns.contains(&8) && rows.contains(&3)), columns.len() as u8, rows.len() as u8]

@@ -1,8 +1,8 @@
 //! Drawings: lines, circles, pictures and text as one self-contained SVG file, and the same as pixels.
 //!
-//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, whose text the viewer draws in its own
-//! font; pixels by resvg, with the outlines of [`text`] in the place of text. Cost: some tens of bytes a mark; 0.1 us a pixel drawn.
-//! Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7 (image).
+//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, whose text is
+//! drawn by the viewer; pixels by resvg, with the outlines of [`text`] instead of text. Cost: some tens of bytes per
+//! mark; 0.1 us per drawn pixel. Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7 (image).
 
 use super::image::{data_url, png_rgb};
 use super::markup::{escape, number};
@@ -11,29 +11,29 @@ use crate::plane::Plane;
 use resvg::{tiny_skia, usvg};
 use std::fmt::Write;
 
-/// Fonts about as wide as that of [`text`], by which text is laid out, or narrower.
+/// Fonts that are at most as wide as that of [`text`], with which text is laid out.
 const FONTS: &str = "'DejaVu Sans Condensed', Arial, Helvetica, sans-serif";
 
-/// A colour, sRGB.
+/// An sRGB colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Colour(pub u8, pub u8, pub u8);
 
 impl Colour {
-    /// Paper.
+    /// The background.
     pub const WHITE: Colour = Colour(255, 255, 255);
     /// Letters and frames.
     pub const INK: Colour = Colour(26, 26, 26);
     /// Secondary words.
     pub const FAINT: Colour = Colour(110, 110, 110);
-    /// Lines behind a curve.
+    /// Grid lines.
     pub const GRID: Colour = Colour(224, 224, 224);
 
-    /// Red, green and blue.
+    /// Returns red, green and blue.
     pub fn rgb(self) -> [u8; 3] {
         [self.0, self.1, self.2]
     }
 
-    /// The colour `place` of the way, 0 to 1, along `scale`, which has at least two.
+    /// Returns the colour at position `place`, 0 to 1, along `scale`, which has at least two colours.
     pub fn between(scale: &[[f64; 3]], place: f64) -> Colour {
         let at = place.clamp(0.0, 1.0) * (scale.len() - 1) as f64;
         let below = (at as usize).min(scale.len() - 2);
@@ -43,7 +43,7 @@ impl Colour {
         Colour(r, g, b)
     }
 
-    /// As SVG and CSS have it.
+    /// Returns the colour as in SVG and CSS.
     pub fn hex(self) -> String {
         format!("#{:02x}{:02x}{:02x}", self.0, self.1, self.2)
     }
@@ -62,21 +62,21 @@ pub struct Area {
     pub height: f64,
 }
 
-/// A pen.
+/// The stroke of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pen {
     /// Its colour.
     pub colour: Colour,
     /// Its width in pixels.
     pub width: f64,
-    /// 0 (not to be seen) to 1.
+    /// 0 (invisible) to 1.
     pub opacity: f64,
 }
 
-/// Which part of a text is at its place.
+/// The part of a text that is at the given position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its beginning.
+    /// Its start.
     Start,
     /// Its middle.
     Middle,
@@ -85,7 +85,7 @@ pub enum Anchor {
 }
 
 impl Anchor {
-    /// Its name in SVG, and the share of the text that lies before the place.
+    /// Returns its name in SVG, and the fraction of the text before the position.
     fn terms(self) -> (&'static str, f64) {
         match self {
             Anchor::Start => ("start", 0.0),
@@ -95,17 +95,17 @@ impl Anchor {
     }
 }
 
-/// The data of a path: many lines and circles that one pen draws.
+/// The data of a path: lines and circles with the same stroke.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Path(String);
 
 impl Path {
-    /// A line.
+    /// Adds a line.
     pub fn line(&mut self, from: (f64, f64), to: (f64, f64)) {
         self.points(&[from, to]);
     }
 
-    /// Lines from point to point; nothing where one of them is no number.
+    /// Adds lines from point to point; none if a coordinate is not finite.
     pub fn points(&mut self, points: &[(f64, f64)]) {
         if points.iter().any(|p| !p.0.is_finite() || !p.1.is_finite()) {
             return;
@@ -115,14 +115,14 @@ impl Path {
         }
     }
 
-    /// A circle.
+    /// Adds a circle.
     pub fn circle(&mut self, centre: (f64, f64), radius: f64) {
         let (left, y, r, d) = (number(centre.0 - radius), number(centre.1), number(radius), number(2.0 * radius));
         let _ = write!(self.0, "M{left} {y}a{r} {r} 0 1 0 {d} 0a{r} {r} 0 1 0 -{d} 0");
     }
 }
 
-/// A page with marks on it.
+/// A page with marks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
     width: usize,
@@ -134,14 +134,14 @@ pub struct Drawing {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Mark {
-    /// An element, ended by a line feed.
+    /// An SVG element with a final line feed.
     Svg(String),
-    /// A line of text with its place, as `transform` has it.
+    /// A line of text, with its position in `transform`.
     Text { transform: String, size: f64, anchor: Anchor, colour: Colour, text: String },
 }
 
 impl Mark {
-    /// As SVG: text as text, or as its outlines.
+    /// Writes the mark as SVG, with text as text or as outlines.
     fn write(&self, is_outlined: bool, svg: &mut String) {
         let _ = match self {
             Mark::Svg(element) => write!(svg, "{element}"),
@@ -164,27 +164,27 @@ impl Mark {
 }
 
 impl Drawing {
-    /// White paper of `width` x `height` pixels; `title` is for readers that do not see.
+    /// Creates a white page of `width` x `height` pixels; `title` is for screen readers.
     pub fn new(width: usize, height: usize, title: &str) -> Self {
         Drawing { width, height, title: title.to_owned(), marks: Vec::new(), clips: 0 }
     }
 
-    /// Width in pixels.
+    /// Returns the width in pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height in pixels.
+    /// Returns the height in pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// What `path` holds, by `pen`.
+    /// Draws `path` with `pen`.
     pub fn stroke(&mut self, path: &Path, pen: Pen) {
         self.put_path(path, pen, "");
     }
 
-    /// The same in dashes.
+    /// Draws `path` with a dashed line.
     pub fn stroke_dashed(&mut self, path: &Path, pen: Pen) {
         self.put_path(path, pen, " stroke-dasharray=\"6 5\"");
     }
@@ -201,24 +201,24 @@ impl Drawing {
         ));
     }
 
-    /// The inside of what `path` encloses.
+    /// Fills the inside of `path`.
     pub fn fill(&mut self, path: &Path, colour: Colour, opacity: f64) {
         let (colour, opacity) = (colour.hex(), number(opacity));
         self.put(format!("<path fill=\"{colour}\" fill-opacity=\"{opacity}\" d=\"{}\"/>", path.0));
     }
 
-    /// A rectangle, filled.
+    /// Draws a filled rectangle.
     pub fn fill_area(&mut self, area: Area, colour: Colour) {
         self.put(format!("<rect {} fill=\"{}\"/>", attributes(area), colour.hex()));
     }
 
-    /// The edge of a rectangle.
+    /// Draws the outline of a rectangle.
     pub fn outline(&mut self, area: Area, pen: Pen) {
         let (colour, width) = (pen.colour.hex(), number(pen.width));
         self.put(format!("<rect {} fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\"/>", attributes(area)));
     }
 
-    /// A picture, given as a PNG file, that fills `area`; magnified, its pixels stay squares.
+    /// Draws a picture, given as a PNG file, that fills `area`; magnified pixels stay square.
     pub fn picture(&mut self, area: Area, png: &[u8]) {
         self.put(format!(
             "<image {} preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" xlink:href=\"{}\"/>",
@@ -227,7 +227,7 @@ impl Drawing {
         ));
     }
 
-    /// What `draw` draws, but only within `area`.
+    /// Limits what `draw` draws to `area`.
     pub fn clipped(&mut self, area: Area, draw: impl FnOnce(&mut Drawing)) {
         self.clips += 1;
         let (clip, sides) = (format!("clip{}", self.clips), attributes(area));
@@ -236,13 +236,13 @@ impl Drawing {
         self.put("</g>".into());
     }
 
-    /// A line of text of `size` pixels, its base line at `y`.
+    /// Draws a line of text of `size` pixels, with its base line at `y`.
     pub fn text(&mut self, (x, y): (f64, f64), size: f64, anchor: Anchor, colour: Colour, text: &str) {
         let transform = format!("translate({} {})", number(x), number(y));
         self.marks.push(Mark::Text { transform, size, anchor, colour, text: text.to_owned() });
     }
 
-    /// A line of text that goes upwards, its middle at the place.
+    /// Draws a line of text upwards, centred at the position.
     pub fn text_upwards(&mut self, (x, y): (f64, f64), size: f64, colour: Colour, text: &str) {
         let transform = format!("translate({} {}) rotate(-90)", number(x), number(y));
         self.marks.push(Mark::Text { transform, size, anchor: Anchor::Middle, colour, text: text.to_owned() });
@@ -252,7 +252,7 @@ impl Drawing {
         self.marks.push(Mark::Svg(element + "\n"));
     }
 
-    /// The page as SVG, its text in the letters of the viewer.
+    /// Returns the page as SVG; the viewer draws the text.
     pub fn to_svg(&self) -> String {
         self.written(false)
     }
@@ -269,25 +269,25 @@ impl Drawing {
         svg + "</svg>\n"
     }
 
-    /// The page as pixels, as resvg draws it, its text in the letters of [`text`].
+    /// Draws the page as pixels by resvg, with text in the letters of [`text`].
     ///
     /// # Errors
-    /// In words, where a side is too long.
+    /// A message if a side is too long.
     pub fn to_pixels(&self) -> Result<Plane<[u8; 3]>, String> {
         let tree = usvg::Tree::from_str(&self.written(true), &usvg::Options::default()).map_err(|e| e.to_string())?;
         let size = tree.size().to_int_size();
         let pixels = tiny_skia::Pixmap::new(size.width(), size.height());
         let mut pixels = pixels.ok_or_else(|| format!("a page of {} x {}", size.width(), size.height()))?;
         resvg::render(&tree, tiny_skia::Transform::identity(), &mut pixels.as_mut());
-        // The paper is white and opaque everywhere, so nothing is premultiplied.
+        // The page is white and opaque everywhere, so nothing is premultiplied.
         let rgb = pixels.data().chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect();
         Ok(Plane::from_vec(size.width() as usize, size.height() as usize, rgb))
     }
 
-    /// The page as a PNG file.
+    /// Returns the page as a PNG file.
     ///
     /// # Errors
-    /// In words, where a side is too long.
+    /// A message if a side is too long.
     pub fn to_png(&self) -> Result<Vec<u8>, String> {
         png_rgb(&self.to_pixels()?)
     }
@@ -338,7 +338,7 @@ mod tests {
     fn pixels_are_where_the_marks_are() {
         let pixels = page().to_pixels().unwrap();
         assert_eq!((pixels.width(), pixels.height()), (60, 40));
-        // The picture, magnified ten times without blur; the circle; the clipped bar; the paper.
+        // The picture, magnified ten times without blur; the circle; the clipped bar; the background.
         assert_eq!([(9, 9), (10, 9), (19, 19)].map(|(x, y)| pixels.at(x, y)[0]), [40, 200, 40]);
         assert_eq!((pixels.at(40, 20), pixels.at(40, 28)), ([220, 0, 0], [255; 3]));
         assert_eq!((pixels.at(5, 32), pixels.at(57, 32)), ([26; 3], [255; 3]));

@@ -1,8 +1,9 @@
 //! Text: the widths and outlines of letters, for layout and for drawings in pixels.
 //!
-//! In: text and its size in pixels. Out: widths, lines, and SVG path data. Cost: some 0.2 us a letter. Source: the font beside this file,
-//! DejaVu Sans Condensed 2.37 with its Latin, Greek and Cyrillic letters (`font/README.md`). It is the only font that is ever read, so that
-//! a drawing has the same pixels on every machine. Other scripts are boxes in pixels; an SVG file holds the text itself.
+//! In: text and its size in pixels. Out: widths, lines, and SVG path data. Cost: about 0.2 us per letter. Source: the
+//! font beside this file, DejaVu Sans Condensed 2.37 with its Latin, Greek and Cyrillic letters (`font/README.md`).
+//! No other font is used, so that a drawing has the same pixels on every machine. In pixels, letters of other scripts
+//! are boxes; SVG files contain the text.
 
 use std::fmt::Write;
 use std::sync::LazyLock;
@@ -11,21 +12,22 @@ use ttf_parser::{Face, OutlineBuilder};
 static FACE: LazyLock<Option<Face<'static>>> =
     LazyLock::new(|| Face::parse(include_bytes!("font/DejaVuSansCondensed.ttf"), 0).ok());
 
-/// Units of the font in the size of a text.
+/// Units of the font per text size.
 const EM: f64 = 2048.0;
 
-/// Width of a letter in units of the font. A letter that the font lacks is its box.
+/// Returns the width of a letter in units of the font. A letter that is not in the font has the width of a box.
 fn advance(face: &Face, c: char) -> u32 {
     face.glyph_hor_advance(face.glyph_index(c).unwrap_or_default()).unwrap_or_default().into()
 }
 
-/// Width of `text` at `size` pixels, in pixels.
+/// Returns the width of `text` at `size` pixels, in pixels.
 pub fn width(text: &str, size: f64) -> f64 {
     let units: u32 = FACE.iter().flat_map(|face| text.chars().map(|c| advance(face, c))).sum();
     f64::from(units) * size / EM
 }
 
-/// The outlines of `text` as SVG path data, and the pixels of a unit at `size`: x to the right from its beginning, y down from its base line.
+/// Returns the outlines of `text` as SVG path data, and the pixels per unit at `size`: x to the right from its start,
+/// y down from its base line.
 pub(super) fn outlines(text: &str, size: f64) -> (String, f64) {
     let mut outline = Outline::default();
     for (face, c) in FACE.iter().flat_map(|face| text.chars().map(move |c| (face, c))) {
@@ -38,7 +40,7 @@ pub(super) fn outlines(text: &str, size: f64) -> (String, f64) {
 #[derive(Default)]
 struct Outline {
     path: String,
-    /// Where the letter begins.
+    /// Left edge of the letter.
     left: f32,
 }
 
@@ -46,7 +48,7 @@ impl Outline {
     fn put(&mut self, command: char, points: &[(f32, f32)]) {
         self.path.push(command);
         for (x, y) in points {
-            // A subtraction from 0, so that there is no -0.
+            // A subtraction from 0, to avoid -0.
             let _ = write!(self.path, "{} {} ", self.left + x, 0.0 - y);
         }
     }
@@ -74,7 +76,7 @@ impl OutlineBuilder for Outline {
     }
 }
 
-/// `text` in lines no wider than `most` pixels, broken at spaces; a word that is wider by itself is shortened.
+/// Returns `text` in lines of at most `most` pixels, broken at spaces; longer words are shortened.
 pub fn wrap(text: &str, size: f64, most: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {
@@ -87,7 +89,7 @@ pub fn wrap(text: &str, size: f64, most: f64) -> Vec<String> {
     lines
 }
 
-/// `text`, its end replaced by dots where it is wider than `most` pixels.
+/// Returns `text`, with dots instead of its end if it is wider than `most` pixels.
 pub fn shorten(text: &str, size: f64, most: f64) -> String {
     if width(text, size) <= most {
         return text.to_owned();
@@ -107,7 +109,7 @@ mod tests {
         assert_eq!(f64::from(face.units_per_em()), EM);
         assert!((' '..='~').chain("éßŁőşπЖ°×−µ".chars()).all(|c| face.glyph_index(c).is_some()));
         assert_eq!(face.glyph_index('窓'), None);
-        // Digits are of one width; 1172 units as the font has them.
+        // All digits have the same width, 1172 units in the font.
         assert!(('0'..='9').all(|c| advance(face, c) == 1172));
         assert!((width("f/8", 17.0) - ["f", "/", "8"].map(|t| width(t, 17.0)).iter().sum::<f64>()).abs() < 1e-9);
     }
@@ -118,7 +120,7 @@ mod tests {
         let (two, _) = outlines("II", 2048.0);
         assert!(one.starts_with('M') && one.ends_with('Z') && two.starts_with(&one) && two[one.len()..].ends_with("Z"));
         assert_eq!(unit, 1.0);
-        // A space has no outline, a letter that the font lacks has that of a box.
+        // A space has no outline; a letter that is not in the font has that of a box.
         assert_eq!(outlines(" ", 10.0).0, "");
         assert!(outlines("窓", 10.0).0.contains('Z'));
     }

@@ -1,6 +1,7 @@
-//! Tables: exposures, places, bitmaps, keypoints and matches of every frame, for programs.
+//! Tables: exposures, alignment, bitmaps, keypoints and matches of every frame, for programs.
 //!
-//! In: the [`Report`] of an alignment and each frame's evidence. Out: `tables.json`, versioned by [`SCHEMA`], units in its keys. Cost: none.
+//! In: the [`Report`] of an alignment and the evidence of each frame. Out: `tables.json`, with the version [`SCHEMA`]
+//! and units in its keys. Cost: negligible.
 
 use super::{Against, Evidence};
 use crate::align::diagnostics::{Curve, FeatureKind, distance_px};
@@ -10,7 +11,7 @@ use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// The version of the JSON: keys are only ever added to it.
+/// The version of the JSON: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-inspect/1";
 
 /// All tables of a bracket.
@@ -20,9 +21,9 @@ pub struct Tables {
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// Width of every frame, orientation applied.
+    /// Width of every frame, after EXIF orientation.
     pub width_px: usize,
-    /// Height of every frame, orientation applied.
+    /// Height of every frame, after EXIF orientation.
     pub height_px: usize,
     /// Width of the pyramid level used for bitmaps and features.
     pub level_width_px: usize,
@@ -102,7 +103,7 @@ pub struct FeatureTable {
     pub plain: KindTable,
     /// SIFT on its median threshold bitmap.
     pub mtb: KindTable,
-    /// Both, points found twice counted once.
+    /// Both; points found twice are counted once.
     pub merged: KindTable,
 }
 

@@ -1,4 +1,4 @@
-//! A bracket with a known motion, inspected: what the tables and sheets say.
+//! Inspection of a bracket with known motion: contents of tables and sheets.
 
 use super::*;
 use crate::align;
@@ -101,12 +101,12 @@ fn every_sheet_is_well_formed_and_as_large_as_it_says() {
                         let drawing = drawn(sheet);
                         let svg = drawing.to_svg();
                         resvg::usvg::roxmltree::Document::parse(&svg).unwrap();
-                        // But for the pictures, in whose letters anything may occur.
+                        // Without the pictures, whose base64 may contain anything.
                         let marks = svg.lines().filter(|l| !l.starts_with("<image"));
                         assert!(marks.clone().all(|l| !l.contains("NaN") && !l.contains("inf")), "{kind:?}");
                         let pixels = drawing.to_pixels().unwrap();
                         assert_eq!((pixels.width(), pixels.height()), (drawing.width(), drawing.height()));
-                        // Something is drawn: not all of it is paper.
+                        // Something is drawn: not all pixels are white.
                         let marked = pixels.as_slice().iter().filter(|p| **p != [255; 3]).count();
                         assert!(marked * 20 > pixels.as_slice().len(), "{kind:?}");
                     }

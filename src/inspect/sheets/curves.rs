@@ -1,7 +1,8 @@
-//! Curves: the share of pixels that differ between two bitmaps against rotation and shift.
+//! Curves: the fraction of pixels that differ between two bitmaps, against rotation and shift.
 //!
-//! In: [`XorCurves`]. Out: a drawing of three plots with one scale, the motion found marked in each. Cost: some hundred numbers. Source:
-//! the thesis's plot of the XOR count against the angle, made a share of what can be compared.
+//! In: [`XorCurves`]. Out: a drawing of three plots with the same scale, with the motion marked in each. Cost: some
+//! hundred numbers. Source: the plot of the XOR count against the angle in the thesis, divided by the number of
+//! comparable pixels.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use crate::align::diagnostics::{Curve, XorCurves};
@@ -11,7 +12,7 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 const CURVE: Colour = Colour(0, 114, 178);
 const FOUND: Colour = Colour(213, 94, 0);
 
-/// A plot, and the room for its axes, in pixels.
+/// A plot and the space for its axes, in pixels.
 const WIDTH: f64 = 400.0;
 const HEIGHT: f64 = 330.0;
 const LEFT: f64 = 76.0;
@@ -19,7 +20,8 @@ const BELOW: f64 = 62.0;
 const ABOVE: f64 = 30.0;
 const GAP: f64 = 26.0;
 
-/// `curves`; `placed` says whether they are about the alignment's motion, or about the bitmaps' own.
+/// Draws `curves`; `placed` is whether they are centred at the motion of the alignment, or at the best match of the
+/// bitmaps.
 pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) -> Drawing {
     let [dx, dy, angle] = curves.centre.map(|v| v + 0.0);
     let plots = [
@@ -50,7 +52,7 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
     page.drawing
 }
 
-/// `curve` against what `name` says, and where the motion was found.
+/// Draws `curve` against the quantity `name`, with a mark at the motion.
 fn draw_plot(page: &mut Drawing, area: Area, curve: &Curve, (name, up): (&str, &Axis), (at, found): (f64, &str)) {
     let (Some(first), Some(last)) = (curve.at.first(), curve.at.last()) else { return };
     let plot = Plot { area, x: Axis::within(*first, *last, 6, name), y: up.clone() };

@@ -1,7 +1,7 @@
-//! Edges: how strong they are at each pixel of a frame, comparable between exposures.
+//! Edges: their strength at each pixel of a frame, comparable between exposures.
 //!
-//! In: grey levels. Out: [`Edges`]. Cost: two passes over the picture. Exposures are made alike by the logarithm of the grey levels and by the
-//! share of the strongest edges.
+//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. Exposures are made comparable by the logarithm
+//! of the grey values, and by scaling to the strongest edges.
 
 use crate::align::Transform;
 use crate::align::transform::map;
@@ -10,7 +10,7 @@ use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use crate::statistics::of_rank;
 
-/// `small`, a reduced frame, on the reference's grid reduced alike.
+/// Returns `small`, a reduced frame, on the grid of the equally reduced reference.
 pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Grey {
     let (width, height) = (small.width(), small.height());
     let h = warp.matrix(reference.width(), reference.height());
@@ -39,28 +39,28 @@ pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Gr
     Grey { levels, outside: Some(outside) }
 }
 
-/// A grey picture, and where it has nothing to show.
+/// A grey picture with a mask of its valid part.
 pub(super) struct Grey {
     pub(super) levels: Plane<u8>,
     pub(super) outside: Option<Plane<bool>>,
 }
 
-/// Noise of codes near black is no edge: so many codes are added before the logarithm.
+/// Added to codes before the logarithm, so that noise near black has no edges.
 const BLACK: f64 = 8.0;
-/// Smoothing before the differences are taken, in pixels.
+/// Smoothing before differentiation, in pixels.
 const SMOOTHING: f64 = 0.8;
-/// The share of the pixels whose edges are shown in full.
+/// The fraction of the pixels whose edges are shown at full strength.
 const STRONGEST: f64 = 0.02;
 
-/// How strong the edge is at each pixel.
+/// The strength of edges.
 pub(super) struct Edges {
-    /// 0..=255.
+    /// Strength at each pixel, 0..=255.
     pub(super) strength: Plane<u8>,
-    /// Sobel's gradient of log(code) that is shown as 255.
+    /// Sobel gradient of log(code) that is shown as 255.
     pub(super) full: f32,
 }
 
-/// So many pixels about what is outside, what was smoothed and compared reaches it.
+/// Smoothing and differentiation extend over this many pixels around the invalid part.
 const REACH: usize = 3;
 
 impl Grey {
@@ -68,7 +68,7 @@ impl Grey {
         Grey { levels, outside: None }
     }
 
-    /// The edges, those that are as strong as `least` or as the picture's strongest shown in full, whichever is more.
+    /// Returns the edges; full strength is that of the strongest edges of the picture, but at least `least`.
     pub(super) fn edges(&self, least: f32) -> Edges {
         let (width, height) = (self.levels.width(), self.levels.height());
         let logarithms: [f32; 256] = std::array::from_fn(|v| libm::log(v as f64 + BLACK) as f32);
@@ -79,7 +79,7 @@ impl Grey {
         });
         let smooth = gaussian(&log, SMOOTHING);
         let strength = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-            // At the border there is nothing to compare with.
+            // Pixels at the border have no neighbours.
             if y == 0 || y + 1 >= height || width < 3 {
                 return;
             }
@@ -102,7 +102,7 @@ impl Grey {
         Edges { strength, full }
     }
 
-    /// Whether nothing outside the frame is near.
+    /// Whether no invalid pixel is near.
     fn is_inside(&self, x: usize, y: usize) -> bool {
         let Some(outside) = &self.outside else { return true };
         let near = |v: usize, n: usize| v.saturating_sub(REACH)..(v + REACH + 1).min(n);
@@ -132,13 +132,13 @@ mod tests {
         let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();
         let frame = Frame::new("x".into(), size.0, size.1, samples, exposure);
         let after = laid(&grey, &truth, &frame).edges(LEAST_FULL).strength;
-        // The edge of what was photographed is no edge of the scene.
-        // With 14 px to the right and 1 deg it lies at columns 343 to 347.
+        // The border of the photograph is not an edge of the scene. With 14 px to the right and 1 deg it is in
+        // columns 343 to 347.
         assert!((0..size.1).all(|y| after.row(y)[345..].iter().all(|v| *v == 0)));
         let after = mean_min(&reference, &after);
         let (before, most) =
             (mean_min(&reference, &Grey::whole(grey).edges(LEAST_FULL).strength), mean_min(&reference, &reference));
-        // What is left is noise, resampling, and a strip of 14 of 360 px that the frame does not reach.
+        // What remains is noise, resampling, and a strip of 14 of 360 px that the frame does not cover.
         assert!(most - after < 0.5 * (most - before), "{before} {after} {most}");
     }
 

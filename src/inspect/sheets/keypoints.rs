@@ -1,7 +1,8 @@
-//! Keypoints on a frame: those of the plain picture, those of its bitmap, and those that are both.
+//! Keypoints on a frame: of the photograph, of its bitmap, and of both.
 //!
-//! In: a frame and its features. Out: a drawing with a circle for each keypoint, its radius the scale, and a tick in its direction. Cost:
-//! some 70 bytes a keypoint. Source: the thesis's figures of chapter 4, in colours that the colour-blind tell apart (after Okabe & Ito 2008).
+//! In: a frame and its features. Out: a drawing with a circle for each keypoint, whose radius is the scale, and a
+//! tick in its direction. Cost: about 70 bytes per keypoint. Source: the figures of chapter 4 of the thesis, in
+//! colours that can be distinguished with colour blindness (after Okabe & Ito 2008).
 
 use super::layout::{Entry, Mark, Page};
 use super::photograph::Photograph;
@@ -9,17 +10,17 @@ use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
 use crate::draw::svg::{Colour, Drawing, Path, Pen};
 
-/// Keypoints of the plain picture alone: vermilion, lightened.
+/// Keypoints only of the photograph: light vermilion.
 const PLAIN: Colour = Colour(255, 122, 46);
-/// ... of the bitmap alone: sky blue.
+/// Keypoints only of the bitmap: sky blue.
 const MTB: Colour = Colour(86, 196, 255);
-/// ... of both: yellow.
+/// Keypoints of both: yellow.
 const BOTH: Colour = Colour(250, 236, 60);
 
-/// A smaller circle would be a dot without a direction, in pixels of the page.
+/// Smallest radius, in pixels of the page; a smaller circle would be a dot without direction.
 const LEAST_RADIUS: f64 = 2.5;
 
-/// Keypoints of the plain picture alone, of its bitmaps alone, and of both.
+/// Returns the keypoints only of the photograph, only of its bitmaps, and of both.
 pub(crate) fn layers(features: &FrameFeatures) -> [Vec<Keypoint>; 3] {
     let ([plain, mtb], [in_mtb, in_plain]) = (features.keypoints(), features.found_twice());
     let some = |points: &[Keypoint], twice: &[bool], wanted: bool| {
@@ -28,7 +29,7 @@ pub(crate) fn layers(features: &FrameFeatures) -> [Vec<Keypoint>; 3] {
     [some(&plain, &in_mtb, false), some(&mtb, &in_plain, false), some(&mtb, &in_plain, true)]
 }
 
-/// The keypoints of `features` on `photograph`.
+/// Draws the keypoints of `features` on `photograph`.
 pub(in crate::inspect) fn draw(
     title: &str,
     photograph: &Photograph,
@@ -68,7 +69,7 @@ pub(in crate::inspect) fn draw(
     page.drawing.clipped(area, |inside| {
         for (colour, points) in [PLAIN, MTB, BOTH].into_iter().zip(&layers) {
             let path = marks(points);
-            // A dark edge, so that the colours are seen on what is bright.
+            // A dark edge, so that the colours are visible on bright parts.
             inside.stroke(&path, Pen { colour: Colour::INK, width: 2.6, opacity: 0.45 });
             inside.stroke(&path, Pen { colour, width: 1.2, opacity: 1.0 });
         }

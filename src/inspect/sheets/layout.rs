@@ -1,52 +1,52 @@
-//! The page: a title, a legend, room for what is drawn, and notes below, laid out for any width.
+//! The page of a sheet: a title, a legend, space for the drawing, and notes below, for any width.
 //!
-//! In: words. Out: a [`Drawing`] and the corner from which its content goes. Cost: none.
+//! In: texts. Out: a [`Drawing`] and the corner of its content. Cost: negligible.
 
 use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 use crate::draw::text;
 
-/// Sizes of text, in pixels.
+/// Text sizes, in pixels.
 pub(super) const TITLE: f64 = 22.0;
 pub(super) const TEXT: f64 = 17.0;
-/// Paper around everything, in pixels.
+/// Margin around the page, in pixels.
 const MARGIN: f64 = 20.0;
-/// From one line of text to the next.
+/// Line spacing.
 const LEADING: f64 = 1.45;
-/// Paper between a sample of the legend and its words, and between entries.
+/// Distance between a sample of the legend and its text, and between entries, in pixels.
 const SAMPLE: f64 = 34.0;
 const GAP: f64 = 28.0;
-/// A page is at least so wide, so that words have room.
+/// Smallest width of a page, for the texts.
 const LEAST_WIDTH: f64 = 700.0;
 
-/// Behind samples whose colours are chosen for photographs.
+/// Background of samples whose colours are chosen for photographs.
 const DARK: Colour = Colour(56, 56, 56);
 
-/// What a colour of the drawing means.
+/// An entry of the legend: the meaning of a colour.
 pub(super) struct Entry {
     pub(super) mark: Mark,
     pub(super) colour: Colour,
     pub(super) words: String,
 }
 
-/// What the sample of a legend looks like.
+/// The sample of a legend entry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mark {
-    /// A circle with a tick, on a dark ground.
+    /// A circle with a tick, on a dark background.
     Keypoint,
-    /// A line, on a dark ground.
+    /// A line, on a dark background.
     Line,
-    /// The colour itself.
+    /// A filled rectangle.
     Patch,
 }
 
-/// A drawing with its words, and where its content begins.
+/// A drawing with its texts, and the position of its content.
 pub(super) struct Page {
     pub(super) drawing: Drawing,
     pub(super) corner: (f64, f64),
 }
 
 impl Page {
-    /// A page around content of `size` pixels.
+    /// Creates a page around content of `size` pixels.
     pub(super) fn new(title: &str, legend: &[Entry], size: (f64, f64), notes: &str) -> Self {
         let inner = size.0.max(LEAST_WIDTH - 2.0 * MARGIN);
         let lines = if notes.is_empty() { Vec::new() } else { text::wrap(notes, TEXT, inner) };
@@ -78,7 +78,7 @@ impl Page {
     }
 }
 
-/// The legend's entries in rows no wider than `most`.
+/// Divides the legend's entries into rows of at most `most` pixels.
 fn rows(legend: &[Entry], most: f64) -> Vec<Vec<&Entry>> {
     let mut rows: Vec<(f64, Vec<&Entry>)> = Vec::new();
     for entry in legend {

@@ -12,17 +12,17 @@ const OUTLIER: Colour = Colour(255, 122, 46);
 
 /// Maximum number of lines; more would hide each other.
 const MOST_LINES: usize = 160;
-/// Paper between the two frames, in pixels.
+/// Distance between the two frames, in pixels.
 const GAP: f64 = 16.0;
-/// Room for the names above the frames.
+/// Height of the names above the frames.
 const NAMES: f64 = 26.0;
 
-/// Of all matches only one in so many is drawn as a line, so that there are at most [`MOST_LINES`].
+/// Returns the step between drawn matches for at most [`MOST_LINES`] lines.
 fn stride(matches: usize) -> usize {
     matches.div_ceil(MOST_LINES).max(1)
 }
 
-/// `matching` between two frames, given with their names, the reference on the left.
+/// Draws `matching` between two frames, given with their names, the reference on the left.
 pub(in crate::inspect) fn draw(
     title: &str,
     [reference, frame]: [(&str, &Photograph); 2],
@@ -92,7 +92,7 @@ mod tests {
         let inlier = (0..321).map(|i| i % 2 == 0).collect();
         let matching = Matching { pairs, inlier, transform: Some(Transform::Identity) };
         let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
-        // Circles are arcs, two each; lines have an L. Every third match has a line.
+        // Each circle consists of two arcs; lines have an L. Every third match has a line.
         let count =
             |pen, letter| svg.lines().filter(|l| l.contains(pen)).map(|p| p.matches(letter).count()).sum::<usize>();
         assert_eq!(count("fill-opacity=\"0.9\"", "a1.6 1.6"), 2 * 2 * 321);

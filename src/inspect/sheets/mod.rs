@@ -1,6 +1,7 @@
-//! Sheets: everything that is drawn of a bracket, each kind in the file of its name.
+//! Sheets: the drawings of an inspection, one file for each kind.
 //!
-//! In: what an [inspection](super) found. Out: [drawings](crate::draw::svg), and pictures for a page. Cost: some tenths of a second a sheet.
+//! In: the data of an [inspection](super). Out: [drawings](crate::draw::svg), and pictures for a page. Cost: some
+//! tenths of a second per sheet.
 
 pub(super) mod curves;
 mod edges;

@@ -1,15 +1,16 @@
-//! The overlay: the edges of a frame laid over those of the reference, before and after alignment, as two pictures of one size that are made to
-//! be looked at one over the other.
+//! The overlay: the edges of a frame over those of the reference, before and after alignment, as two pictures of the
+//! same size, for comparison by switching between them.
 //!
-//! In: two frames and a warp. Out: an [`Overlay`]: above the whole picture, below it, where the photographs are large enough, a row of places at
-//! twice their size, where half a pixel is seen. Cost: that of the drawing of `edges`, in whose colours it is.
+//! In: two frames and a transform. Out: an [`Overlay`]: the whole picture and, if the photographs are large enough, a
+//! row of details at twice their size below it, in which half a pixel is visible. Cost: that of drawing `edges`,
+//! whose colours it uses.
 
 use super::views::{BOX, Couple, DETAIL_GAP, Detail, MAGNIFIED, Views, two_colours};
 use crate::plane::Plane;
 
-/// Edges weaker than this, of 255, are noise, and are not shown here: they would weigh more than all others.
+/// Weaker edges, of 255, are noise and not shown here: there would be more of them than of all others.
 const NOISE: u16 = 26;
-/// Thickness of the boxes around the places shown larger, in pixels.
+/// Line width of the boxes around the details, in pixels.
 const PEN: usize = 2;
 
 /// A frame over the reference.
@@ -17,13 +18,13 @@ const PEN: usize = 2;
 pub struct Overlay {
     /// As photographed.
     pub before: Plane<[u8; 3]>,
-    /// As aligned; none where the frame was left out.
+    /// As aligned; `None` if the frame was rejected.
     pub after: Option<Plane<[u8; 3]>>,
-    /// Rows that the whole picture takes; what is below them are places at twice their size.
+    /// Number of rows of the whole picture; the details are below.
     pub whole_rows: usize,
 }
 
-/// The couple's overlay, on pictures of at most `most` pixels across.
+/// Returns the overlay of the couple, at most `most` pixels wide.
 pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
     let views = Views::new(couple, (most, most), false);
     let (width, height) = (views.reference.strength.width(), views.reference.strength.height());
@@ -44,7 +45,7 @@ pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, St
     Ok(Overlay { before: picture(0)?, after, whole_rows: height })
 }
 
-/// `strength` without what is noise; what is strongest stays as strong.
+/// Returns `strength` without noise; the strongest edges keep their strength.
 fn plain(strength: &Plane<u8>) -> Plane<u8> {
     Plane::from_rows(strength.width(), strength.height(), |y, row: &mut [u8]| {
         for (v, s) in row.iter_mut().zip(strength.row(y)) {
@@ -53,7 +54,8 @@ fn plain(strength: &Plane<u8>) -> Plane<u8> {
     })
 }
 
-/// Puts `picture`, every pixel a square of `side`, on `sheet` with its upper left corner at `corner`; what does not fit is cut off.
+/// Copies `picture`, every pixel as a square of `side`, to `sheet` with its upper left corner at `corner`; parts
+/// outside are dropped.
 fn put(sheet: &mut Plane<[u8; 3]>, corner: (usize, usize), side: usize, picture: &Plane<[u8; 3]>) {
     let rows = (picture.height() * side).min(sheet.height().saturating_sub(corner.1));
     for y in 0..rows {
@@ -63,7 +65,7 @@ fn put(sheet: &mut Plane<[u8; 3]>, corner: (usize, usize), side: usize, picture:
     }
 }
 
-/// A box around `place` of the photograph of size `full`, which takes `size` of the sheet.
+/// Draws a box around `place` of a photograph of size `full`, which has `size` on the sheet.
 fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize), full: (usize, usize)) {
     let at = |v: usize, most: usize, of: usize| (v * most / of).min(most - 1);
     let (left, right) = (at(place.x, size.0, full.0), at(place.x + place.width, size.0, full.0));
@@ -88,7 +90,7 @@ mod tests {
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{Frame, Samples};
 
-    /// Pixels that are of one colour alone: an edge of one frame without its partner.
+    /// Returns the number of pixels with one of the colours: edges that are only in one frame.
     fn alone(sheet: &Plane<[u8; 3]>) -> usize {
         sheet.as_slice().iter().filter(|[r, _, b]| r.abs_diff(*b) > 90).count()
     }
@@ -113,9 +115,9 @@ mod tests {
         let after = overlay.after.unwrap();
         assert_eq!((after.width(), overlay.whole_rows), (450, 300));
         assert_eq!((after.width(), after.height()), (overlay.before.width(), overlay.before.height()));
-        // There is a row of places, and it too shows the motion.
+        // There is a row of details, which also shows the motion.
         assert!(after.height() > 350);
-        // What is left is the scene's noise and the strip that the frame does not reach.
+        // What remains is the noise of the scene, and the strip that the frame does not cover.
         assert!(2 * alone(&after) < alone(&overlay.before), "{} {}", alone(&after), alone(&overlay.before));
         assert!(of(&couple(None), 450).unwrap().after.is_none());
     }

@@ -1,4 +1,4 @@
-//! Photographs on a drawing: a frame's grey at the size it is drawn, bright enough to see.
+//! Photographs in a drawing: the grey values of a frame, scaled and bright enough to see.
 //!
 //! In: grey planes of any size. Out: [`Photograph`]s. Cost: a pass over the plane.
 
@@ -7,26 +7,26 @@ use crate::draw::scale::reduce;
 use crate::draw::svg::{Area, Drawing};
 use crate::plane::Plane;
 
-/// A frame as it is drawn: grey, within the range in which coloured marks stand out.
+/// A frame as drawn: in grey, in a range in which coloured marks are visible.
 pub(in crate::inspect) struct Photograph {
-    /// The grey levels as shown.
+    /// The grey values as shown.
     pub(in crate::inspect) grey: Plane<u8>,
     /// Width of the whole frame, in pixels.
     full: (usize, usize),
-    /// How many pixels of the page one of `grey` takes.
+    /// Pixels of the page per pixel of `grey`.
     magnified: f64,
     /// Whether it is shown brighter than it is.
     pub(in crate::inspect) brightened: bool,
 }
 
-/// Grey levels that a photograph is shown in: marks in full colours are seen on all of them.
+/// Range of the shown grey values: marks in full colours are visible on all of them.
 const DARKEST: f64 = 12.0;
 const BRIGHTEST: f64 = 184.0;
-/// The median is shown at this share of the range at least.
+/// The median is shown at least at this fraction of the range.
 const LEAST_MEDIAN: f64 = 0.25;
 
 impl Photograph {
-    /// `frame` in no more than `most` pixels; a small one is magnified by a whole number.
+    /// Scales `frame` to at most `most` pixels; a small frame is magnified by an integer.
     pub(in crate::inspect) fn new(frame: &Plane<u8>, most: (usize, usize)) -> Self {
         let small = reduce(frame, most);
         let fits = (most.0 / small.width()).min(most.1 / small.height()).max(1);
@@ -39,23 +39,24 @@ impl Photograph {
         Photograph { grey, full: (frame.width(), frame.height()), magnified: fits as f64, brightened }
     }
 
-    /// Width and height on the page, in pixels.
+    /// Returns width and height on the page, in pixels.
     pub(in crate::inspect) fn size(&self) -> (f64, f64) {
         (self.grey.width() as f64 * self.magnified, self.grey.height() as f64 * self.magnified)
     }
 
-    /// How many pixels of the page one of the frame takes.
+    /// Returns the pixels of the page per pixel of the frame.
     pub(in crate::inspect) fn scale(&self) -> f64 {
         self.size().0 / self.full.0 as f64
     }
 
-    /// Where the frame's pixel (x, y) lies on a page on which the photograph's upper left corner is at `corner`.
+    /// Returns the position of the frame's pixel (x, y) on a page with the upper left corner of the photograph at
+    /// `corner`.
     pub(in crate::inspect) fn place(&self, corner: (f64, f64), x: f64, y: f64) -> (f64, f64) {
         let (w, h) = self.size();
         (corner.0 + (x + 0.5) * w / self.full.0 as f64, corner.1 + (y + 0.5) * h / self.full.1 as f64)
     }
 
-    /// Puts it on `page`, and gives the area that it takes.
+    /// Draws it on `page`, and returns its area.
     pub(in crate::inspect) fn put(&self, page: &mut Drawing, corner: (f64, f64)) -> Result<Area, String> {
         let (width, height) = self.size();
         let area = Area { x: corner.0, y: corner.1, width, height };
@@ -64,8 +65,8 @@ impl Photograph {
     }
 }
 
-/// What each grey level is shown as: white where the frame's brightest few pixels in a thousand begin, its median not too dark to see, and in
-/// a dark frame the camera's black level black.
+/// Returns the shown value of each grey value: the brightest few pixels in a thousand become white, the median is at
+/// least visible, and in a dark frame the camera's black level becomes black.
 fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
     let mut counts = [0usize; 256];
     for &v in grey.as_slice() {

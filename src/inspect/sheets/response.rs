@@ -1,7 +1,7 @@
-//! The response, drawn: stops of exposure over code values.
+//! The response as a plot: stops of exposure against code values.
 //!
-//! In: a [`ResponseCurve`] and the samples that it was made of. Out: a drawing; its bytes as SVG or PNG by extension. Cost: some thousand dots;
-//! 0.1 s as PNG. Source: the figure of Debevec & Malik 1997 (figure 7), its axes exchanged for the way a code is read.
+//! In: a [`ResponseCurve`] and the samples from which it was recovered. Out: a drawing; its bytes as SVG or PNG by
+//! extension. Cost: some thousand dots; 0.1 s as PNG. Source: figure 7 of Debevec & Malik 1997, with exchanged axes.
 
 use super::layout::{Entry, Mark, Page};
 use crate::draw::plot::{Axis, Plot};
@@ -19,18 +19,18 @@ const CHANNELS: [(Colour, &str); 3] =
     [(Colour(213, 94, 0), "red"), (Colour(0, 158, 115), "green"), (Colour(0, 114, 178), "blue")];
 const SRGB: Colour = Colour(70, 70, 70);
 
-/// The plot and the room for its axes, in pixels.
+/// The plot and the space for its axes, in pixels.
 const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 560.0;
 const LEFT: f64 = 70.0;
 const BELOW: f64 = 60.0;
 const ABOVE: f64 = 10.0;
-/// Places of each channel that are drawn, at most.
+/// Largest number of drawn places per channel.
 const DOTS: usize = 600;
 /// Lowest exposure that is drawn, in stops below that of code value 128; the exposure of code value 0 is not known.
 const DEEPEST: f64 = 14.0;
 
-/// `curve` with the `samples` that it was made of, if any; `title` names the camera.
+/// Draws `curve` with the `samples` from which it was recovered, if any; `title` is the camera.
 pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) -> Drawing {
     let mut legend: Vec<Entry> =
         CHANNELS.iter().map(|&(colour, name)| Entry { mark: Mark::Patch, colour, words: name.into() }).collect();
@@ -41,7 +41,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let stops = |ln: f64| ln / LN_2;
     let srgb = ResponseCurve::srgb();
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
-    // From code 1 on, and not deeper than is worth it.
+    // From code 1 on, and not below the deepest exposure.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
     let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure, stops relative to code value 128");
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
@@ -68,17 +68,18 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     page.drawing
 }
 
-/// A place's views: code, and ln of the exposure that its radiance and the frames' times mean, the radiance that which suits `g` best.
+/// Returns the views of a place: code, and ln of the exposure from its radiance and the exposures of the frames. The
+/// radiance is the one that fits `g` best.
 fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (f64, f64)> + 'a {
     let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(g, v.code) - v.ln_time));
     let (weight, sum) = weights.fold((0.0, 0.0), |(a, b), (w, ln_e)| (a + w, b + w * ln_e));
     sample.views.iter().map(move |v| (v.code, sum / weight + v.ln_time))
 }
 
-/// A drawing as the content of a file, or why it cannot be drawn.
+/// Encodes a drawing as the content of a file, or returns the reason why not.
 pub type Encode = fn(&Drawing) -> std::result::Result<Vec<u8>, String>;
 
-/// How a plot is encoded for the file `path`, by its extension in any case.
+/// Returns the encoder for the file `path`, by its extension in upper or lower case.
 ///
 /// # Errors
 /// [`Error::UnknownExtension`].
@@ -90,10 +91,10 @@ pub fn format(path: &FilePath) -> Result<Encode> {
     }
 }
 
-/// `drawing` as the content of the file `path`.
+/// Encodes `drawing` as the content of the file `path`.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Write`] where it cannot be drawn.
+/// [`Error::UnknownExtension`]; [`Error::Write`] if it cannot be drawn.
 pub fn encode(drawing: &Drawing, path: &FilePath) -> Result<Vec<u8>> {
     let failed = |reason: String| Error::Write { path: path.to_owned(), source: io::Error::other(reason) };
     format(path)?(drawing).map_err(failed)
@@ -122,7 +123,7 @@ mod tests {
         let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();
         let picture = image::load_from_memory(&png).unwrap().to_rgb8();
         assert_eq!((picture.width() as usize, picture.height() as usize), (drawing.width(), drawing.height()));
-        // All three channels are drawn, one on the other: blue is the last.
+        // All three channels are drawn, one over the other: blue is the last.
         assert!(picture.pixels().filter(|p| p.0[2] > 130 && p.0[0] < 90).count() > 500);
         assert!(encode(&drawing, FilePath::new("a.pdf")).is_err());
     }

@@ -1,7 +1,7 @@
-//! Views: the edges of the reference and those of a frame in two colours that add up to white, before and after alignment.
+//! Views: the edges of the reference and of a frame in two colours that add up to white, before and after alignment.
 //!
-//! In: two frames and a warp. Out: [`Views`], the whole picture and places with edges at twice their size, where half a pixel is seen; as
-//! a drawing for a file. Cost: two passes over the pictures at the size they are drawn.
+//! In: two frames and a transform. Out: [`Views`]: the whole picture and details at twice their size, in which half a
+//! pixel is visible; as a drawing for a file. Cost: two passes over the pictures at the drawn size.
 
 use super::edges::{Edges, Grey, laid};
 use super::layout::{Entry, Mark, Page, TEXT};
@@ -17,33 +17,33 @@ use crate::plane::Plane;
 const REFERENCE: Colour = Colour(255, 140, 0);
 const FRAME: Colour = Colour(0, 115, 255);
 
-/// Around what is shown larger.
+/// Colour of the boxes around the details.
 pub(super) const BOX: Colour = Colour(255, 240, 0);
 
-/// One side, in pixels of the page at the most.
+/// Largest size of one side, in pixels of the page.
 const SIDE: (usize, usize) = (780, 780);
-/// Paper between the sides and the details.
+/// Distance between the sides and the details, in pixels.
 const GAP: f64 = 16.0;
 pub(super) const DETAIL_GAP: f64 = 8.0;
-/// Room for the words above each side.
+/// Height of the texts above each side.
 const NAMES: f64 = 26.0;
-/// Details in a row below each side, and how many pixels of the page one of theirs takes.
+/// Number of details in a row below each side, and pixels of the page per pixel of a detail.
 const DETAILS: usize = 3;
 pub(super) const MAGNIFIED: usize = 2;
-/// Details this share of the diagonal apart are as far apart as need be.
+/// Details this fraction of the diagonal apart are far enough apart.
 const APART: f64 = 0.35;
-/// In a picture without contrast noise stays faint: so much is shown in full at the least.
+/// Smallest gradient shown at full strength, so that noise is faint in a picture without contrast.
 pub(super) const LEAST_FULL: f32 = 0.05;
-/// In a detail the same, as a share of what is shown in full in the whole.
+/// The same for a detail, relative to the full strength in the whole picture.
 const FAINT_DETAIL: f32 = 0.6;
 
-/// Two frames, and where the one lies in the other.
+/// Two frames, and the transform between them.
 pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) reference: &'a Frame,
     pub(in crate::inspect) frame: &'a Frame,
     pub(in crate::inspect) reference_grey: &'a Plane<u8>,
     pub(in crate::inspect) frame_grey: &'a Plane<u8>,
-    /// Reference pixel -> frame pixel; none where the frame was rejected.
+    /// Reference pixel -> frame pixel; `None` if the frame was rejected.
     pub(in crate::inspect) warp: Option<Transform>,
 }
 
@@ -51,17 +51,17 @@ pub(in crate::inspect) struct Couple<'a> {
 pub(super) struct Views<'a> {
     couple: &'a Couple<'a>,
     pub(super) reference: Edges,
-    /// Those of the frame as it was photographed; then, unless it was left out, as it was aligned.
+    /// The edges of the frame as photographed and, unless it was rejected, as aligned.
     pub(super) frame: Vec<(Transform, Edges)>,
-    /// Pixels of the page that the whole picture takes.
+    /// Size of the whole picture in pixels of the page.
     pub(super) size: (f64, f64),
-    /// What is shown larger.
+    /// The details.
     pub(super) details: Vec<Detail>,
 }
 
 impl<'a> Views<'a> {
-    /// The edges of `couple` on pictures of at most `most` pixels; a small one takes a whole number of times as many of the page if
-    /// it `may_grow`.
+    /// Returns the edges of `couple` for pictures of at most `most` pixels; a small picture is magnified by an
+    /// integer if it `may_grow`.
     pub(super) fn new(couple: &'a Couple, most: (usize, usize), may_grow: bool) -> Self {
         let whole = reduce(couple.reference_grey, most);
         let times = (most.0 / whole.width()).min(most.1 / whole.height()).max(1);
@@ -77,7 +77,7 @@ impl<'a> Views<'a> {
         Views { couple, reference, frame, size, details }
     }
 
-    /// How strong the edges in `detail` are: those of the reference, and those of the frame in the view `k`.
+    /// Returns the strengths of the edges in `detail`: of the reference, and of the frame in the view `k`.
     pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
         let (warp, view) = &self.frame[k];
         let still = detail.grey(self.couple.reference, &Transform::Identity)?;
@@ -87,7 +87,7 @@ impl<'a> Views<'a> {
     }
 }
 
-/// The edges of the couple.
+/// Draws the edges of the couple.
 pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
     let views = Views::new(couple, SIDE, true);
     let (size, boxes) = (views.size, &views.details);
@@ -142,7 +142,7 @@ impl Detail {
         }
     }
 
-    /// Grey levels of `frame` there, resampled as merging does.
+    /// Returns the grey values of `frame` in the detail, resampled as in the merge.
     fn grey(&self, frame: &Frame, warp: &Transform) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
@@ -157,7 +157,8 @@ impl Detail {
     }
 }
 
-/// Places with many edges in both, far from each other, from left to right; none where the photograph is hardly larger than they are.
+/// Selects places with many edges in both, far from each other, sorted from left to right; none if the photograph is
+/// hardly larger than the details.
 fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
     let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
     let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
@@ -175,7 +176,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     let columns = (0..=across.saturating_sub(w)).step_by((w / 3).max(1));
     let places = columns.flat_map(|x| (0..=down.saturating_sub(h)).step_by((h / 3).max(1)).map(move |y| (x, y)));
     let rated: Vec<(f64, (usize, usize))> = places.map(|(x, y)| (common(x, y) as f64, (x, y))).collect();
-    // Beyond this, distance is no merit.
+    // Larger distances are no advantage.
     let far = APART * ((across * across + down * down) as f64).sqrt();
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     while chosen.len() < DETAILS {
@@ -184,7 +185,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
             ((dx * dx + dy * dy).sqrt() / far).min(1.0)
         };
         let merit = |(edges, at): (f64, (usize, usize))| chosen.iter().fold(edges, |m, c| m * apart(at, *c));
-        // Of equals the first.
+        // Of equal places the first.
         let best = rated.iter().copied().reduce(|a, b| if merit(b) > merit(a) { b } else { a });
         chosen.push(best.map_or((0, 0), |b| b.1));
     }
@@ -194,7 +195,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     chosen.into_iter().map(detail).collect()
 }
 
-/// The edges of the reference and of the frame, each in its colour, added.
+/// Adds the edges of the reference and of the frame, each in its colour.
 pub(super) fn two_colours(reference: &Plane<u8>, frame: &Plane<u8>) -> Plane<[u8; 3]> {
     let (a, b) = (REFERENCE.rgb(), FRAME.rgb());
     Plane::from_rows(reference.width(), reference.height(), |y, row| {

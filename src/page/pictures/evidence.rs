@@ -18,7 +18,7 @@ use crate::page::{COARSE, DRAWING, is_sought};
 use crate::plane::Plane;
 use std::fmt::Write;
 
-/// Columns of an overlay at the most, for as many frames; more share the room.
+/// Largest width of an overlay, and the number of frames with that width; more frames share the space.
 const OVERLAY: (usize, usize) = (680, 3);
 const LEAST_OVERLAY: usize = 360;
 /// JPEG quality of an overlay.
@@ -35,20 +35,20 @@ const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Evidence {
     pub bitmap: Picture,
-    /// The threshold's percentile and level, and the share that does not count.
+    /// Percentile and value of the threshold, and the fraction of excluded pixels.
     pub threshold: (u8, u8, f64),
-    /// What differs from the reference's bitmap; none for the reference.
+    /// Difference from the bitmap of the reference; `None` for the reference.
     pub xor: Option<Xor>,
     pub overlay: Option<Overlay>,
-    /// SVG of keypoints, where features were needed, and how many: plain alone, of bitmaps alone, in both.
+    /// SVG of keypoints, if features were needed, and their number: only photograph, only bitmaps, both.
     pub keypoints: Option<(String, [usize; 3])>,
-    /// SVG of matches, where features were needed; how many, and of these inliers.
+    /// SVG of matches, if features were needed; their number, and that of inliers.
     pub matches: Option<(String, usize, usize)>,
-    /// Whether the photograph behind those is brightened.
+    /// Whether the photograph behind them is brightened.
     pub brightened: bool,
 }
 
-/// Shares of differing pixels.
+/// Fractions of differing pixels.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Xor {
     pub before: f64,
@@ -64,7 +64,7 @@ pub(in crate::page) struct Overlay {
     pub has_details: bool,
 }
 
-/// Whether features were needed to place frame `i`, or another on it.
+/// Whether features were needed to align frame `i`, or another frame to it.
 pub(in crate::page) fn needs_features(alignment: &Alignment, i: usize) -> bool {
     match alignment.placements[i] {
         Placement::Reference => alignment.features.iter().any(|found| found.keypoints.is_some()),
@@ -127,7 +127,7 @@ pub(in crate::page) fn gather(
     (0..placements.len()).map(of).collect()
 }
 
-/// Dark, bright or not counting, by the pixel in the middle of each cell.
+/// Returns dark, bright or excluded, by the pixel in the middle of each cell.
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());
@@ -140,7 +140,7 @@ fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     })
 }
 
-/// Three plots with one scale: turned, shifted to the right, shifted down.
+/// Draws three plots with the same scale: rotation, shift to the right, shift down.
 fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     let [dx, dy, angle] = curves.centre;
     let all = [&curves.by_angle, &curves.by_dx, &curves.by_dy];
@@ -166,7 +166,7 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     }
 }
 
-/// Dots as one path of round pen strokes, in units of the drawing.
+/// Returns dots as one path of round strokes, in units of the drawing.
 fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     let mut path = String::new();
     for (x, y) in points {
@@ -175,7 +175,7 @@ fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     path
 }
 
-/// The beginning of a drawing of so many units, with words for those who do not see it.
+/// Returns the start of a drawing with so many units, with a description for screen readers.
 fn opened((w, h): (usize, usize), words: &str) -> String {
     let (ratio, words) = (w as f64 / h as f64, escape(words));
     format!(
@@ -183,13 +183,13 @@ fn opened((w, h): (usize, usize), words: &str) -> String {
     )
 }
 
-/// The photograph as SVG has it, `left` units from the left.
+/// Returns the photograph as an SVG element, `left` units from the left.
 fn behind(photograph: &Picture, left: usize) -> String {
     let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
     format!(r#"<image href="{}" x="{left}" width="{w}" height="{h}" preserveAspectRatio="none"/>"#, photograph.address)
 }
 
-/// Keypoints in `layers` on a photograph, of which a pixel of the frame takes `scale`; and how many in each.
+/// Draws keypoints in `layers` on a photograph with `scale` units per pixel of the frame; returns also their numbers.
 fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (String, [usize; 3]) {
     let counts = layers.each_ref().map(Vec::len);
     let words = format!(
@@ -205,12 +205,13 @@ fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (
     (svg + "</svg>\n", counts)
 }
 
-/// Units of a drawing from the left or the top to the middle of the frame's pixel `at`.
+/// Returns the units from the left or top of a drawing to the middle of the frame's pixel `at`.
 fn units(at: f64, scale: f64) -> f64 {
     (at + 0.5) * scale * UNITS as f64
 }
 
-/// The matches between two photographs side by side, of which a frame's pixel takes `scale`; the reference on the left.
+/// Draws the matches between two photographs side by side with `scale` units per pixel of a frame; the reference is
+/// on the left.
 fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -> String {
     let (w, h) = (UNITS * reference.width, UNITS * reference.height.max(frame.height));
     let gap = 8 * UNITS;
@@ -250,10 +251,10 @@ mod tests {
         let pairs = (0..361).map(|i| ([f64::from(i), 5.0], [f64::from(i), 9.0])).collect();
         let matching = Matching { pairs, inlier: (0..361).map(|i| i % 2 == 0).collect(), transform: None };
         let svg = matched(&matching, &[photograph.clone(), photograph], 0.5);
-        // Every fourth has a line; every one two dots.
+        // Every fourth match has a line; every match has two dots.
         assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));
         assert!(svg.contains("361 matches") && svg.contains("181 agree"));
-        // By hand: (0 + 1/2) / 2 * 2 is half a unit, to the nearest even; the frame's begins at 416.
+        // By hand: (0 + 1/2) / 2 * 2 is half a unit, rounded to even; the frame begins at 416.
         assert!(svg.contains("M0 6L416 10"), "{}", &svg[..900]);
     }
 }

@@ -1,6 +1,6 @@
-//! Frames: the part of each frame that the results show, in few pixels.
+//! Frames: the part of each frame that the result shows, reduced.
 //!
-//! In: a frame and how it lies. Out: its pixels on the grid of the results, reduced. Cost: that of resampling.
+//! In: a frame and its transform. Out: its pixels on the grid of the result, reduced. Cost: that of resampling.
 
 use crate::align::resampling::{resample_rows, rows_under};
 use crate::align::{Rect, Transform};
@@ -10,11 +10,11 @@ use crate::error::Result;
 use crate::plane::{BAND_ROWS, Plane};
 use rayon::prelude::*;
 
-/// Bands that are resampled at once.
+/// Number of bands that are resampled at once.
 const AT_ONCE: usize = 8;
 
-/// The part `region` of the reference as `frame` shows it, which lies as `warp` says, in `size` pixels; black where it does not reach. Read in
-/// bands, so that a frame on disk need not fit into memory.
+/// Returns the part `region` of the reference as shown by `frame`, transformed by `warp`, in `size` pixels; black
+/// outside of the frame. It is read in bands, so that a frame on disk need not fit into memory.
 pub(in crate::page) fn frame(
     frame: &Frame,
     warp: &Transform,

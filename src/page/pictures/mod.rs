@@ -1,4 +1,4 @@
-//! Pictures of the page, gathered while the frames are there.
+//! Pictures of the page, made while the frames are in memory.
 
 pub(super) mod evidence;
 pub(super) mod frames;

@@ -1,20 +1,20 @@
-//! Overlays of the result: movement, and local processing by the phone or camera.
+//! Overlays of the result: motion, and local processing by the phone or camera.
 //!
-//! In: what was found of either. Out: small clear [`Picture`]s, which a browser scales over the picture. Cost: some ns
-//! a pixel of the picture.
+//! In: the ghost mask or the local gain. Out: small transparent [`Picture`]s, which a browser scales over the
+//! picture. Cost: some ns per pixel of the picture.
 
 use crate::draw::image::{Picture, paletted};
 use crate::draw::scale::{reduce_to, within};
 use crate::merge::local::LocalGain;
 use crate::plane::Plane;
 
-/// Long sides at the most, in pixels: of where something moved, and of the local gain, which is smooth.
+/// Long sides in pixels: of motion, and of the local gain, which is smooth.
 const MOVEMENT: usize = 900;
 const GAIN: usize = 200;
 
-/// Where something moved: red, green, blue and opacity where nothing was left out, some, most, and all.
+/// Colours of motion: red, green, blue and opacity where no frames, some, most, and all were rejected.
 const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126, 150], [230, 0, 126, 180]];
-/// From where on in the mask some, half, and nearly all of the frames were left out: one of 15 is some.
+/// Mask values from which on some, half, and nearly all of the frames were rejected: one of 15 is some.
 const FEW: u8 = 16;
 const HALF: u8 = 120;
 const NEARLY_ALL: u8 = 200;
@@ -32,11 +32,11 @@ pub(in crate::page) struct Local {
     pub most_stops: f64,
     /// Index in `frames` of the map with the greatest gain.
     pub strongest: usize,
-    /// The index in the bracket of each frame but the reference, and its own.
+    /// The index in the bracket of each frame except the reference, and its map.
     pub frames: Vec<(usize, Picture)>,
 }
 
-/// Where something moved, by the `mask` of what was left out.
+/// Draws where something moved, from the ghost `mask`.
 pub(in crate::page) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
     let full = (mask.width(), mask.height());
     let small = reduce_to(mask, within(full, MOVEMENT));
@@ -50,7 +50,8 @@ pub(in crate::page) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
     paletted(&Plane::from_vec(small.width(), small.height(), levels), &MOVED)
 }
 
-/// The gains of the frames `placed`, by their indices in the bracket, over a picture of `size` pixels; none where nothing was multiplied.
+/// Draws the gains of the frames `placed`, by their indices in the bracket, over a picture of `size` pixels; `None`
+/// without gain.
 pub(in crate::page) fn local(
     gain: &LocalGain,
     placed: &[usize],
@@ -74,13 +75,13 @@ pub(in crate::page) fn local(
     }
     let greatest = |map: &Plane<f32>| map.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
     let most = maps.iter().map(|(_, map)| greatest(map)).fold(0.0, f32::max);
-    // Of equals the first.
+    // Of equal maps the first.
     let strongest = maps.iter().position(|(_, map)| greatest(map) >= most).unwrap_or(0);
     let frames = maps.iter().map(|(frame, map)| Ok((*frame, coloured(map, most)?)));
     Ok(Some(Local { most_stops: f64::from(most), strongest, frames: frames.collect::<Result<_, String>>()? }))
 }
 
-/// `stops` in colours, of which the strongest stand for `most`.
+/// Draws `stops` in colours; the strongest colours mean `most`.
 fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
     let index = |v: f32| {
         let step = (v / most.max(f32::MIN_POSITIVE) * STEPS as f32).round() as i32;
@@ -90,7 +91,7 @@ fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
     paletted(&Plane::from_vec(stops.width(), stops.height(), indices), &gain_palette())
 }
 
-/// The colours from the least gain, of places that a frame shows too bright, to the greatest.
+/// Returns the colours from the smallest gain, where a frame is too bright, to the largest.
 fn gain_palette() -> Vec<[u8; 4]> {
     let colour = |step: i32| {
         let [r, g, b] = if step < 0 { BRIGHTER } else { DARKER };
@@ -115,7 +116,7 @@ mod tests {
         let mask = Plane::from_rows(40, 20, |_, row: &mut [u8]| row[20..].fill(255));
         let picture = movement(&mask).unwrap();
         assert_eq!((pixel(&picture, 5, 5)[3], pixel(&picture, 30, 5)), (0, MOVED[3]));
-        // One of three frames left out is seen too.
+        // One rejected frame of three is also visible.
         let third = movement(&Plane::filled(9, 9, 85)).unwrap();
         assert_eq!(pixel(&third, 4, 4), MOVED[1]);
     }
