@@ -121,7 +121,7 @@ pub struct Outcome {
     pub radiance: RadianceMap,
     /// The picture.
     pub display: DisplayImage,
-    /// What was done.
+    /// What was done, as a report.
     pub report: Report,
 }
 
@@ -232,7 +232,7 @@ pub fn develop(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Ou
 /// The results of a run, when all files are written.
 struct InMemory {
     radiance: RadianceRows,
-    /// Empty unless it was to be kept.
+    /// Empty unless it was requested.
     display: Plane<[u8; 3]>,
 }
 
@@ -244,7 +244,7 @@ impl InMemory {
     }
 }
 
-/// [`prepare`], with the results; the picture among them if `is_kept`.
+/// [`prepare`], with the results in memory; the picture only if `is_kept`.
 fn merge_files(
     images: &[PathBuf],
     options: &Options,
@@ -254,8 +254,8 @@ fn merge_files(
     on_files(images, options, watch, Options::merging, |run, bracket, saved| merge_loaded(run, bracket, saved, is_kept))
 }
 
-/// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and gives it to `work`,
-/// with the response that was saved before. The threads are as many as memory allows.
+/// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and calls `work`
+/// with it and the saved response, on as many threads as memory allows.
 fn on_files<R: Send>(
     images: &[PathBuf],
     options: &Options,
@@ -277,7 +277,7 @@ fn on_files<R: Send>(
     })
 }
 
-/// The stages from the loaded bracket on.
+/// Runs the stages after loading.
 fn merge_loaded(
     mut run: Run,
     bracket: Bracket,
@@ -355,7 +355,7 @@ fn validate(options: &Options) -> Result<()> {
     options.deghost.validate()
 }
 
-/// Whether there is more to merge than the reference.
+/// Checks that there is more to merge than the reference.
 fn check_placed(Aligned { bracket, alignment, .. }: &Aligned) -> Result<()> {
     if alignment.placed(bracket).count() > 1 {
         return Ok(());

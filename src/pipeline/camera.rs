@@ -1,9 +1,9 @@
-//! A camera's response from one or many brackets: load, align and fine-tune each, pool their samples, save the curve and draw it.
+//! A camera's response from one or several brackets: load, align and correct each, pool their samples, save the curve
+//! and draw it.
 //!
-//! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost: loading and aligning
-//! each bracket, one after the other; of each, what its flat places show is kept.
-//! Source: the pooling is that of `response::recover_from`: what a camera does is the same in all its brackets, and together they show
-//! more of its codes.
+//! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`].
+//! Cost: loading and aligning each bracket, one after the other; only its flat places are kept. Source: pooling as in
+//! `response::recover_from`: the response is the same in all brackets of a camera, and together they show more codes.
 
 mod folders;
 mod seen;
@@ -24,30 +24,30 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The version of the report's format: keys are only ever added to it.
+/// The version of the report's format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-response-report/1";
 
-/// Patches that are kept of all brackets together, at most: 72 bytes each, and as many of every bracket.
+/// Largest number of patches kept of all brackets together, with 72 bytes each, and equal numbers for each bracket.
 pub const PATCHES: usize = 500_000;
-/// Places of each channel in a plot.
+/// Number of places per channel in a plot.
 const DRAWN: usize = 600;
 
-/// What is made, and how.
+/// Options of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// How brackets are loaded and aligned, exposures tuned, the response recovered and files replaced; what it says of outputs does not
-    /// count.
+    /// Options for loading, alignment, exposure correction, response and replacing files; those for outputs are
+    /// ignored.
     pub pipeline: super::Options,
-    /// The curve is saved here, by extension as `.json`, `.rsp` or `.csv`; where there is none, beside the first photograph, named after
-    /// the camera.
+    /// Output files of the curve; the extension selects `.json`, `.rsp` or `.csv`. If empty, the file is beside the
+    /// first photograph, named after the camera.
     pub curves: Vec<PathBuf>,
-    /// The curve is drawn here, by extension as `.svg` or `.png`.
+    /// Output files of the plot; the extension selects `.svg` or `.png`.
     pub plots: Vec<PathBuf>,
-    /// Whether a bracket that cannot be loaded or aligned is left out with a warning, instead of stopping all.
+    /// Whether a bracket that cannot be loaded or aligned is skipped with a warning, instead of ending the run.
     pub lenient: bool,
 }
 
-/// What was done.
+/// The report of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraReport {
     /// [`SCHEMA`].
@@ -60,17 +60,17 @@ pub struct CameraReport {
     pub camera_model: Option<String>,
     /// The brackets used.
     pub brackets: Vec<BracketReport>,
-    /// How the curve was had, and how well it is known.
+    /// How the response was determined, and how accurate it is.
     pub response: ResponseReport,
     /// The files written.
     pub outputs: Vec<String>,
-    /// What the user should know.
+    /// The warnings.
     pub warnings: Vec<WarningReport>,
     /// Wall time in seconds.
     pub time_s: f64,
 }
 
-/// One bracket.
+/// A bracket.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BracketReport {
     /// The frame that the others are aligned to.
@@ -80,20 +80,21 @@ pub struct BracketReport {
 }
 
 impl CameraReport {
-    /// The report as JSON, ended by a line feed.
+    /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them: nothing in it can fail.
+        // Only strings, numbers and lists of them: conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Whether the result is less than what was asked for.
+    /// Whether the result is degraded.
     pub fn is_degraded(&self) -> bool {
         self.warnings.iter().any(|w| w.degrades)
     }
 }
 
 impl Options {
-    /// Every file that a run on `images` writes; where none is named, one of a name that the photographs will tell.
+    /// Returns every file that a run on `images` writes; if none is given, a placeholder for the name from the
+    /// camera.
     pub fn targets(&self, images: &[PathBuf]) -> Vec<Target> {
         let mut named = self.named();
         let is_beside = |image: &PathBuf| if image.is_dir() { image.join("response.json") } else { image.clone() };
@@ -103,28 +104,30 @@ impl Options {
         named
     }
 
-    /// Those that are named.
+    /// Returns the files that are given.
     fn named(&self) -> Vec<Target> {
         [Target::of("-o", &self.curves), Target::of("--plot", &self.plots)].concat()
     }
 }
 
-/// Recovers the response of the camera that took `images`, photographs and folders; those of one folder are one bracket.
+/// Recovers the response of the camera that took `images`: photographs and folders; photographs in the same folder
+/// are one bracket.
 ///
 /// # Errors
-/// Those of [`prepare`]; [`Error::Option`] where a folder holds no bracket, or something is said of one bracket and there are several.
+/// Those of [`prepare`]; [`Error::Option`] if a folder contains no bracket, or if an option for one bracket is used
+/// with several.
 pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<CameraReport> {
     let brackets = folders::brackets(images)?;
     check_options(&brackets, options)?;
     prepare(&brackets, options, watch)?.commit()
 }
 
-/// Recovers the response of the camera that took the photographs `brackets`, each a list of its own; its files are not named yet. Of hundreds of brackets no more is in memory
-/// than the frames of one, and [`PATCHES`] patches.
+/// Recovers the response of the camera that took the photographs `brackets`, one list each. The files are not named
+/// yet. Of any number of brackets only the frames of one, and [`PATCHES`] patches, are in memory.
 ///
 /// # Errors
-/// See [`Error`]; on any of them no file is there that was not before. [`Error::NoResponse`] where the brackets do not tell, or where
-/// none can be used.
+/// See [`Error`]; on an error there are no new files. [`Error::NoResponse`] if the brackets do not determine it, or
+/// if none can be used.
 pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<Prepared<CameraReport>> {
     in_pool(options.pipeline.threads, || {
         options.pipeline.align.validate()?;
@@ -175,29 +178,30 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
     })
 }
 
-/// What is said of single frames by their number in one bracket is for one bracket.
+/// Options that refer to single frames by number need a single bracket.
 fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     let single = |option, reason: &str| Err(Error::Option { option, reason: reason.to_owned() });
     if brackets.len() > 1 && options.pipeline.load.ev.is_some() {
-        return single("-e", "it is for one bracket, and there are several; calibrate by that bracket alone");
+        return single("-e", "it applies to one bracket, and there are several; use that bracket only");
     }
     if brackets.len() > 1 && matches!(options.pipeline.load.reference, ReferenceChoice::File(_)) {
         return single(
             "--reference",
-            "a file is in one bracket, and there are several; give a number, or leave it out",
+            "a file is in one bracket, and there are several; give a number, or omit the option",
         );
     }
     Ok(())
 }
 
-/// Whether everything asked for can be written, before any work is done.
+/// Checks, before any work, that all requested files can be written.
 fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
     options.curves.iter().try_for_each(|path| Format::of(path).map(|_| ()))?;
     options.plots.iter().try_for_each(|path| response_plot::format(path).map(|_| ()))?;
     write::check_targets(&options.named(), photographs, options.pipeline.write.overwrite)
 }
 
-/// Beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` where it does not say.
+/// Returns a path beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` if it is
+/// not known.
 fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
     let name = saved.camera();
     let letter = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '.' | '+') { c } else { '_' };
@@ -210,7 +214,7 @@ fn places(seen: &[Seen]) -> Vec<&Places> {
     seen.iter().map(|bracket| &bracket.places).collect()
 }
 
-/// The plots, whole but not yet named.
+/// Returns the plots, complete but not yet named.
 fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
     let drawn = samples::draw(&places(seen), DRAWN);
     let title = saved.camera().unwrap_or_else(|| "Camera response".to_owned());

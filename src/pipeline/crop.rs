@@ -1,6 +1,6 @@
-//! The part of the reference frame that the results show.
+//! The part of the reference that the results show.
 //!
-//! In: what was asked for, and where the frames lie. Out: a rectangle of the reference. Cost: none.
+//! In: the requested part, and the alignment. Out: a rectangle of the reference. Cost: negligible.
 
 use crate::align::{Alignment, Rect};
 use crate::bracket::Bracket;
@@ -8,23 +8,23 @@ use crate::error::{Error, Result};
 use std::fmt;
 use std::str::FromStr;
 
-/// Which part of the reference the results show.
+/// The requested part of the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Crop {
-    /// The largest rectangle found that all placed frames cover.
+    /// The largest rectangle found that all merged frames cover.
     #[default]
     Common,
-    /// All of it; where fewer frames reach, fewer are merged.
+    /// All of the reference; fewer frames are merged where fewer cover it.
     None,
-    /// This part of it; where fewer frames reach, fewer are merged.
+    /// This part of it; fewer frames are merged where fewer cover it.
     Part(Rect),
 }
 
 impl Crop {
-    /// Whether the part asked for is one of the reference of `bracket`.
+    /// Checks that the part is inside the reference of `bracket`.
     ///
     /// # Errors
-    /// [`Error::Option`] where it is empty, or reaches beyond it.
+    /// [`Error::Option`] if it is empty or extends beyond the reference.
     pub(super) fn check(self, bracket: &Bracket) -> Result<()> {
         let Crop::Part(Rect { x0, y0, x1, y1 }) = self else { return Ok(()) };
         let (width, height) = (bracket.width(), bracket.height());
@@ -32,12 +32,12 @@ impl Crop {
             return Ok(());
         }
         let reason = format!(
-            "{self} is not within the reference, which has {width} x {height} pixels; give X,Y,WIDTH,HEIGHT within 0,0,{width},{height}"
+            "{self} is not inside the reference, which has {width} x {height} pixels; give X,Y,WIDTH,HEIGHT inside 0,0,{width},{height}"
         );
         Err(Error::Option { option: "--crop", reason })
     }
 
-    /// The pixels of the reference.
+    /// Returns the rectangle in pixels of the reference.
     pub(super) fn rect(self, bracket: &Bracket, alignment: &Alignment) -> Rect {
         match self {
             Crop::Common => alignment.overlap,
@@ -62,14 +62,15 @@ impl FromStr for Crop {
                 Err("the part is empty; give a WIDTH and a HEIGHT of 1 or more".into())
             }
             Some(&[x0, y0, width, height]) => {
-                let end =
-                    |from: usize, side: usize| from.checked_add(side).ok_or("the part has no end; give a smaller one");
+                let end = |from: usize, side: usize| {
+                    from.checked_add(side).ok_or("the numbers are too large; give smaller ones")
+                };
                 Ok(Crop::Part(Rect { x0, y0, x1: end(x0, width)?, y1: end(y0, height)? }))
             }
-            _ => {
-                Err("give `common`, `none`, or X,Y,WIDTH,HEIGHT in pixels of the reference, as in `0,200,4000,2250`"
-                    .into())
-            }
+            _ => Err(
+                "give `common`, `none`, or X,Y,WIDTH,HEIGHT in pixels of the reference, for example `0,200,4000,2250`"
+                    .into(),
+            ),
         }
     }
 }

@@ -1,7 +1,8 @@
-//! A bracket in memory: no file is read or written.
+//! Brackets in memory: no file is read or written.
 //!
-//! In: a [`Bracket`], of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
-//! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and writing.
+//! In: a [`Bracket`] of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
+//! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and
+//! writing.
 
 use super::stages::Run;
 use super::threads::in_own_pool;
@@ -11,12 +12,12 @@ use crate::error::{Error, Result};
 
 /// Aligns, calibrates, merges and tone-maps `bracket`.
 ///
-/// `options.load` and all options that name a file must be as by default. The work is done on the rayon pool that calls this, or
-/// on one of [`threads`](Options::threads).
+/// `options.load` and all options that name a file must have their defaults. The work is done on the caller's rayon
+/// pool, or on one with [`threads`](Options::threads) threads.
 ///
 /// # Errors
-/// [`Error::Option`] for options that are out of range or need files; [`Error::Cancelled`]; [`Error::NothingAligned`] and
-/// [`Error::NoOverlap`] where the frames do not show one scene. A frame is named by its path, which need not exist.
+/// [`Error::Option`] for options that are out of range or need files; [`Error::Cancelled`]; [`Error::NothingAligned`]
+/// and [`Error::NoOverlap`] if the frames do not show one scene. A frame is named by its path, which need not exist.
 pub fn merge_bracket(bracket: Bracket, options: &Options, watch: Watch) -> Result<Outcome> {
     in_own_pool(options.threads, || {
         refuse_files(options)?;
@@ -26,7 +27,7 @@ pub fn merge_bracket(bracket: Bracket, options: &Options, watch: Watch) -> Resul
     })
 }
 
-/// Refuses options that would have no effect without files.
+/// Rejects options that have no effect without files.
 fn refuse_files(options: &Options) -> Result<()> {
     let given = [
         ("load", options.load != LoadOptions::default()),

@@ -1,7 +1,7 @@
-//! The report of a run: the sections that its stages fill.
+//! The report of a run: the sections filled by its stages.
 //!
-//! In: the options of the run, and what each stage gave. Out: a [`Report`] without outputs, warnings and times. Cost:
-//! none.
+//! In: the options of the run, and the results of each stage. Out: a [`Report`] without outputs, warnings and times.
+//! Cost: negligible.
 
 use super::Options;
 use crate::merge::deghost::Ghosts;
@@ -13,12 +13,12 @@ use crate::report::Report;
 use crate::report::options::OptionsReport;
 use crate::write::picture::Size;
 
-/// The report of a run that only aligns.
+/// Returns the report of a run that only aligns.
 pub(super) fn of_alignment(Aligned { bracket, alignment, region }: &Aligned, options: &Options) -> Report {
     Report { options: Some(options_report(options, false)), ..Report::new(bracket, alignment, *region) }
 }
 
-/// The report of a run that merges.
+/// Returns the report of a run that merges.
 pub(super) fn of_merge(
     aligned: &Aligned,
     camera: Camera,
@@ -40,7 +40,7 @@ pub(super) fn of_merge(
     }
 }
 
-/// All options for a run that `merges`; for one that only aligns, those of the alignment.
+/// Returns all options for a run that `merges`; those of the alignment for one that only aligns.
 fn options_report(options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {

@@ -1,6 +1,7 @@
-//! The threads that a run computes on.
+//! The threads of a run.
 //!
-//! In: the number asked for. Out: the work's result, from a pool of that many threads. Cost: that of starting the pool.
+//! In: the requested number. Out: the result of the work, from a pool of that many threads. Cost: that of starting
+//! the pool.
 
 use crate::error::{Error, Result};
 
@@ -20,11 +21,11 @@ pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -
     let Some(threads) = threads else { return work() };
     let refused = |reason: String| Error::Option { option: "--threads", reason };
     if threads == 0 {
-        return Err(refused("0 threads cannot work; give 1 or more".into()));
+        return Err(refused("at least 1 thread is needed".into()));
     }
     if threads > MOST_THREADS {
         return Err(refused(format!(
-            "{threads} threads are more than {MOST_THREADS}; give about as many as there are cores"
+            "{threads} threads are more than the limit of {MOST_THREADS}; give about as many as there are cores"
         )));
     }
     if rayon::current_thread_index().is_some() && rayon::current_num_threads() == threads {
@@ -34,8 +35,8 @@ pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -
     pool.map_err(|source| Error::Threads { threads, source })?.install(work)
 }
 
-/// Starts the threads that compute where nothing else is said, one for each core, unless they are there. Whatever computes without having done so
-/// panics where the system refuses them.
+/// Starts the global thread pool with one thread per core, unless it exists. Code that computes on the global pool
+/// without this call panics if the system refuses threads.
 ///
 /// # Errors
 /// [`Error::Threads`].
@@ -44,7 +45,7 @@ pub fn start_threads() -> Result<()> {
         return Ok(());
     }
     match rayon::ThreadPoolBuilder::new().build_global() {
-        // It has no source where they were there already.
+        // There is no source if the pool exists already.
         Err(source) if std::error::Error::source(&source).is_some() => {
             let threads = std::thread::available_parallelism().map_or(1, usize::from);
             Err(Error::Threads { threads, source })

@@ -1,7 +1,7 @@
 //! Tone mapping of an existing radiance map: read, tonemap, write, report.
 //!
-//! In: a radiance map in a file and [`TonemapOptions`]. Out: the files asked for, and a [`TonemapReport`]. Cost: the sum of the stages;
-//! the report has each one's time.
+//! In: a radiance map in a file and [`TonemapOptions`]. Out: the requested files, and a [`TonemapReport`]. Cost: the
+//! sum of the stages; the report has the time of each.
 
 use super::threads::in_pool;
 use super::{Stage, Watch, announce};
@@ -26,9 +26,9 @@ use std::time::Instant;
 pub struct TonemapOptions {
     /// Tone mapping operator.
     pub operator: Operator,
-    /// The linear colour space of radiance that is written; none for the file's own.
+    /// Linear colour space of written radiance; `None` for that of the file.
     pub colour: Option<Space>,
-    /// Pictures by extension; radiance maps too, which are the input's in another format.
+    /// Output files of pictures and, to convert the input, of radiance maps; the extension selects the format.
     pub outputs: Vec<PathBuf>,
     /// Output files that are always pictures, even with the extension `.tif`.
     pub pictures: Vec<PathBuf>,
@@ -36,7 +36,7 @@ pub struct TonemapOptions {
     pub write: write::Options,
     /// Number of threads; `None` for one per core. The results do not depend on it.
     pub threads: Option<usize>,
-    /// What the file may ask for.
+    /// Limits for reading the file.
     pub limits: Limits,
 }
 
@@ -47,17 +47,17 @@ impl TonemapOptions {
     }
 }
 
-/// Tone-maps the radiance map `input` and writes what is asked for. Of a map that `merge` wrote as floats the picture is the same, to
-/// the byte, as the one that `merge` wrote beside it.
+/// Tone-maps the radiance map `input` and writes the requested files. For a map that `merge` wrote as floats, the
+/// picture has the same bytes as the one that `merge` wrote beside it.
 ///
 /// # Errors
-/// Those of [`read::read_within`] and of writing; [`Error::Option`] where the memory allowed does not suffice; on any of them no output exists that
-/// did not before.
+/// Those of [`read::read_within`] and of writing; [`Error::Option`] if the allowed memory is not enough. On an error
+/// there are no new files.
 pub fn tonemap_file(input: &Path, options: &TonemapOptions, watch: Watch) -> Result<TonemapReport> {
     in_pool(options.threads, || {
         options.operator.validate()?;
         options.write.check(&options.results()?)?;
-        // Of a photograph `x.png` not the name of the result is wrong, which by default is the same.
+        // For a photograph `x.png` the error must not be about the default name of the result, which is the same.
         read::check(input)?;
         let targets = [Target::of("-o", &options.outputs), Target::of("--picture", &options.pictures)].concat();
         write::check_targets(&targets, &[input.to_owned()], options.write.overwrite)?;
@@ -72,7 +72,7 @@ pub fn tonemap_file(input: &Path, options: &TonemapOptions, watch: Watch) -> Res
     })
 }
 
-/// The files of `options` from the `contents` of the file `input`, of which reading `began` at that time.
+/// Writes the files of `options` from the `contents` of the file `input`; reading `began` at that time.
 fn tonemapped(
     input: &Path,
     contents: read::Contents,
@@ -105,7 +105,7 @@ fn tonemapped(
     report.time_s.tonemap = Some(since.elapsed().as_secs_f64());
     announce(watch, Stage::Write)?;
     let since = Instant::now();
-    // Headers name the program that wrote the file, which this is.
+    // Headers name the program that wrote the file: this one.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
     warnings.extend(options.write.picture.size.warning(size));
     let results = Results {

@@ -1,6 +1,7 @@
 //! The report of a run: the processing of every frame and the results, for programs.
 //!
-//! In: what the stages found. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys. Cost: none.
+//! In: the results of the stages. Out: JSON in a public format, with the version [`SCHEMA`] and units in the keys.
+//! Cost: negligible.
 
 pub mod options;
 pub mod tonemapped;
@@ -32,7 +33,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format that `path` asks for by its extension, in any case.
+    /// Returns the format for the extension of `path`, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -45,7 +46,7 @@ impl Format {
     }
 }
 
-/// The version of the format: keys are only ever added to it.
+/// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-report/1";
 
 /// The report of a run.
@@ -55,9 +56,9 @@ pub struct Report {
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// Width of every frame, orientation applied.
+    /// Width of every frame, after EXIF orientation.
     pub width_px: usize,
-    /// Height of every frame, orientation applied.
+    /// Height of every frame, after EXIF orientation.
     pub height_px: usize,
     /// Options of the run; `None` until the caller sets them.
     pub options: Option<OptionsReport>,
@@ -71,7 +72,7 @@ pub struct Report {
     pub crop: Crop,
     /// The response that was used; null if the frames were only aligned.
     pub response: Option<ResponseReport>,
-    /// Whether the frames were tone-mapped locally by the camera, and what was done about it; none where that was not looked at.
+    /// Local tone mapping by the camera, and how it was compensated; null if it was not evaluated.
     pub local_processing: Option<LocalReport>,
     /// Statistics of the radiance map; null if the frames were only aligned.
     pub radiance: Option<MergeReport>,
@@ -79,7 +80,8 @@ pub struct Report {
     pub calibration: Option<CalibrationReport>,
     /// Primaries of the radiance map; null if the frames were only aligned.
     pub colour: Option<ColourReport>,
-    /// The light that the picture shows as white; none for that of the photographs, and where frames were only aligned.
+    /// The light that the picture shows as white; null for that of the photographs, and if the frames were only
+    /// aligned.
     pub white_balance: Option<Light>,
     /// Result of deghosting; null without deghosting.
     pub ghosts: Option<GhostReport>,
@@ -116,7 +118,7 @@ impl From<Rect> for Crop {
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColourReport {
-    /// The colour space by name; null for primaries of another.
+    /// The colour space by name; null for other primaries.
     pub space: Option<Space>,
     /// CIE 1931 xy of red, green, blue and white.
     pub primaries: Primaries,
@@ -128,7 +130,7 @@ impl From<Primaries> for ColourReport {
     }
 }
 
-/// One frame.
+/// A frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameReport {
     /// The file, as it was named.
@@ -139,19 +141,20 @@ pub struct FrameReport {
     pub f_number: Option<f64>,
     /// Sensitivity.
     pub iso: Option<f64>,
-    /// t * ISO / N^2 in seconds, or 2^EV, with the correction: what is divided out.
+    /// t * ISO / N^2 in seconds, or 2^EV, with the correction: the frame is divided by it.
     pub relative_exposure: f64,
-    /// By how much the pixels corrected it.
+    /// Correction from the pixels, in stops.
     pub exposure_correction_stops: f64,
-    /// Standard deviation of an exposure that was estimated from the pixels, from the nearest that is known; null of others.
+    /// Standard deviation of an exposure that was estimated from the pixels, relative to the nearest known one; null
+    /// for others.
     pub exposure_uncertainty_stops: Option<f64>,
-    /// Whether t, ISO and N are taken as they are written, or for the exact steps that they were rounded from.
+    /// Whether t, ISO and N are used as recorded, or as the exact steps from which they were rounded.
     pub exposure_reading: Reading,
-    /// Where that is from.
+    /// The source of the exposure.
     pub exposure_source: ExposureSource,
-    /// The tags that won.
+    /// The EXIF tags that were used.
     pub exposure_tags: String,
-    /// Where the frame lies.
+    /// The alignment of the frame.
     pub alignment: AlignmentReport,
 }
 
@@ -164,21 +167,22 @@ pub struct AlignmentReport {
     pub rejected_by: Option<RejectedBy>,
     /// The smallest model that explains its motion.
     pub model: Option<Model>,
-    /// Nine numbers by rows, reference pixel -> frame pixel; null when rejected.
+    /// Nine numbers by rows, reference pixel -> frame pixel; null if the frame was rejected.
     pub homography: Option<[f64; 9]>,
     /// Shift of the picture centre in px, right and down.
     pub shift_px: Option<[f64; 2]>,
     /// Rotation in degrees, clockwise (from right towards down).
     pub rotation_deg: Option<f64>,
-    /// Matches that agree on the motion; null where features were not needed.
+    /// Number of matches that agree with the motion; null if features were not needed.
     pub inliers: Option<usize>,
-    /// Keypoints found; null where features were not needed.
+    /// Numbers of keypoints; null if features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Estimated root mean square error over the picture, in px; of a frame whose place is assumed, the error that 19 of 20 keep.
+    /// Estimated root mean square error over the picture, in px; for an assumed transform, the error that is not
+    /// exceeded with a probability of 95 %.
     pub error_px: Option<f64>,
     /// Confidence, 0..1; below 0.5 is low.
     pub confidence: f64,
-    /// Why it takes no part, or is taken as it lies, or what its place is assumed from.
+    /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
 }
 
@@ -187,7 +191,7 @@ pub struct AlignmentReport {
 pub struct WarningReport {
     /// Text of the warning.
     pub message: String,
-    /// Whether the result is less than what was asked for.
+    /// Whether the result is degraded.
     pub degrades: bool,
 }
 
@@ -197,7 +201,7 @@ impl From<&Warning> for WarningReport {
     }
 }
 
-/// Wall time in seconds; none for a stage that did not run.
+/// Wall time in seconds; null for a stage that did not run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Times {
     /// Reading and decoding.
@@ -253,16 +257,17 @@ impl Report {
 
     /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them: nothing in it can fail. A number that is not finite would become null.
+        // Only strings, numbers and lists of them: conversion cannot fail. A number that is not finite would become
+        // null.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Whether no frame that takes part moved, or is taken to have moved.
+    /// Whether no merged frame moved.
     pub fn stood_still(&self) -> bool {
         self.frames.iter().filter_map(|frame| frame.alignment.model).all(|model| model == Model::Unmoved)
     }
 
-    /// Whether the result is less than what was asked for: with `--strict` the exit code is 3.
+    /// Whether the result is degraded: with `--strict` the exit code is 3.
     pub fn is_degraded(&self) -> bool {
         self.warnings.iter().any(|w| w.degrades)
     }
@@ -304,7 +309,7 @@ fn frame_report(
     }
 }
 
-/// A path as text; what is no UTF-8 in it becomes a replacement character.
+/// Returns a path as text; invalid UTF-8 becomes a replacement character.
 fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }

@@ -1,6 +1,6 @@
-//! The options of a run, recorded in its report so that it can be repeated later.
+//! The options of a run, recorded in its report so that it can be repeated.
 //!
-//! In: the options of a run. Out: values as they are typed on the command line, with those that were left as they are. Cost: none.
+//! In: the options of a run. Out: values as typed on the command line, including defaults. Cost: negligible.
 
 use crate::align::{AlignMode, RobustMethod};
 use crate::bracket::colour::Space;
@@ -10,7 +10,7 @@ use crate::tonemap::display::codes::Colours;
 use crate::tonemap::{Rendering, adjust};
 use serde::Serialize;
 
-/// The options of a run; all from `exposures` on are none where frames were only aligned.
+/// The options of a run; all from `exposures` on are null if the frames were only aligned.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
@@ -24,7 +24,8 @@ pub struct OptionsReport {
     pub crop: String,
     /// Exposure correction.
     pub exposures: Option<Exposures>,
-    /// Method used to recover the camera response: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; none where a file was given.
+    /// Method used to recover the camera response: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; null
+    /// if a file was given.
     pub response_model: Option<&'static str>,
     /// The response file, as it was named.
     pub response_file: Option<String>,
@@ -36,14 +37,14 @@ pub struct OptionsReport {
     pub flare: Option<bool>,
     /// Requested colour space; null for that of the photographs.
     pub colour: Option<Space>,
-    /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
+    /// The tone mapping operator by name, with its parameters; null parameters are computed from the picture.
     pub operator: Option<Rendering>,
-    /// What was changed of the picture: white balance, as typed, brightness, contrast, saturation, shadows and highlights.
+    /// Adjustments of the picture: white balance as typed, brightness, contrast, saturation, shadows and highlights.
     pub adjust: Option<adjust::Options>,
     /// Bits per channel of the picture: 8 or 16.
     pub bit_depth: Option<u8>,
     /// Colour space of the picture.
     pub picture_colour: Option<Colours>,
-    /// The size of the picture: pixels of its longest side, or a percentage; none for that of the radiance.
+    /// The size of the picture: pixels of its longest side, or a percentage; null for that of the radiance.
     pub resize: Option<String>,
 }

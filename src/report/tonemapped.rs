@@ -1,7 +1,7 @@
-//! The report of a tone mapping: what was read, and what came of it, for programs.
+//! The report of `tonemap`, for programs.
 //!
-//! In: a radiance map as read, and what was done to it. Out: JSON in a public format, versioned by [`SCHEMA`], with units in the keys.
-//! Cost: that of the statistics, one pass.
+//! In: a radiance map as read, and its processing. Out: JSON in a public format, with the version [`SCHEMA`] and
+//! units in the keys. Cost: that of the statistics, one pass.
 
 use super::{ColourReport, Times, WarningReport};
 use crate::merge::radiance::calibration::{Factor, Unit};
@@ -15,10 +15,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
 
-/// The version of the format: keys are only ever added to it.
+/// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-tonemap/1";
 
-/// What was read and written.
+/// Inputs, processing and outputs of a tone mapping.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TonemapReport {
@@ -32,34 +32,36 @@ pub struct TonemapReport {
     pub width_px: usize,
     /// Its height.
     pub height_px: usize,
-    /// The tone mapping, by name and with its parameters; those that are none are taken from the picture.
+    /// The tone mapping operator by name, with its parameters; null parameters are computed from the picture.
     pub operator: Operator,
-    /// What was changed of the picture: as typed.
+    /// Adjustments of the picture, as typed.
     pub adjust: adjust::Options,
-    /// The light that is shown as white; none for that of the radiance map.
+    /// The light that is shown as white; null for that of the radiance map.
     pub white_balance: Option<adjust::Light>,
-    /// What its red, green and blue are.
+    /// The primaries of the picture.
     pub colour: ColourReport,
-    /// The luminance of 1 in cd/m2, where the file says (OpenEXR's whiteLuminance, TIFF's StoNits); null elsewhere. `.hdr` is in W/sr/m2.
+    /// The luminance of 1 in cd/m2, if the file has it (OpenEXR's whiteLuminance, TIFF's StoNits); otherwise null.
+    /// `.hdr` is in W/sr/m2.
     pub cd_m2_per_unit: Option<f64>,
-    /// Of the luminance, as stored, of the pixels that have any.
+    /// Statistics of the luminance, as stored, without black pixels.
     pub radiance: Statistics,
-    /// Pixels with a value that is no number; they are shown black.
+    /// Number of pixels with NaN; they are shown black.
     pub not_number_pixels: usize,
-    /// Pixels with an infinite value.
+    /// Number of pixels with an infinite value.
     pub infinite_pixels: usize,
-    /// Pixels with a negative value.
+    /// Number of pixels with a negative value.
     pub negative_pixels: usize,
     /// The files written.
     pub outputs: Vec<String>,
-    /// What the user should know.
+    /// The warnings.
     pub warnings: Vec<WarningReport>,
     /// Wall time of the stages, in seconds.
     pub time_s: Times,
 }
 
 impl TonemapReport {
-    /// The report of `map`, every value of which is positive and finite, as read from `input`; the rest is for the caller to add.
+    /// Creates the report of `map`, whose values are positive and finite, as read from `input`; the caller adds the
+    /// rest.
     pub fn new(input: &Path, map: &RadianceMap, metadata: &Metadata) -> Self {
         let unit = if metadata.cd_m2_per_unit == Some(Factor::ONE) { Unit::CdM2 } else { Unit::Relative };
         TonemapReport {
@@ -83,15 +85,15 @@ impl TonemapReport {
         }
     }
 
-    /// The report as JSON, ended by a line feed.
+    /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them: nothing in it can fail.
+        // Only strings, numbers and lists of them: conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
 
-/// The statistics of `map` without its black pixels, which other programs' files have: [`FLOOR`] has taken the place of their zeros, and says
-/// nothing of the scene. With them where there are no others.
+/// Returns the statistics of `map` without the black pixels of files by other programs: [`FLOOR`] replaces their
+/// zeros, and is not part of the scene. If all pixels are black, they are included.
 fn measured(map: &RadianceMap, unit: Unit) -> Statistics {
     let weights = weights(&map.primaries);
     let is_lit = |pixel: &&[f32; 3]| pixel.iter().any(|&v| v > FLOOR);

@@ -1,6 +1,6 @@
-//! Folders of photographs as brackets: those of one folder are one.
+//! Folders of photographs as brackets: one bracket per folder.
 //!
-//! In: photographs and folders, as they are typed. Out: the photographs of each bracket. Cost: reading the folders.
+//! In: photographs and folders, as typed. Out: the photographs of each bracket. Cost: reading the folders.
 
 use crate::bracket::EXTENSIONS;
 use crate::bracket::header::Header;
@@ -9,7 +9,7 @@ use crate::limits::Limits;
 use crate::pipeline::files::names::natural;
 use std::path::{Path, PathBuf};
 
-/// `images` by the folders that they are in, in the order of the first of each; of a folder, the photographs in it by name.
+/// Groups `images` by folder, in the order of the first of each; of a folder, all photographs in it, by name.
 pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
     let mut found: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for image in images {
@@ -27,16 +27,16 @@ pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
             return Err(Error::TooFewFrames { given: bracket.len() });
         }
         let reason = format!(
-            "of the folder {:?} only {} is given; the photographs of one folder are one bracket, and need to be two or more",
-            folder.display().to_string(),
-            bracket[0].display()
+            "only {} is given from the folder {:?}; the photographs in one folder are one bracket, which needs at least two",
+            bracket[0].display(),
+            folder.display().to_string()
         );
         return Err(Error::Option { option: "IMAGES", reason });
     }
     Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
 }
 
-/// The photographs in `folder`, by their extensions and in the order of their names; results of hdralign are none.
+/// Returns the photographs in `folder`, by extension and sorted by name, without results of hdralign.
 fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     let unreadable = |source| Error::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(unreadable)?;
@@ -48,8 +48,10 @@ fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     paths.sort_by(|a, b| natural(a, b));
     if paths.len() < 2 {
         let found = paths.len();
-        let reason =
-            format!("{} holds {found} photographs (JPEG, PNG, TIFF), and a bracket needs two", folder.display());
+        let reason = format!(
+            "{} contains {found} photographs (JPEG, PNG, TIFF), and a bracket needs at least two",
+            folder.display()
+        );
         return Err(Error::Option { option: "IMAGES", reason });
     }
     Ok(paths)

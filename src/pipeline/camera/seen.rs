@@ -1,7 +1,7 @@
-//! Brackets of one camera, one after the other: what each shows of the response.
+//! Samples of the brackets of one camera, one after the other.
 //!
-//! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and its part of the report. Cost: loading
-//! and aligning.
+//! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and
+//! its part of the report. Cost: loading and aligning.
 
 use super::super::stages::Run;
 use super::super::threads::in_pool;
@@ -19,22 +19,22 @@ use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
 use std::path::PathBuf;
 
-/// What is kept of a bracket: its frames are not.
+/// The data of a bracket that are kept, without its frames.
 pub(super) struct Seen {
-    /// The reference's file.
+    /// The file of the reference.
     pub path: PathBuf,
     pub capture: Capture,
     pub places: Places,
-    /// For the files that do not hold all of a curve.
+    /// For files whose format does not represent a curve exactly.
     pub miniature: Option<Miniature>,
     pub report: BracketReport,
 }
 
-/// All of `brackets` that can be used, at least one.
+/// Returns all `brackets` that can be used, at least one.
 ///
 /// # Errors
-/// That of the first bracket that cannot be used; where those are left out, [`Error::NoResponse`] if none is left, and [`Error::Scratch`],
-/// which is no fault of a bracket.
+/// That of the first bracket that cannot be used; if such brackets are skipped, [`Error::NoResponse`] if none is
+/// left, and [`Error::Scratch`], which is not a fault of a bracket.
 pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<(Vec<Seen>, Vec<Warning>)> {
     let most = PATCHES / brackets.len().max(1);
     let mut seen = Vec::with_capacity(brackets.len());
@@ -59,11 +59,11 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) ->
         let Some(Warning::BracketLeftOut { path, reason }) = left_out.into_iter().next() else {
             return Err(Error::TooFewFrames { given: 0 });
         };
-        let reason = format!("none of its {} brackets can be used; of the first: {reason}", brackets.len());
+        let reason = format!("none of its {} brackets can be used; the first: {reason}", brackets.len());
         return Err(Error::NoResponse { path, reason });
     }
     if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
-        let reason = "a photograph named there is in none of the brackets".to_owned();
+        let reason = "a photograph given there is in none of the brackets".to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);
@@ -71,7 +71,8 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) ->
     Ok((seen, warnings))
 }
 
-/// The bracket `paths` of `brackets`, how many of the transforms that the user gave are of its frames, and its warnings.
+/// Processes the bracket `paths` of `brackets`. Returns also the number of transforms given by the user for its
+/// frames, and its warnings.
 fn one(paths: &[PathBuf], brackets: usize, options: &Options, watch: Watch) -> Result<(Seen, usize, Vec<Warning>)> {
     let mut own = options.pipeline.clone();
     let mut run = Run::new(&options.pipeline, watch);

@@ -1,7 +1,8 @@
-//! Response files that a run writes, and what merging with them would lose.
+//! Response files written by a run, and the accuracy lost by merging with them.
 //!
-//! In: a curve, and a [`Miniature`] of each bracket that it was recovered from. Out: the files, whole but not yet named, with their warnings.
-//! Cost: two merges of some thousand pixels for each format that does not hold a whole curve.
+//! In: a curve, and a [`Miniature`] of each bracket from which it was recovered. Out: the files, complete but not yet
+//! named, with their warnings. Cost: two merges of some thousand pixels for each format that does not represent a
+//! curve exactly.
 
 use crate::align::Alignment;
 use crate::bracket::Bracket;
@@ -11,10 +12,11 @@ use crate::response::file::{Format, SavedResponse};
 use crate::write::{self, Written};
 use std::path::{Path, PathBuf};
 
-/// Pixels over which a loss is taken, of all brackets together, and the fewest of one: of a hundredth of the pixels there are still 160.
+/// Number of pixels for which the loss is computed, of all brackets together, and the smallest of one: a hundredth of
+/// them is still 160.
 const PIXELS: (usize, usize) = (16384, 256);
 
-/// What tells the loss of the files `paths` by one of `brackets` brackets; none where the formats hold all.
+/// Returns the data for the loss of the files `paths` by one of `brackets` brackets; `None` if the formats are exact.
 pub(crate) fn miniature(
     paths: &[PathBuf],
     bracket: &Bracket,
@@ -29,11 +31,11 @@ pub(crate) fn miniature(
     Miniature::of(bracket, alignment, pixels)
 }
 
-/// The file `path` of the curve `saved`, which was recovered from brackets of which these are `miniatures`.
+/// Returns the file `path` of the curve `saved`, which was recovered from brackets with these `miniatures`.
 ///
 /// # Errors
-/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat) where nothing like the
-/// radiance can be merged with it.
+/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat)
+/// if radiance merged with it would not be even roughly right.
 pub(crate) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniature]) -> Result<Written> {
     let encoded = saved.encode(path)?;
     let warning = match encoded.curve == saved.curve {

@@ -1,7 +1,7 @@
-//! The files of a run: what it reads and writes, checked before any work is done.
+//! The files of a run: its inputs and outputs, checked before any work.
 //!
-//! In: the photographs and [`Options`]. Out: the files that are written; the options with the transforms that were saved
-//! before. Cost: that of asking the system for each name, and of reading the file of transforms.
+//! In: the photographs and [`Options`]. Out: the output files; the options with transforms read from a file. Cost:
+//! system calls for each name, and reading the file of transforms.
 
 pub(crate) mod curves;
 pub(crate) mod names;
@@ -15,15 +15,15 @@ use crate::response::file;
 use crate::write::{self, Target, aligned};
 use std::path::PathBuf;
 
-/// Whether the file of transforms exists, and so is read and not written.
+/// Whether the file of transforms exists, so that it is read and not written.
 fn takes_transforms(options: &Options) -> bool {
     options.transforms.as_ref().is_some_and(|path| path.exists())
 }
 
-/// Every file that a run on `images` writes.
+/// Returns every file that a run on `images` writes.
 ///
 /// # Errors
-/// [`Error::Option`](crate::error::Error::Option) where two aligned frames would have one name.
+/// [`Error::Option`](crate::error::Error::Option) if two aligned frames would have the same name.
 pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
     let mut files = Target::of("-o", &options.outputs);
     files.extend(Target::of("--picture", &options.pictures));
@@ -39,13 +39,13 @@ pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
     Ok(files)
 }
 
-/// Every file that a run on `images` reads.
+/// Returns every file that a run on `images` reads.
 fn sources(images: &[PathBuf], options: &Options) -> Vec<PathBuf> {
     let transforms = options.transforms.iter().filter(|_| takes_transforms(options));
     images.iter().chain(&options.response_file).chain(transforms).cloned().collect()
 }
 
-/// Whether all options are valid, and all files can be written.
+/// Checks all options, and that all files can be written.
 pub(super) fn check(images: &[PathBuf], options: &Options) -> Result<()> {
     validate(options)?;
     options.write.check(&options.results()?)?;
@@ -59,8 +59,8 @@ pub(super) fn check(images: &[PathBuf], options: &Options) -> Result<()> {
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 
-/// `options` with the reference and the placements of the file of transforms, and that file, where it exists: then none
-/// is written. A reference that the user chose stays.
+/// Returns `options` with the reference and the placements of the file of transforms, and that file, if it exists;
+/// then none is written. A reference chosen by the user is kept.
 pub(super) fn with_transforms(
     images: &[PathBuf],
     options: &Options,

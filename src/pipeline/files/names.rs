@@ -1,22 +1,22 @@
-//! The names of results that the user does not name.
+//! Default names of results.
 //!
-//! In: the names of the inputs. Out: names beside them. Cost: none to speak of.
+//! In: the names of the inputs. Out: names beside them. Cost: negligible.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-/// Where results go when no output is named: beside the first of the inputs by name, named after the first and the last, as
-/// `IMG_0001-IMG_0003.exr` and `.png`.
+/// Returns the results if no output is given: beside the first input by name, named after the first and the last,
+/// such as `IMG_0001-IMG_0003.exr` and `.png`.
 pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
     named_after(images, &["exr", "png"])
 }
 
-/// The folder that an inspection goes to when none is named: as [`default_outputs`], but `.inspect`.
+/// Returns the folder of an inspection if none is given: as [`default_outputs`], with the extension `.inspect`.
 pub fn default_folder(images: &[PathBuf]) -> PathBuf {
     named_after(images, &["inspect"]).pop().unwrap_or_default()
 }
 
-/// Beside the first of `images` by name, named after the first and the last, with each of `extensions`.
+/// Returns names beside the first of `images` by name, after the first and the last, with each of `extensions`.
 fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
     let mut sorted: Vec<&PathBuf> = images.iter().collect();
     sorted.sort_by(|a, b| natural(a, b));
@@ -37,7 +37,7 @@ fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Names in the order that people give them: numbers in them count as numbers, 9 before 10.
+/// Compares names in natural order: numbers in them count as numbers, 9 before 10.
 pub fn natural(a: &Path, b: &Path) -> Ordering {
     let text = |p: &Path| p.to_string_lossy().into_owned();
     let (left, right) = (text(a), text(b));
@@ -63,7 +63,7 @@ pub fn natural(a: &Path, b: &Path) -> Ordering {
     }
 }
 
-/// Where a tone-mapped picture goes when no output is named: beside the radiance map `input`, as `.png`.
+/// Returns the name of a tone-mapped picture if none is given: beside the radiance map `input`, as `.png`.
 pub fn default_picture(input: &Path) -> PathBuf {
     input.with_extension("png")
 }

@@ -1,7 +1,7 @@
-//! Exposure fusion as a stage of a run: the aligned frames to a picture, without radiance.
+//! Exposure fusion: from the aligned frames to a picture, without radiance.
 //!
-//! In: a bracket and its alignment. Out: the picture, encoded in its colours. Cost: each frame resampled twice, and where something moved once more
-//! for each frame towards the reference; and the fusion.
+//! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: each frame is resampled
+//! twice, and with motion once more for each frame towards the reference; and that of the fusion.
 
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
@@ -17,7 +17,7 @@ use crate::tonemap::fusion::{self, Channels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The frames that are fused.
+/// The fused frames.
 struct Fused<'a> {
     aligned: &'a Aligned,
     placed: Vec<Placed<'a>>,
@@ -26,7 +26,7 @@ struct Fused<'a> {
     ghosts: Option<&'a Ghosts>,
 }
 
-/// The picture of the frames: codes of `colours`, 0 to 1 but for some overshoot.
+/// Fuses the frames. Returns codes in `colours`, 0 to 1 except for some overshoot.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch).
@@ -53,7 +53,7 @@ pub(crate) fn fused(
 }
 
 impl Fused<'_> {
-    /// The codes 0..=1 of placed frame `k`, -1 outside it.
+    /// Returns the codes 0..=1 of merged frame `k`, -1 outside of it.
     fn codes(&self, k: usize) -> Result<Channels> {
         let region = self.aligned.region;
         let (width, height) = (region.width(), region.height());
@@ -70,9 +70,10 @@ impl Fused<'_> {
         Ok(planes)
     }
 
-    /// The same of some rows of the region; where something moved, what the frame would show of the next one towards the reference, which is as much
-    /// changed, and of what is continued where the reference clips. To give it no weight there would not do: the coarse levels of the pyramids carry what
-    /// moved beyond its borders.
+    /// Returns the same for some rows of the region. Where something moved, the codes are those that the frame would
+    /// show of the next frame towards the reference, which is treated likewise, and of the continuation where the
+    /// reference is clipped. A weight of 0 would not be enough: the coarse levels of the pyramids extend motion
+    /// beyond its borders.
     fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
         let (_, frame, warp) = &placed[k];
@@ -82,7 +83,7 @@ impl Fused<'_> {
         let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
         resample_rows(&window, warp, columns, lines, &mut codes);
         for code in &mut codes {
-            // Overshoot of the kernel must not be taken for what is outside.
+            // Overshoot of the kernel must not become negative, which means outside.
             *code = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
         }
         let reference = placed.iter().position(|(i, _, _)| *i == aligned.bracket.reference_index()).unwrap_or(k);
@@ -111,10 +112,11 @@ impl Fused<'_> {
     }
 }
 
-/// A placed frame: its index in the bracket, the frame, and its transform.
+/// A merged frame: its index in the bracket, the frame, and its transform.
 type Placed<'a> = (usize, &'a Frame, Transform);
 
-/// The way from the codes of a frame to those of the picture, both 0 to 1: the measures of fusion are made for what a display shows.
+/// Converts codes of a frame to codes of the picture, both 0 to 1, because the measures of fusion are defined for
+/// displayed colours.
 struct ToShown {
     transfer: Transfer,
     conversion: Conversion,
@@ -122,7 +124,7 @@ struct ToShown {
 }
 
 impl ToShown {
-    /// None where `frame` has the `colours` of the picture, or is in no space.
+    /// Returns `None` if `frame` has the `colours` of the picture, or no colour space.
     fn of(frame: &Frame, colours: Colours) -> Option<ToShown> {
         let (primaries, transfer) = (frame.primaries(), Transfer::of(frame.profile.as_ref()));
         let shown = colours.primaries();
@@ -160,7 +162,8 @@ mod tests {
         let aligned = Aligned { bracket, alignment, region };
         let fused = fused(&aligned, &curve, Some(&ghosts), &fusion::Options::default(), Colours::Srgb).unwrap();
         for c in 0..3 {
-            // Rounding of the codes that the sky is continued from, and of sums over the levels. Bare, the reference's white has codes 99 of 158.
+            // Rounding of the codes from which the sky is continued, and of sums over the levels. Without deghosting,
+            // the reference's white has codes 99 of 158.
             let (found, around) = (255.0 * fused[c].at(120, 90), 255.0 * fused[c].at(20, 90));
             assert!((found - around).abs() < 2.0, "channel {c}: {found} in {around}");
         }

@@ -1,7 +1,7 @@
-//! The stages of one run, each with a clock, and the warnings so far.
+//! The stages of a run, with the time of each and the warnings so far.
 //!
-//! In: [`Options`], and for each stage what the one before gave. Out: what the next one takes; at the end the report.
-//! Cost: that of the stages.
+//! In: [`Options`], and for each stage the result of the previous one. Out: the input of the next stage; at the end
+//! the report. Cost: that of the stages.
 
 pub(crate) mod fusion;
 pub(crate) mod picture;
@@ -32,7 +32,7 @@ use results::Results;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// A run, as far as it has come.
+/// The state of a run.
 pub(super) struct Run<'a> {
     pub options: &'a Options,
     watch: Watch<'a>,
@@ -43,31 +43,31 @@ pub(super) struct Run<'a> {
     began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
-    /// The page, where the report is to be one.
+    /// The report page, if requested.
     page: Option<Page>,
 }
 
 impl<'a> Run<'a> {
-    /// A run by `options`, without a page.
+    /// Creates a run with `options`, without a page.
     pub fn new(options: &'a Options, watch: Watch<'a>) -> Self {
         let (times, warnings) = (Times::default(), Vec::new());
         let began = Instant::now();
         Run { options, watch, stage: None, transforms_from: None, began, times, warnings, page: None }
     }
 
-    /// With a page, where the report is to be one.
+    /// Adds a page, if the report is one.
     pub fn with_page(mut self) -> Self {
         let is_page = |path: &&PathBuf| report::Format::of(path).is_ok_and(|format| format == report::Format::Html);
         self.page = self.options.report.as_ref().filter(is_page).map(|path| Page::new(path));
         self
     }
 
-    /// The same run, by other `options` from here on.
+    /// Returns the same run, with other `options` from here on.
     pub fn with_options(self, options: &'a Options) -> Self {
         Run { options, ..self }
     }
 
-    /// Announces `stage`, unless it is going on already, and starts its clock.
+    /// Announces `stage`, unless it is already running, and starts its clock.
     ///
     /// # Errors
     /// [`Error::Cancelled`](crate::error::Error::Cancelled).
@@ -91,14 +91,14 @@ impl<'a> Run<'a> {
         Ok(bracket)
     }
 
-    /// Aligns `bracket`, to its own reference or to another frame: [`reference::align`].
+    /// Aligns `bracket` to its own reference or to another frame: [`reference::align`].
     pub fn align(&mut self, bracket: Bracket) -> Result<Aligned> {
         let began = self.begin(Stage::Align)?;
         let loaded = bracket.reference_index();
         let (bracket, alignment, warnings) = reference::align(bracket, self.options)?;
         self.times.align = Some(began.elapsed().as_secs_f64());
         if bracket.reference_index() != loaded {
-            // Profiles are compared with the reference's.
+            // Profiles are compared with that of the reference.
             self.warnings.retain(|warning| !matches!(warning, Warning::ProfilesDiffer { .. }));
             self.warnings.extend(bracket::differing_profiles(&bracket));
         }
@@ -107,7 +107,7 @@ impl<'a> Run<'a> {
         Ok(Aligned { bracket, alignment, region })
     }
 
-    /// Corrects the exposures, and recovers the camera's response or takes the one that is `saved`.
+    /// Corrects the exposures, and recovers the camera response or uses `saved`.
     pub fn response(&mut self, aligned: Aligned, saved: Option<SavedResponse>) -> Result<(Aligned, Camera)> {
         let began = self.begin(Stage::Response)?;
         let (aligned, camera, warnings) = response::find(aligned, saved, self.options)?;
@@ -133,7 +133,7 @@ impl<'a> Run<'a> {
         Ok(radiance)
     }
 
-    /// Tone-maps the radiance, or fuses the frames: gives what rows of the picture are computed from.
+    /// Tone-maps the radiance, or fuses the frames. Returns the source of the picture's rows.
     pub fn tonemap(&mut self, aligned: &Aligned, camera: &Camera, radiance: &Radiance) -> Result<Picture> {
         let began = self.begin(Stage::Tonemap)?;
         let made = &self.options.write.picture;
@@ -156,7 +156,7 @@ impl<'a> Run<'a> {
         Ok(picture)
     }
 
-    /// Gathers what the page shows of the frames, while they are in memory.
+    /// Collects the data of the page from the frames, while they are in memory.
     pub fn gather(&mut self, aligned: &Aligned, merged: Option<(&Camera, &Radiance)>) -> Result<()> {
         let Some(mut page) = self.page.take() else { return Ok(()) };
         let began = self.begin(Stage::Inspect)?;
@@ -174,7 +174,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Writes the file of the response, where one is asked for.
+    /// Writes the response file, if requested.
     pub fn write_response(&self, aligned: &Aligned, camera: &Camera) -> Result<Option<Written>> {
         let Some(path) = &self.options.save_response else { return Ok(None) };
         let Capture { make, model, .. } = aligned.bracket.reference().capture.clone();
@@ -183,7 +183,7 @@ impl<'a> Run<'a> {
         curves::written(&saved, path, &Vec::from_iter(&miniature)).map(Some)
     }
 
-    /// Writes the transforms and the aligned frames, where they are asked for.
+    /// Writes the transforms and the aligned frames, if requested.
     pub fn write_frames(&mut self, aligned: &Aligned) -> Result<Vec<Written>> {
         let began = self.begin(Stage::Write)?;
         let Aligned { bracket, alignment, region } = aligned;
@@ -192,7 +192,7 @@ impl<'a> Run<'a> {
             files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
         }
         if let Some(prefix) = &self.options.save_aligned {
-            // The unit of radiance does not concern frames.
+            // The unit of radiance does not apply to frames.
             let metadata = Metadata { comments: Vec::new(), ..metadata(bracket.reference(), None, self.options) };
             files.extend(aligned::write(bracket, alignment, *region, prefix, &metadata)?);
         }
@@ -200,7 +200,7 @@ impl<'a> Run<'a> {
         Ok(files)
     }
 
-    /// Writes the radiance maps and the pictures. Gives the picture too if it `is_kept`, else an empty one.
+    /// Writes the radiance maps and the pictures. Returns the picture if it `is_kept`, otherwise an empty one.
     pub fn write_results(
         &mut self,
         radiance: &Radiance,
@@ -262,7 +262,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// What the headers of a result hold.
+/// Returns the metadata of a result.
 pub(super) fn metadata(reference: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
     let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");

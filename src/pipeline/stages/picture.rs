@@ -1,7 +1,7 @@
-//! The picture: what its rows come from, with all that is asked for of it.
+//! The picture: computes its rows with all requested adjustments.
 //!
-//! In: radiance, or the picture that the frames were fused to. Out: codes of rows. Cost: looking at all of it once, and at part of it where white is sought in it; then that
-//! of the operator and of the adjustments.
+//! In: radiance, or the fused frames. Out: codes of rows. Cost: one pass over all of it, and over a part of it to
+//! estimate the white balance; then that of the operator and of the adjustments.
 
 use crate::bracket::colour::{Primaries, srgb_to_linear};
 use crate::error::{Result, Warning};
@@ -17,30 +17,30 @@ use crate::tonemap::tones::Tones;
 use crate::write::picture::Options;
 use rayon::prelude::*;
 
-/// Calls a function with all of the radiance, part by part with the number of the first row; may be called again.
+/// Calls a function with all of the radiance, part by part, with the number of the first row; may be called again.
 pub(crate) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
-/// A picture of which rows may be asked for.
+/// A picture whose rows can be computed.
 pub(crate) struct Picture {
     source: Source,
-    /// The light that is shown as white, where that is not the one that was.
+    /// The light that is shown as white, if it is not that of the photographs.
     pub light: Option<Light>,
     adjusted: Option<Adjusted>,
 }
 
-/// What its rows come from.
+/// The source of the rows.
 enum Source {
-    /// From the radiance.
+    /// Computed from radiance.
     Toned(Tones),
-    /// They are there, encoded, 0 to 1.
+    /// Fused and encoded, 0 to 1.
     Fused(Channels),
 }
 
-/// Rows that a thread tone-maps at once.
+/// Number of rows that a thread tone-maps at once.
 const SHOWN_ROWS: usize = 16;
 
 impl Picture {
-    /// By `operator` from the radiance that `each` shows, of that size and these primaries.
+    /// Creates the picture of the radiance that `each` passes, with this size and these primaries, by `operator`.
     ///
     /// # Errors
     /// Those of `each`, and of a spot that is not grey.
@@ -98,7 +98,7 @@ impl Picture {
         Ok(Picture { source: Source::Toned(tones), light, adjusted })
     }
 
-    /// Of frames that were fused, as codes of the picture's colours.
+    /// Creates the picture of fused frames, in codes of the picture's colour space.
     ///
     /// # Errors
     /// That of a spot that is not grey.
@@ -132,13 +132,13 @@ impl Picture {
         Ok(Picture { source, light, adjusted })
     }
 
-    /// What the user should know of a picture that was made by `options`.
+    /// Returns a warning about the picture, if there is one for `options`.
     pub fn warning(&self, options: &Options) -> Option<Warning> {
         let is_sought = options.adjust.white_balance == WhiteBalance::Auto;
         (is_sought && self.light.is_none()).then_some(Warning::NoWhite)
     }
 
-    /// The codes of whole rows of radiance, each of `width` pixels, the first of which is row `first`.
+    /// Computes the codes of complete rows of radiance, each `width` pixels long, from row `first` on.
     pub fn map<C: Code>(&self, encoder: &Encoder, width: usize, first: usize, rows: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let rows = (first..).zip(rows.chunks(width)).zip(codes.chunks_mut(width));
         match &self.adjusted {
@@ -153,7 +153,7 @@ impl Picture {
         }
     }
 
-    /// The same of many rows, side by side, into `codes`.
+    /// Computes the codes of many rows in parallel.
     pub fn show<C: Code>(
         &self,
         encoder: &Encoder,
@@ -168,13 +168,13 @@ impl Picture {
     }
 }
 
-/// Pixels by which the mean colour of a picture is known.
+/// Number of pixels from which the mean colour of a picture is estimated.
 const ENOUGH_PIXELS: usize = 1 << 18;
-/// Of so many rows one is looked at for that, at most.
+/// Largest step between the rows that are used for it.
 const MOST_STEP: usize = 8;
 
-/// The light that is to be shown as white in a picture of `size` pixels, where that is another than it was; `scene` shows the picture from afar, and `spot` what
-/// is around one of its pixels.
+/// Returns the light to be shown as white in a picture of `size` pixels, if it is not that of the photographs;
+/// `scene` returns the reduced picture, and `spot` the surroundings of a pixel.
 fn white(
     options: &Options,
     size: (usize, usize),
@@ -189,11 +189,11 @@ fn white(
     }
 }
 
-/// Codes of fused frames that are black, and white: at or below, at or above.
+/// Codes of fused frames that are black (at or below), and white (at or above).
 const CODE_ENDS: [f64; 2] = [3.0, 253.5];
 
 impl Source {
-    /// The codes of row `y`, which has the radiance `row`.
+    /// Computes the codes of row `y` with the radiance `row`.
     fn row<C: Code>(&self, encoder: &Encoder, y: usize, row: &[[f32; 3]], codes: &mut [[C; 3]]) {
         match self {
             Source::Toned(tones) => tones.map(encoder, y, row, codes),
@@ -217,10 +217,10 @@ mod tests {
 
     const SIZE: (usize, usize) = (240, 160);
     const CARD: (usize, usize) = (40, 40);
-    /// A warm lamp's light in linear sRGB: some 3400 K.
+    /// The light of a warm lamp in linear sRGB: about 3400 K.
     const WARM: [f32; 3] = [1.55, 0.9, 0.37];
 
-    /// Twelve stops of surfaces of several colours in warm light, and a grey card.
+    /// Twelve stops of surfaces with several colours in warm light, and a grey card.
     fn scene() -> RadianceMap {
         let pixels = Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -235,7 +235,7 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// What has been fused: the scene as a camera shows it.
+    /// The fused frames: the scene as a camera shows it.
     fn channels() -> Channels {
         let map = scene();
         std::array::from_fn(|c| {
@@ -244,7 +244,7 @@ mod tests {
         })
     }
 
-    /// The light of the picture of every operator, and of fusion, with the adjustments.
+    /// Returns the picture of every operator, and of fusion, with the adjustments.
     fn every(adjust: adjust::Options) -> Vec<Vec<[f32; 3]>> {
         let (map, options) = (scene(), Options { adjust, ..Options::default() });
         let each: Each = &|see| see(0, &map);
@@ -273,7 +273,7 @@ mod tests {
                 let moved: Vec<f32> = plain
                     .iter()
                     .zip(brighter)
-                    // Of colours that stay within what the display has the luminance is exact.
+                    // The luminance is exact only for colours inside the gamut of the display.
                     .filter(|(a, b)| a.iter().chain(*b).all(|c| (0.002..0.97).contains(c)))
                     .map(|(a, b)| odds(*b) - odds(*a))
                     .collect();
@@ -283,7 +283,7 @@ mod tests {
         }
     }
 
-    /// By its temperature, by the spot, and in part by estimation, grey is grey with every operator.
+    /// With a temperature, with a spot, and in part with an estimate, grey is grey for every operator.
     #[test]
     fn card_is_grey_in_its_light_for_every_operator() {
         let card = |pictures: &[Vec<[f32; 3]>]| -> Vec<f32> {
@@ -309,7 +309,7 @@ mod tests {
         for k in 0..plain.len() {
             assert!(plain[k] > 0.3, "{k}: {}", plain[k]);
             assert!(by_spot[k].abs() < 0.02, "{k}: {}", by_spot[k]);
-            // What was fused has been through a curve: there the light of the radiance is not that of the picture.
+            // Fused frames went through a curve: the light of the radiance is not that of the picture.
             assert!(k == plain.len() - 1 || by_light[k].abs() < 0.02, "{k}: {}", by_light[k]);
             assert!(by_itself[k].abs() < 0.85 * plain[k], "{k}: {} of {}", by_itself[k], plain[k]);
         }

@@ -1,8 +1,8 @@
-//! The stage of merging: radiance in the colour space and the unit of the results.
+//! Merging: radiance in the colour space and the unit of the results.
 //!
-//! In: aligned frames and the response. Out: [`Radiance`], of which the rows are in memory or, where memory is limited,
-//! on disk. Cost: that of merging, of deghosting and of the search for flare; on disk also that of writing and reading
-//! 12 bytes a pixel.
+//! In: aligned frames and the response. Out: [`Radiance`], with rows in memory or, if memory is limited, on disk.
+//! Cost: that of merging, deghosting and the flare estimate; on disk also that of writing and reading 12 bytes per
+//! pixel.
 
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;
@@ -23,26 +23,26 @@ use crate::scratch::{Kept, Scratch};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The radiance of a run, and what was found on the way to it.
+/// The radiance of a run, and data about it.
 pub(crate) struct Radiance {
     pub rows: RadianceRows,
-    /// What the photographs showed of it.
+    /// The range of radiance that the photographs show.
     pub photographed: Option<Photographed>,
     pub merged: Merged,
-    /// The radiances between which the frames have a signal; none where they are locally processed.
+    /// The radiances between which the frames have a signal; `None` if they are locally processed.
     pub limits: Option<Limits>,
     pub ghosts: Option<Ghosts>,
-    /// None where flare was not asked for.
+    /// `None` if flare was not requested.
     pub flare: Option<FlareReport>,
-    /// The factors of the frames, where they are locally processed.
+    /// The factors of locally processed frames.
     pub local: Option<LocalGain>,
     pub tally: Tally,
     pub statistics: Statistics,
     pub calibration: Option<CalibrationReport>,
 }
 
-/// Merges the frames, and brings their radiance into the colour space and the unit of the results. The warning is of
-/// colours outside that space.
+/// Merges the frames, and converts their radiance to the colour space and the unit of the results. The warning is
+/// about colours outside of that space.
 pub(crate) fn merged(
     Aligned { bracket, alignment, region }: &Aligned,
     camera: &Camera,
@@ -72,7 +72,7 @@ pub(crate) fn merged(
             })?;
         }
     }
-    // All exposures, of rejected frames too: they show how bright the photographer took the scene to be.
+    // All exposures, also of rejected frames: they show which brightness the photographer intended.
     let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
     let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
     let photographed = match &local {
@@ -109,7 +109,7 @@ pub(crate) fn merged(
     Ok((radiance, gamut::warning(outside)))
 }
 
-/// The flare over `rows`; none where there is none to be found.
+/// Returns the flare in `rows`, or `None` if there is none.
 fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
     let mut cells = flare::Cells::new(rows.size().0, rows.size().1);
     rows.each(|_, map| {
@@ -119,22 +119,22 @@ fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
     Ok(cells.flare())
 }
 
-/// How many rows of radiance are in memory at a time.
+/// The number of rows of radiance in memory.
 enum Room {
-    /// All.
+    /// All rows.
     Enough,
     /// So many; the others are in this file.
     Rows(usize, Arc<Scratch>),
 }
 
 impl Room {
-    /// By the memory that the `bracket` leaves for radiance of this size.
+    /// Chooses by the memory that the `bracket` leaves for radiance of this size.
     fn of(bracket: &Bracket, (width, height): (usize, usize), options: &Options) -> Room {
         let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
-        // A row of all frames, of moved ones a little more; of radiance, and of the picture.
+        // A row of all frames, a little more for frames that moved; of radiance; and of the picture.
         let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
         let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
-        // Whole bands, and whole cells of the search for flare.
+        // Complete bands, and complete cells of the flare estimate.
         let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
         Room::Rows((rows / unit * unit).max(unit), scratch.clone())
     }
@@ -153,7 +153,7 @@ enum Store {
 }
 
 impl RadianceRows {
-    /// All rows of `merging`, and the numbers of pixels of which the radiance is a bound only: clipped in all frames, or
+    /// Merges all rows. Returns also the numbers of pixels whose radiance is only a bound: clipped in all frames, or
     /// black in all.
     fn merged(merging: &Merging, room: &Room) -> Result<(Self, (usize, usize))> {
         let (width, height) = merging.size();
@@ -209,7 +209,7 @@ impl RadianceRows {
         }
     }
 
-    /// Each part as `change` makes it from the part and the number of its first row.
+    /// Replaces each part by the result of `change` for the part and the number of its first row.
     pub fn changed(mut self, mut change: impl FnMut(usize, RadianceMap) -> RadianceMap) -> Result<Self> {
         let mut primaries = self.primaries;
         self.store = match self.store {
@@ -233,7 +233,7 @@ impl RadianceRows {
         Ok(RadianceRows { primaries, ..self })
     }
 
-    /// All of it, in memory.
+    /// Returns all rows in memory.
     pub fn whole(self) -> Result<RadianceMap> {
         match self.store {
             Store::Held(map) => Ok(map),

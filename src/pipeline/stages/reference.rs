@@ -1,12 +1,12 @@
-//! The stage of alignment: to the reference of the bracket or, where that fails, to another frame.
+//! Alignment: to the reference of the bracket or, if that fails, to another frame.
 //!
-//! In: a bracket. Out: its alignment, and the bracket with the reference of that. Cost: that of the alignment; where
-//! half of the frames or more cannot be placed, up to three times as much.
+//! In: a bracket. Out: its alignment, and the bracket with the reference that was used. Cost: that of the alignment;
+//! up to three times as much if at least half of the frames are rejected.
 //!
-//! The reference that is chosen automatically is the frame with the most pixels that are neither clipped nor black.
-//! Where that frame is of another scene, was saved mirrored, or someone walked through it, all others are rejected
-//! although it is the reference that is wrong. The best of the rejected frames is tried as the reference then, and
-//! stays it where more frames are placed with confidence. A reference that the user chose stays.
+//! By default the reference is the frame with the most pixels that are neither clipped nor black. If that frame shows
+//! another scene, is mirrored, or somebody walked through it, all other frames are rejected although the reference is
+//! wrong. Then the best of the rejected frames is tried as the reference, and is used if more frames are aligned with
+//! confidence. A reference chosen by the user is kept.
 
 use crate::align;
 use crate::align::preset::PresetTransform;
@@ -22,15 +22,15 @@ pub(crate) struct Aligned {
     pub region: Rect,
 }
 
-/// References that are tried beside the first.
+/// Number of references that are tried after the first.
 const OTHERS: usize = 2;
-/// Confidence with which frames must be placed to count for another reference: where parallax makes every transform
-/// uncertain, the first reference is still the best.
+/// Confidence of frames that count for another reference: if parallax makes every transform uncertain, the first
+/// reference is still the best.
 const SURE: f64 = 0.8;
-/// ... where no frame is placed with the first.
+/// The same if no frame is aligned to the first reference.
 const LIKELY: f64 = 0.5;
 
-/// Aligns `bracket`, which comes back with the reference that it was aligned to.
+/// Aligns `bracket`. Returns it with the reference to which it was aligned.
 ///
 /// # Errors
 /// Those of [`align::align`].
@@ -39,12 +39,12 @@ pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // A frame that was placed with one reference is of the same scene as that, and is not tried itself.
+    // A frame that was aligned to a reference shows the same scene, and is not tried itself.
     let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
         let placed = count(&bracket, &alignment, 0.0);
         let among = bracket.frames().len() - excluded(&bracket, options).iter().filter(|&&out| out).count();
-        // Of two, nothing tells which is of another scene.
+        // With two frames it is not known which shows another scene.
         if among < 3 || 2 * placed > among {
             break;
         }
@@ -72,19 +72,19 @@ fn is_open(options: &Options) -> bool {
         && options.align.given.iter().all(|given| given.place == PresetTransform::Excluded)
 }
 
-/// The frames that are excluded: by the user, or because of the flash.
+/// Returns which frames are excluded by the user, or because of the flash.
 fn excluded(bracket: &Bracket, options: &Options) -> Vec<bool> {
     let mut out: Vec<bool> = bracket.frames().iter().map(|frame| frame.excluded.is_some()).collect();
     options.align.given.iter().filter_map(|given| bracket.named(&given.path)).for_each(|i| out[i] = true);
     out
 }
 
-/// The number of frames that are placed with `least` confidence, with the reference.
+/// Returns the number of frames that are aligned with at least the confidence `least`, including the reference.
 fn count(bracket: &Bracket, alignment: &Alignment, least: f64) -> usize {
     alignment.placed(bracket).filter(|(i, ..)| alignment.placements[*i].confidence() >= least).count()
 }
 
-/// Marks the frames that are placed.
+/// Marks the frames that are aligned.
 fn mark(bracket: &Bracket, alignment: &Alignment, done: &mut [bool]) {
     alignment.placed(bracket).for_each(|(i, ..)| done[i] = true);
 }

@@ -1,8 +1,8 @@
-//! The stage of the response: corrected exposures, and what code values mean.
+//! Response: corrected exposures, and the meaning of code values.
 //!
-//! In: an aligned bracket, and a response that was saved before, if one is given. Out: a [`Camera`], and warnings where
-//! the response is of another camera, the frames contradict it, or no curve explains them. Cost: that of sampling the
-//! frames and of fitting the curve, some tenths of a second.
+//! In: an aligned bracket, and a saved response, if given. Out: a [`Camera`], and warnings if the response is of
+//! another camera, the frames contradict it, or no curve fits them. Cost: that of sampling the frames and fitting the
+//! curve, some tenths of a second.
 
 use crate::align::AlignMode;
 use crate::bracket::{Bracket, Capture};
@@ -17,11 +17,11 @@ use crate::response::samples::Places;
 use crate::response::{self, ResponseCurve, ResponseReport};
 use std::path::Path;
 
-/// The response, and what was found on the way to it.
+/// The response, and data about it.
 pub(crate) struct Camera {
     pub curve: ResponseCurve,
     pub report: ResponseReport,
-    /// Whether frames are locally processed; none where that was not looked at.
+    /// Evidence of local processing; `None` if it was not evaluated.
     evidence: Option<Evidence>,
 }
 
@@ -31,13 +31,13 @@ impl Camera {
         self.evidence.as_ref().is_some_and(|evidence| evidence.is_local)
     }
 
-    /// The report's section on local processing, with the `gain` that was merged with.
+    /// Returns the report's section on local processing, with the `gain` used for merging.
     pub fn local_report(&self, gain: Option<&LocalGain>) -> Option<LocalReport> {
         self.evidence.as_ref().map(|evidence| LocalReport::of(evidence, gain))
     }
 }
 
-/// Corrects the exposures of the bracket where that is asked for, and finds its response.
+/// Corrects the exposures of the bracket, if requested, and determines its response.
 pub(crate) fn find(
     aligned: Aligned,
     saved: Option<SavedResponse>,
@@ -60,7 +60,7 @@ pub(crate) fn find(
             let placed = alignment.placed(&bracket).map(|(_, frame, _)| frame.path().to_owned());
             warnings.push(Warning::LocallyProcessed { paths: placed.collect() });
             let curve = evidence.as_ref().map_or_else(ResponseCurve::srgb, local::curve);
-            let fallback = Some("the frames are locally processed, which no curve explains".to_owned());
+            let fallback = Some("the frames are locally processed, and no curve fits them".to_owned());
             (curve, ResponseReport { model: "srgb", fallback, ..ResponseReport::default() })
         }
         Some(saved) => {
@@ -75,21 +75,21 @@ pub(crate) fn find(
             (curve, report)
         }
     };
-    // A curve that is given is not doubted: the frames are merged as functions of exposure.
+    // A given curve is accepted: the frames are merged as functions of exposure.
     let evidence = evidence.filter(|_| report.model != "file");
     Ok((Aligned { bracket, alignment, region }, Camera { curve, report, evidence }, warnings))
 }
 
-/// The warning of the response `saved` in the file `path` where the photographs of `capture` are of another camera; none
-/// where one of them has no camera.
+/// Returns a warning if the response `saved` in the file `path` is of another camera than that of `capture`; `None`
+/// if one of the cameras is not known.
 fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
     let found = saved.camera()?;
     let kept = capture.camera()?;
-    let detail = format!("is the response of {found}, and the photographs were taken by {kept}");
+    let detail = format!("is the response of {found}, but the photographs were taken with {kept}");
     (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
 }
 
-/// The warning of the curve in the file `path` where the photographs contradict it, or any curve (`is_local`).
+/// Returns a warning if the photographs contradict the curve in the file `path`, or any curve (`is_local`).
 fn contradicted_response(
     path: &Path,
     curve: &ResponseCurve,
@@ -99,10 +99,10 @@ fn contradicted_response(
     let warning = |(found, own)| {
         let detail = match is_local {
             true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, as they do any"
+                "the frames are locally processed: they contradict this response by {found:.2} stops, and would contradict any other"
             ),
             false => {
-                format!("the frames contradict this response by {found:.2} stops, and one of their own by {own:.2}")
+                format!("the frames contradict this response by {found:.2} stops; one recovered from them by {own:.2}")
             }
         };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }
@@ -110,8 +110,8 @@ fn contradicted_response(
     Ok(response::contradiction(curve, places)?.map(warning))
 }
 
-/// Whether the frames are locally processed, by `places` of `bracket`. None where the user states a curve, which is not
-/// doubted, and where frames are not aligned: these may differ from place to place because they moved.
+/// Returns the evidence of local processing from `places` of `bracket`. `None` if the user gives a curve, and if
+/// frames are not aligned, because then differences between places may be due to the camera's motion.
 pub(crate) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
     let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());

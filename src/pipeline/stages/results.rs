@@ -1,7 +1,8 @@
-//! The results: radiance and picture to their files, some hundred rows at a time.
+//! The results: radiance and picture are written to their files, some hundred rows at a time.
 //!
-//! In: radiance, all of it or slab by slab, and what its picture comes from, which may be smaller. Out: every file that shows them, whole but not yet named. Cost: that of the
-//! tone mapping and the encoders. Memory: rows of the picture, and what the encoders hold.
+//! In: radiance, in one or several parts, and the source of its picture, which may be smaller. Out: every result
+//! file, complete but not yet named. Cost: that of tone mapping and of the encoders. Memory: rows of the picture, and
+//! buffers of the encoders.
 
 use crate::bracket::colour::Primaries;
 use crate::error::Result;
@@ -12,12 +13,12 @@ use crate::tonemap::resize::Resizer;
 use crate::write::{self, Codes, Files, Metadata, Output, Settled, Written};
 use std::time::{Duration, Instant};
 
-/// Rows that are given to the writers at once: bands enough for all threads, and buffers that stay in the cache.
+/// Number of rows passed to the writers at once: enough bands for all threads, and buffers that stay in the cache.
 const AT_ONCE: usize = 8 * BAND_ROWS;
-/// Rows that are made smaller at once: what is kept of them is of floats.
+/// Number of rows that are reduced at once; their values are floats.
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;
 
-/// Who wants to see the rows of the picture, in 8 bits and as large as the radiance.
+/// Callback for the rows of the picture, in 8 bits and in the size of the radiance.
 pub(crate) type Shown<'a> = &'a mut dyn FnMut(&[[u8; 3]]);
 
 /// What is written, and how.
@@ -27,13 +28,13 @@ pub(crate) struct Results<'a> {
     pub metadata: Metadata,
     pub size: (usize, usize),
     pub primaries: Primaries,
-    /// The luminance that 0.1 % of the radiance is above.
+    /// The luminance that 0.1 % of the radiance exceeds.
     pub bright: f32,
 }
 
 impl Results<'_> {
-    /// The files of the radiance that `each` shows, and of `picture`; whoever wants to see the rows of the picture, in 8 bits, is `shown` them. And the
-    /// time that tone mapping took.
+    /// Writes the files of the radiance that `each` passes, and of `picture`. Calls `shown` with the rows of the
+    /// picture in 8 bits. Returns also the time of tone mapping.
     pub fn written(self, each: Each, picture: &Picture, mut shown: Option<Shown>) -> Result<(Vec<Written>, Duration)> {
         let Results { outputs, options, metadata, size, primaries, bright } = self;
         let (encoder, depth) = (Encoder::of(options.picture.colours), options.picture.depth);
@@ -90,7 +91,7 @@ impl Results<'_> {
     }
 }
 
-/// A picture that is smaller than the radiance: what was taken of it last, in light; and the radiance that it shows, where that is needed.
+/// A picture that is smaller than the radiance: the pending rows in light, and the radiance that it shows, if needed.
 struct Smaller {
     width: usize,
     full: Vec<[f32; 3]>,
@@ -104,7 +105,7 @@ impl Smaller {
         Smaller { width: from.0, full: Vec::new(), light: resizer(), radiance: has_radiance.then(resizer) }
     }
 
-    /// Takes the next rows of radiance, the first of which is row `first`.
+    /// Adds the next rows of radiance, from row `first` on.
     fn take(&mut self, picture: &Picture, encoder: &Encoder, first: usize, rows: &[[f32; 3]]) {
         picture.show(encoder, self.width, first, rows, &mut self.full);
         self.light.0.push(&self.full, &mut self.light.1);
