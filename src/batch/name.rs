@@ -211,8 +211,8 @@ mod tests {
             ("first}", "brace"),
             ("../{first}", "is outside"),
             ("/tmp/{first}", "is outside"),
-            ("{folder}/", "no name"),
-            ("", "no name"),
+            ("{folder}/", "does not end with a name"),
+            ("", "does not end with a name"),
         ] {
             let error = Template::parse(wrong).unwrap_err();
             assert!(error.is_usage() && error.to_string().contains(said), "{wrong}: {error}");

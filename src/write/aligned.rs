@@ -1,7 +1,7 @@
-//! Aligned frames: each placed frame on the reference's grid, as TIFF of its own depth.
+//! Aligned frames: each merged frame on the grid of the reference, as TIFF with its own depth.
 //!
-//! In: a bracket and its alignment. Out: one file a frame, `PREFIX` and the frame's name; black where a frame does not reach. Cost:
-//! one resampling of every frame, by bands.
+//! In: a bracket and its alignment. Out: one file per frame, `PREFIX` and the frame's name; black outside of the
+//! frame. Cost: one resampling of every frame, in bands.
 
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
@@ -15,7 +15,7 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// The name under which the frame of `image` is saved: `prefix`, its name without the extension, `.tif`.
+/// Returns the name of the saved frame of `image`: `prefix`, its name without the extension, `.tif`.
 fn name(prefix: &Path, image: &Path) -> PathBuf {
     let mut name = prefix.as_os_str().to_os_string();
     name.push(image.file_stem().unwrap_or_default());
@@ -23,24 +23,24 @@ fn name(prefix: &Path, image: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// The names under which the frames of `images` are saved.
+/// Returns the names of the saved frames of `images`.
 ///
 /// # Errors
-/// [`Error::Option`] where two would have the same name.
+/// [`Error::Option`] if two would have the same name.
 pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let names: Vec<PathBuf> = images.iter().map(|image| name(prefix, image)).collect();
     for (i, name) in names.iter().enumerate() {
         if names[..i].contains(name) {
             return Err(Error::Option {
                 option: "--save-aligned",
-                reason: format!("two photographs would both be saved as {}; rename one of them", name.display()),
+                reason: format!("two photographs would be saved as {}; rename one of them", name.display()),
             });
         }
     }
     Ok(names)
 }
 
-/// Writes the part `region` of every placed frame of `bracket`.
+/// Writes the part `region` of every merged frame of `bracket`.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::Scratch`].
@@ -72,7 +72,7 @@ pub fn write(
     Ok(files)
 }
 
-/// Bands that are resampled before they are written.
+/// Number of bands that are resampled before they are written.
 const BANDS_AT_ONCE: usize = 8;
 
 fn push<T: Copy + Send + Sync>(

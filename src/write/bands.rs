@@ -1,11 +1,11 @@
-//! Bands: rows are cut into fixed bands, encoded in parallel and written in order.
+//! Bands: encodes rows in parallel and writes them in order.
 //!
-//! In: rows in order, in portions of any size. Out: the fixed bands of 64 rows, encoded in parallel and written in order, so that
-//! the file depends on neither the portions nor the threads. Cost: a copy of rows that do not fill a band; about one encoded band a thread
-//! in memory, 16 where the disk is slower than the encoder. Buffers are reused from push to push.
+//! In: rows in order, in portions of any size. Out: fixed bands of 64 rows, encoded in parallel and written in order,
+//! so that the file depends neither on the portions nor on the threads. Cost: a copy of rows that do not fill a band;
+//! about one encoded band per thread in memory, 16 if the disk is slower than the encoder. Buffers are reused.
 //!
-//! Every thread takes the next band. A thread that has encoded one writes all bands that are ready in order, unless another thread is
-//! writing; the others continue to encode. No thread waits for another.
+//! Every thread takes the next band. A thread that has encoded one writes all bands that are next in order, unless
+//! another thread is writing; the others continue to encode. No thread waits for another.
 
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -15,20 +15,21 @@ use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Encoded bands that may wait for the disk before an encoder does: bounds the memory, and has no part in the bytes.
+/// Largest number of encoded bands that wait for the disk before encoders wait; limits the memory, and does not
+/// affect the bytes.
 const MOST_WAITING: usize = 16;
 
-/// Cuts rows that come in any portions into the fixed bands, encodes these in parallel and hands the results on in order. `S` is what an
-/// encoder keeps from band to band for its buffers' sake.
+/// Divides rows into the fixed bands, encodes these in parallel and passes the results on in order. `S` is the
+/// scratch data of an encoder, kept from band to band to reuse its buffers.
 #[derive(Debug)]
 pub(super) struct Bands<P, S = ()> {
     pub(super) width: usize,
     pub(super) height: usize,
-    /// Rows handed on; always at the start of a band, or the end.
+    /// Number of rows passed on; always the start of a band, or the end.
     done: usize,
     rest: Vec<P>,
     scratch: Mutex<Vec<S>>,
-    /// Buffers of bands that are written, for those to come.
+    /// Buffers of written bands, for reuse.
     spare: Vec<Vec<u8>>,
 }
 
@@ -37,8 +38,8 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
         Bands { width, height, done: 0, rest: Vec::new(), scratch: Mutex::default(), spare: Vec::new() }
     }
 
-    /// Takes `rows`; `encode(first row, pixels, scratch, out)` appends each band to the empty `out`; `sink` then gets that in order, with
-    /// the value that `encode` returns. The first error of `sink` ends it all.
+    /// Adds `rows`. `encode(first row, pixels, scratch, out)` appends each band to the empty `out`; `sink` receives
+    /// `out` in order, with the value that `encode` returns. The first error of `sink` ends the work.
     pub(super) fn push<R: Send>(
         &mut self,
         mut rows: &[P],
@@ -49,7 +50,7 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
         let missing = (self.height - self.done) * self.width - self.rest.len();
         assert!(
             rows.len().is_multiple_of(self.width) && rows.len() <= missing,
-            "rows come whole, and not more than there are"
+            "rows must be complete, and not more than the picture has"
         );
         let last = rows.len() == missing;
         let mut filled = Vec::new();
@@ -105,7 +106,7 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
         outcome
     }
 
-    /// That every row has come.
+    /// Checks that all rows were added.
     pub(super) fn complete(&self) -> io::Result<()> {
         if self.done == self.height {
             return Ok(());
@@ -118,16 +119,16 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
     }
 }
 
-/// Encoded bands on their way to the disk.
+/// Encoded bands waiting for the disk.
 struct Line<R, F> {
-    /// Bands that somebody has begun.
+    /// Number of bands that were started.
     taken: AtomicUsize,
     queue: Mutex<Queue<R>>,
-    /// Held by who writes; with the outcome so far.
+    /// Locked by the thread that writes; with the result so far.
     sink: Mutex<(F, Result<()>)>,
 }
 
-/// Bands by their number, of which `next` is the next to be written.
+/// Bands by number; `next` is the next to be written.
 struct Queue<R> {
     next: usize,
     ready: BTreeMap<usize, (Vec<u8>, R)>,
@@ -135,14 +136,15 @@ struct Queue<R> {
 }
 
 impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
-    /// An empty buffer, used before if there is one.
+    /// Returns an empty buffer, reused if possible.
     fn buffer(&self) -> Vec<u8> {
         let mut buffer = locked(&self.queue).spare.pop().unwrap_or_default();
         buffer.clear();
         buffer
     }
 
-    /// Queues an encoded band; writes what is ready unless somebody is writing, whom it waits for only where many bands do.
+    /// Queues an encoded band. Writes the bands that are next in order unless another thread is writing; waits for
+    /// that thread only if many bands wait.
     fn hand_on(&self, number: usize, bytes: Vec<u8>, said: R) {
         let waiting = {
             let mut queue = locked(&self.queue);
@@ -168,7 +170,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
             if outcome.is_ok() {
                 *outcome = sink(&bytes, said);
                 if outcome.is_err() {
-                    // Nobody need begin another.
+                    // No other band need be started.
                     self.taken.store(usize::MAX / 2, Ordering::Relaxed);
                 }
             }
@@ -176,7 +178,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
         }
     }
 
-    /// Writes what nobody took up, and gives the outcome and the buffers.
+    /// Writes the remaining bands. Returns the result and the buffers.
     fn end(self) -> (Result<()>, Vec<Vec<u8>>) {
         self.write(&mut locked(&self.sink));
         let queue = self.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -185,7 +187,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
     }
 }
 
-/// A panic elsewhere leaves nothing half-done that is used afterwards.
+/// A panic in another thread leaves no inconsistent state that is used afterwards.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -195,7 +197,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
 
-    /// Every portioning must give the same bands: (first row, rows, first value) tells one from another.
+    /// Any portions must give the same bands, identified by (first row, rows, first value).
     #[test]
     fn bands_do_not_depend_on_the_portions() {
         let (width, height) = (3, 64 * 18 + 5);
@@ -220,7 +222,7 @@ mod tests {
             }
             bands.complete().unwrap();
             assert!(locked(&bands.scratch).len() <= threads && bands.spare.len() <= 19);
-            assert_eq!(locked(&bands.scratch).iter().sum::<u32>(), 19, "scratch is kept from push to push");
+            assert_eq!(locked(&bands.scratch).iter().sum::<u32>(), 19, "scratch data are kept from push to push");
             seen
         };
         let expected: Vec<_> =
@@ -232,7 +234,7 @@ mod tests {
         }
     }
 
-    /// The error is that of the first band in order whose writing fails, and nothing is written behind it.
+    /// The error is that of the first band in order that cannot be written, and nothing is written after it.
     #[test]
     fn the_first_error_ends_it() {
         for threads in [1, 3] {

@@ -9,35 +9,35 @@ use ::exif::{Field, In, Rational, Reader, Tag, Value};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// What a JPEG segment holds beside its name.
+/// Largest content of a JPEG segment after its name.
 const MOST_BYTES: usize = 65_500;
 
-/// Whether there is anything to tell of the photograph.
+/// Whether the metadata have capture data of the photograph.
 pub(crate) fn tells(metadata: &Metadata) -> bool {
     !of_the_photograph(metadata).is_empty()
 }
 
-/// The EXIF block of a picture of `size` pixels.
+/// Returns the EXIF block of a picture of `size` pixels.
 pub(crate) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
     let whole = written(&fields(of_the_photograph(metadata), size, metadata));
-    // More than a segment holds is no camera's; what every file says is left.
+    // A block that is larger than a segment is not from a camera; then only the fields of the metadata are written.
     whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(&fields(of(metadata), size, metadata)))
 }
 
-/// The fields of a TIFF picture of `size` pixels: all but those that EXIF has for JPEG alone.
+/// Returns the fields of a TIFF picture of `size` pixels: all except those that EXIF has only for JPEG.
 pub(crate) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     let of_jpeg = [Tag::YCbCrPositioning, Tag::ComponentsConfiguration, Tag::PixelXDimension, Tag::PixelYDimension];
     let all = fields(of_the_photograph(metadata), size, metadata).into_iter();
     all.filter(|field| !of_jpeg.contains(&field.tag)).collect()
 }
 
-/// The fields carried over from the reference frame, or those made of the metadata.
+/// Returns the fields copied from the reference frame, or made from the metadata.
 fn of_the_photograph(metadata: &Metadata) -> Vec<Field> {
     let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
     carried.map_or_else(|| of(metadata), |exif| exif.fields().cloned().collect())
 }
 
-/// The fields `of_the_photograph`, with what the file is.
+/// Adds the properties of the file to the fields `of_the_photograph`.
 fn fields(of_the_photograph: Vec<Field>, size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     let mut fields: BTreeMap<Key, Field> = of_the_photograph.into_iter().map(|field| (key(field.tag), field)).collect();
     let at = |n: usize| Value::Long(vec![u32::try_from(n).unwrap_or(u32::MAX)]);
@@ -84,7 +84,7 @@ fn text(text: &str) -> Value {
     Value::Ascii(vec![text.as_bytes().to_vec()])
 }
 
-/// The capture data of the metadata as EXIF fields.
+/// Returns the capture data of the metadata as EXIF fields.
 fn of(metadata: &Metadata) -> Vec<Field> {
     let capture = &metadata.capture;
     let mut fields = Vec::new();
@@ -113,13 +113,14 @@ fn of(metadata: &Metadata) -> Vec<Field> {
         }
     }
     if let Some(iso) = metadata.iso.map(f64::round).filter(|iso| *iso >= 1.0) {
-        // What does not fit is 65535 by the standard.
+        // Values that do not fit are 65535, by the standard.
         put(Tag::PhotographicSensitivity, Value::Short(vec![iso.min(65535.0) as u16]));
     }
     fields
 }
 
-/// The fraction nearest to `v`, which is 0 or above: 1/n where it is that, decimal otherwise, as fine as 32 bits allow.
+/// Returns the closest fraction to `v`, which is 0 or above: 1/n if that is exact, otherwise decimal, as fine as 32
+/// bits allow.
 pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let most = f64::from(u32::MAX);
     let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
@@ -131,7 +132,7 @@ pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
     let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
     let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
-    // The cast keeps what is beyond within the type.
+    // The cast limits larger values to the type.
     ((v * f64::from(denominator)).round() as u32, denominator)
 }
 
@@ -163,7 +164,7 @@ mod tests {
     #[test]
     fn what_was_carried_is_kept_and_what_the_file_is_is_put_right() {
         let first = Metadata { time_s: Some(0.5), iso: Some(100.0), ..Metadata::default() };
-        // A block that says another size and program, as an edited photograph's does.
+        // A block with another size and program, as in an edited photograph.
         let other = Metadata { software: "other".into(), ..first };
         let exif = block((9, 9), &other);
         let metadata = Metadata { capture: Capture { exif, ..Capture::default() }, ..Metadata::default() };

@@ -21,19 +21,19 @@ use rayon::prelude::*;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Of the [`Options`] those that only a look at all of the radiance can settle, and that a file needs before its first row.
+/// The settings that depend on all of the radiance, and that a file needs before its first row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settled {
-    /// What OpenEXR keeps a number as.
+    /// Sample type of OpenEXR.
     pub sample: exr::Sample,
-    /// What values are multiplied by to be held by LogLuv.
+    /// Factor for values in LogLuv.
     pub logluv_scale: f32,
-    /// What the gain map of a JPEG leads to.
+    /// The rendition for the gain map of a JPEG.
     pub rendition: Rendition,
 }
 
 impl Settled {
-    /// For `radiance`, shown as `display`, written to `outputs`.
+    /// Determines them for `radiance`, shown as `display`, written to `outputs`.
     pub(super) fn of(
         outputs: &[Output],
         radiance: &RadianceMap,
@@ -50,8 +50,9 @@ impl Settled {
         Self::seen(outputs, options, scene, bright, |see| see(0, radiance), codes)
     }
 
-    /// For radiance of the size and primaries `scene`, 0.1 % of which is above the luminance `bright`, written to `outputs`. Where the answer shows,
-    /// `each` is asked to show all of it, slab by slab with the number of the first row, and `codes` for the picture of rows.
+    /// Determines them for radiance of size and primaries `scene`, of which 0.1 % is above the luminance `bright`,
+    /// written to `outputs`. If necessary, `each` passes all of it, slab by slab with the number of the first row,
+    /// and `codes` returns the picture of rows.
     ///
     /// # Errors
     /// Those of `each`.
@@ -85,7 +86,7 @@ impl Settled {
     }
 }
 
-/// Whether one of `outputs` is of `format`.
+/// Whether one of `outputs` has the `format`.
 pub fn is_among(outputs: &[Output], format: Format) -> bool {
     outputs.iter().any(|output| output.format == format)
 }
@@ -93,21 +94,21 @@ pub fn is_among(outputs: &[Output], format: Format) -> bool {
 /// Rows of a picture.
 #[derive(Debug, Clone, Copy)]
 pub enum Codes<'a> {
-    /// Of 8 bits.
+    /// 8 bits per channel.
     Eight(&'a [[u8; 3]]),
-    /// Of 16 bits.
+    /// 16 bits per channel.
     Sixteen(&'a [[u16; 3]]),
 }
 
-/// How far a file is.
+/// The state of a file.
 enum State<P> {
-    /// Begun, and the pixels that are missing.
+    /// Started, with the number of missing pixels.
     Begun(Box<dyn RowWriter<P>>, usize),
     Ended(Written),
     Failed,
 }
 
-/// A file, and its place among those named.
+/// A file, and its position among the outputs.
 struct Slot<P> {
     place: usize,
     path: PathBuf,
@@ -115,7 +116,7 @@ struct Slot<P> {
 }
 
 impl<P: Sync> Slot<P> {
-    /// Takes rows; after the last one the file is ended.
+    /// Adds rows; the file ends after the last one.
     fn push(&mut self, rows: &[P]) -> Result<()> {
         self.state = match std::mem::replace(&mut self.state, State::Failed) {
             State::Begun(mut writer, missing) => {
@@ -123,13 +124,13 @@ impl<P: Sync> Slot<P> {
                 let missing = missing - rows.len();
                 if missing == 0 { State::Ended(writer.finish()?) } else { State::Begun(writer, missing) }
             }
-            State::Ended(_) => panic!("not more rows come than there are"),
+            State::Ended(_) => panic!("more rows than the picture has"),
             State::Failed => return Err(failed(&self.path)),
         };
         Ok(())
     }
 
-    /// Ends the file; its writer refuses to end one that lacks rows.
+    /// Ends the file; an incomplete one is an error of its writer.
     fn ended(self) -> Result<(usize, Written)> {
         let written = match self.state {
             State::Begun(writer, _) => writer.finish()?,
@@ -140,7 +141,7 @@ impl<P: Sync> Slot<P> {
     }
 }
 
-/// A file made of radiance and picture, and its place among those named.
+/// A file with both radiance and picture, and its position among the outputs.
 struct Both {
     place: usize,
     path: PathBuf,
@@ -148,7 +149,7 @@ struct Both {
 }
 
 impl Both {
-    /// Takes rows of either or both.
+    /// Adds rows of either or both.
     fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
         let mut writer = self.state.take().ok_or_else(|| failed(&self.path))?;
         writer.push(radiance, display)?;
@@ -163,10 +164,10 @@ impl Both {
 }
 
 fn failed(path: &Path) -> Error {
-    Error::Write { path: path.to_owned(), source: io::Error::other("it could not be written before") }
+    Error::Write { path: path.to_owned(), source: io::Error::other("an earlier write failed") }
 }
 
-/// Gives `rows` to all of `slots` side by side; the error is that of the first in order.
+/// Adds `rows` to all of `slots` in parallel. Returns the first error in order.
 fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
     if rows.is_empty() {
         return Ok(());
@@ -175,24 +176,24 @@ fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
     outcomes.into_iter().collect()
 }
 
-/// All files of a run that show its result: radiance maps and pictures by their extensions.
+/// All result files of a run: radiance maps and pictures, by extension.
 ///
-/// Push four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows or more at a time, so that every thread has one; the portions do not
-/// show in the files. Dropped unfinished, it leaves nothing behind.
+/// Push at least four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows at a time, so that every thread has one;
+/// the portions do not affect the files. Nothing remains if it is dropped before the end.
 pub struct Files {
     radiance: Vec<Slot<[f32; 3]>>,
     eight: Vec<Slot<[u8; 3]>>,
     sixteen: Vec<Slot<[u16; 3]>>,
-    /// Those that need both.
+    /// Files that need both.
     both: Vec<Both>,
 }
 
 impl Files {
-    /// Begins a file for each of `outputs`, radiance of `size` pixels. It is of the [`primaries`](Metadata::primaries), pictures of the
-    /// [`colours`](super::picture::Options::colours) asked for.
+    /// Starts a file for each of `outputs`, with radiance of `size` pixels. Radiance has the
+    /// [`primaries`](Metadata::primaries), pictures have the requested [`colours`](super::picture::Options::colours).
     ///
     /// # Errors
-    /// [`Error::Option`] where the format of a picture does not hold what is asked for; [`Error::Write`]. Nothing is left behind then.
+    /// [`Error::Option`] if the format of a picture does not support an option; [`Error::Write`]. No files remain.
     pub fn begin(
         outputs: &[Output],
         size: (usize, usize),
@@ -225,24 +226,24 @@ impl Files {
         Ok(files)
     }
 
-    /// Whether there is a picture among them that needs the radiance that it shows.
+    /// Whether one of the pictures needs the radiance that it shows.
     pub fn hold_gains(&self) -> bool {
         !self.both.is_empty()
     }
 
-    /// Whether there is a picture among them.
+    /// Whether there are pictures.
     pub fn hold_pictures(&self) -> bool {
         !self.eight.is_empty() || !self.sixteen.is_empty() || !self.both.is_empty()
     }
 
-    /// The next rows of radiance for the maps; and of the pictures the next `codes`, and the radiance `shown` by them, which is as large as they
-    /// are. Side by side; any may be empty.
+    /// Adds the next rows of radiance for the maps, and for the pictures the next `codes` and the radiance `shown` by
+    /// them, in the same size. All files are written in parallel; any rows may be empty.
     ///
     /// # Errors
-    /// [`Error::Write`] of the first file in order that failed. It cannot be gone on with then.
+    /// [`Error::Write`] of the first file in order that failed. No more rows can be added then.
     ///
     /// # Panics
-    /// As [`RowWriter::push`]; and where codes are not of the depth that was asked for.
+    /// As [`RowWriter::push`]; and if the codes do not have the requested depth.
     pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[f32; 3]], codes: Codes) -> Result<()> {
         let Files { radiance: maps, eight, sixteen, both } = self;
         let (coarse, fine): (&[[u8; 3]], &[[u16; 3]]) = match codes {
@@ -255,10 +256,10 @@ impl Files {
         a.and(b).and(c)
     }
 
-    /// Ends all files, and gives them in the order in which they were named.
+    /// Ends all files, and returns them in the order of the outputs.
     ///
     /// # Errors
-    /// [`Error::Write`] when rows are missing.
+    /// [`Error::Write`] if rows are missing.
     pub fn finish(self) -> Result<Vec<Written>> {
         let maps = self.radiance.into_iter().map(Slot::ended);
         let (eight, sixteen) = (self.eight.into_iter().map(Slot::ended), self.sixteen.into_iter().map(Slot::ended));
@@ -269,7 +270,7 @@ impl Files {
     }
 }
 
-/// A writer of linear RGB to `output`.
+/// Creates a writer of linear RGB to `output`.
 fn radiance_writer(
     output: &Output,
     size: (usize, usize),
@@ -294,7 +295,7 @@ fn radiance_writer(
     })
 }
 
-/// A writer of codes to `output`.
+/// Creates a writer of codes to `output`.
 fn picture_writer<T: png::Sample>(
     output: &Output,
     size: (usize, usize),
@@ -323,7 +324,7 @@ mod tests {
         let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
         let (metadata, options) = (Metadata::default(), Options::default());
         let there = || std::fs::read_dir(dir.path()).unwrap().count();
-        // The last one fails when four are written: nothing may stay, not even under a temporary name.
+        // The last one fails when four are written: no file may remain, not even under a temporary name.
         let mut and_a_wrong_one = paths.clone();
         and_a_wrong_one.push("nowhere/a.exr".into());
         assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
@@ -339,7 +340,8 @@ mod tests {
         assert!(matches!(again, Err(Error::OutputExists { .. })));
         assert_eq!(there(), 5);
     }
-    /// Portions of any size, both kinds side by side or not, make the same files as all at once; a run that stops leaves nothing.
+    /// Portions of any size, both kinds in parallel or not, give the same files as all at once; an interrupted run
+    /// leaves nothing.
     #[test]
     fn files_do_not_depend_on_how_they_are_fed() {
         let dir = tempfile::tempdir().unwrap();
@@ -366,7 +368,7 @@ mod tests {
             let paths: Vec<PathBuf> = names.iter().map(|n| folder.join(n)).collect();
             let written = make(&paths);
             let targets: Vec<&Path> = written.iter().map(|w| w.file.target()).collect();
-            assert_eq!(targets, paths, "in the order of the names");
+            assert_eq!(targets, paths, "in the order of the outputs");
             commit(written.into_iter().map(|w| w.file).collect(), false).unwrap();
             paths.iter().map(|path| std::fs::read(path).unwrap()).collect::<Vec<_>>()
         };

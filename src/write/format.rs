@@ -1,11 +1,11 @@
-//! Formats: which one an extension asks for, and whether it holds radiance or a picture.
+//! File formats by extension, and whether they contain radiance or a picture.
 //!
-//! In: paths. Out: [`Output`]s. Cost: none.
+//! In: paths. Out: [`Output`]s. Cost: negligible.
 
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// The formats that are written, chosen by the extension.
+/// The output formats, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// OpenEXR, `.exr`: radiance.
@@ -18,15 +18,15 @@ pub enum Format {
     Png,
     /// JPEG with a gain map, `.jpg` or `.jpeg`: the display picture, and the radiance for HDR displays.
     Jpeg,
-    /// TIFF with codes, `.tif` or `.tiff` where a picture is asked for: the display picture.
+    /// TIFF with codes, `.tif` or `.tiff` if a picture is requested: the display picture.
     TiffPicture,
 }
 
 impl Format {
-    /// The extensions that are known, for messages.
+    /// The supported extensions, for messages.
     pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png, .jpg, .jpeg";
 
-    /// The format that `path` asks for by its extension, in any case.
+    /// Returns the format for the extension of `path`, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -42,16 +42,19 @@ impl Format {
         }
     }
 
-    /// The format that `path` asks for by its extension where it is to be the display picture.
+    /// Returns the format for the extension of `path`, if it should be a picture.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`]; [`Error::Option`] for a format that holds radiance alone.
+    /// [`Error::UnknownExtension`]; [`Error::Option`] for a format that contains only radiance.
     pub fn of_picture(path: &Path) -> Result<Format> {
         const KNOWN: &str = ".png, .jpg, .jpeg, .tif, .tiff";
         match Format::of(path) {
             Ok(Format::Tiff) => Ok(Format::TiffPicture),
             Ok(format) if format.holds_radiance() => {
-                let reason = format!("{} holds radiance; name it by -o, or a picture ({KNOWN})", path.display());
+                let reason = format!(
+                    "{} is a radiance format; use -o for it, or choose a picture format ({KNOWN})",
+                    path.display()
+                );
                 Err(Error::Option { option: "--picture", reason })
             }
             Ok(format) => Ok(format),
@@ -59,7 +62,7 @@ impl Format {
         }
     }
 
-    /// Whether it holds linear radiance; if not, the display picture.
+    /// Whether it contains linear radiance; otherwise the display picture.
     pub fn holds_radiance(self) -> bool {
         match self {
             Format::Exr | Format::Hdr | Format::Tiff => true,
@@ -68,7 +71,7 @@ impl Format {
     }
 }
 
-/// A result: the file, and what it holds.
+/// A result file and its format.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Output {
     /// The file.
@@ -78,7 +81,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// What `-o` names: `paths` by their extensions.
+    /// Returns the outputs of `-o`: `paths` by extension.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -86,7 +89,7 @@ impl Output {
         paths.iter().map(|path| Ok(Output { path: path.clone(), format: Format::of(path)? })).collect()
     }
 
-    /// What `--picture` names: the display picture, whatever the extension.
+    /// Returns the outputs of `--picture`: always the display picture.
     ///
     /// # Errors
     /// Those of [`Format::of_picture`].
@@ -104,7 +107,7 @@ mod tests {
         let of = |name: &str| Format::of_picture(Path::new(name));
         assert_eq!(of("b.TIFF").unwrap(), Format::TiffPicture);
         assert_eq!([of("b.png").unwrap(), of("b.JPG").unwrap()], [Format::Png, Format::Jpeg]);
-        for (name, said) in [("b.exr", "name it by -o"), ("b.hdr", ".tif"), ("b.bmp", ".png")] {
+        for (name, said) in [("b.exr", "use -o"), ("b.hdr", ".tif"), ("b.bmp", ".png")] {
             let error = of(name).unwrap_err();
             assert!(error.is_usage() && error.to_string().contains(said), "{error}");
         }

@@ -1,10 +1,10 @@
-//! Radiance `.hdr`: RGBE or XYZE pixels under a text header.
+//! Radiance `.hdr`: RGBE or XYZE pixels after a text header.
 //!
-//! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units. RGBE is in W/sr/m2 times
-//! EXPOSURE: luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's primaries. XYZE is in cd/m2 times EXPOSURE:
-//! luminance = Y / EXPOSURE; grey has X = Y = Z, as Radiance has it, and no primaries. [`read`](crate::read) is the way back. Cost: 25 ns
-//! a pixel and core and 3 to 4 bytes. Source: "Radiance File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`,
-//! `src/px/ra_xyze.c`.
+//! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units. RGBE is in
+//! W/sr/m2 times EXPOSURE: luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's primaries. XYZE
+//! is in cd/m2 times EXPOSURE: luminance = Y / EXPOSURE; grey has X = Y = Z, as in Radiance, and there are no
+//! primaries. [`read`](crate::read) reads it. Cost: 25 ns per pixel and core, and 3 to 4 bytes. Source: "Radiance
+//! File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`, `src/px/ra_xyze.c`.
 
 use super::bands::Bands;
 use super::metadata::{Metadata, one_line};
@@ -25,7 +25,7 @@ pub enum Encoding {
     /// Red, green and blue with a shared exponent.
     #[default]
     Rgbe,
-    /// CIE XYZ with a shared exponent: holds every visible colour.
+    /// CIE XYZ with a shared exponent: contains every visible colour.
     Xyze,
 }
 
@@ -39,17 +39,17 @@ pub struct Writer {
     over: u64,
 }
 
-/// From linear RGB as given to what is stored.
+/// Matrix from the linear RGB of the rows to the stored components.
 #[derive(Debug, Clone, Copy)]
 struct ToStored {
     xyz: Option<NeutralXyz>,
-    /// What given values are multiplied by; nothing where it is 1.
+    /// Factor for the values of the rows; nothing is done if it is 1.
     factor: f32,
 }
 
 impl ToStored {
     fn of(metadata: &Metadata, encoding: Encoding) -> Self {
-        // Calibrated radiance is stored in its unit, so that programs that forget EXPOSURE are right too.
+        // Calibrated radiance is stored in its unit, so that programs that ignore EXPOSURE are also right.
         let factor = match (metadata.cd_m2_per_unit, encoding) {
             (None, _) => 1.0,
             (Some(luminance), Encoding::Rgbe) => luminance.get() / WHITE_EFFICACY,
@@ -62,7 +62,7 @@ impl ToStored {
         ToStored { xyz, factor: factor as f32 }
     }
 
-    /// Whether pixels are stored as they are given.
+    /// Whether pixels are stored unchanged.
     fn keeps(&self) -> bool {
         self.xyz.is_none() && self.factor == 1.0
     }
@@ -101,7 +101,7 @@ impl RowWriter<[f32; 3]> for Writer {
 
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
-        let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were written as that");
+        let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were limited to it");
         Written::ended(self.file, warnings)
     }
 }
@@ -113,7 +113,7 @@ struct Scratch {
     scanline: Scanline,
 }
 
-/// Appends the rows; gives how many values were beyond what is held.
+/// Appends the rows; returns the number of values out of range.
 fn encode_band(
     pixels: &[[f32; 3]],
     width: usize,
@@ -134,7 +134,7 @@ fn encode_band(
     rows.sum()
 }
 
-/// The header, the blank line and the resolution.
+/// Returns the header, the blank line and the resolution.
 fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encoding) -> String {
     let mut lines = vec!["#?RADIANCE".to_owned()];
     lines.extend(metadata.comments.iter().map(|c| format!("# {}", one_line(c))));
@@ -142,7 +142,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
     lines.extend(metadata.camera().map(|c| format!("CAMERA={c}")));
     let date = metadata.capture.date.as_deref().map(one_line);
     lines.extend(date.map(|d| format!("CAPDATE= {d}")));
-    // Names of our own; readers pass over what they do not know.
+    // Our own names; readers skip unknown ones.
     lines.extend(metadata.capture.lens.as_deref().map(|l| format!("LENS={}", one_line(l))));
     let numbers = [
         ("FOCAL_LENGTH_MM", metadata.capture.focal_length_mm),
@@ -151,7 +151,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
         ("ISO", metadata.iso),
     ];
     lines.extend(numbers.into_iter().filter_map(|(name, v)| v.map(|v| format!("{name}={v}"))));
-    // At column 0 and once: evalglare exits on a tab before it, and every further one would multiply.
+    // At column 0 and once: evalglare fails on a tab before it, and multiplies repeated ones.
     lines.push(format!("EXPOSURE={:e}", exposure(metadata, encoding)));
     match encoding {
         Encoding::Rgbe => {
@@ -165,7 +165,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
     format!("{}\n\n-Y {height} +X {width}\n", lines.join("\n"))
 }
 
-/// What divides a stored value to give W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance 1 is taken for 1 W/sr/m2.
+/// Returns the divisor from a stored value to W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance 1 counts as 1
+/// W/sr/m2.
 fn exposure(metadata: &Metadata, encoding: Encoding) -> f64 {
     match (metadata.cd_m2_per_unit, encoding) {
         (None, Encoding::Xyze) => metadata.exposure_scale.get() / WHITE_EFFICACY,
@@ -260,11 +261,12 @@ mod tests {
         let relative = Metadata { cd_m2_per_unit: None, ..metadata };
         let (bytes, _) = encoded(&white, &relative, Encoding::Xyze);
         let (map, back) = parsed(&bytes);
-        // Read back, both are in W/sr/m2.
+        // When read back, both are in W/sr/m2.
         assert!((back.exposure_scale.get() - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
     }
 
-    /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half: ours must be that and half a step of the pixel.
+    /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half step: our values are those plus
+    /// half a step of the pixel.
     #[test]
     fn another_decoder_reads_the_same_pixels() {
         use image::ImageDecoder;

@@ -1,12 +1,13 @@
-//! Metadata: what the headers of all formats are made of.
+//! Metadata for the headers of all formats.
 //!
-//! In: the reference frame, or the headers of a radiance map. Out: [`Metadata`], and text that is safe in a header. Cost: none.
+//! In: the reference frame, or the headers of a radiance map. Out: [`Metadata`], and text that is safe in a header.
+//! Cost: negligible.
 
 use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
 use crate::merge::radiance::calibration::Factor;
 
-/// What headers are made of. Nothing in it depends on the clock.
+/// Metadata for headers. It does not depend on the clock.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metadata {
     /// The program and its version: `hdralign 0.1.0`.
@@ -19,15 +20,17 @@ pub struct Metadata {
     pub f_number: Option<f64>,
     /// The sensitivity of the reference.
     pub iso: Option<f64>,
-    /// What red, green, blue and white of the pixels are.
+    /// The primaries and the white of the pixels.
     pub primaries: Primaries,
-    /// The factor by which the pixels given were multiplied: a pixel divided by it is radiance. 1 where they are radiance as merged.
+    /// The factor of the pixels: divided by it they are radiance. 1 for radiance as merged.
     pub exposure_scale: Factor,
-    /// The luminance of radiance (1, 1, 1), before [`exposure_scale`](Self::exposure_scale), in cd/m2, where it is calibrated.
+    /// The luminance of radiance (1, 1, 1), before [`exposure_scale`](Self::exposure_scale), in cd/m2, if it is
+    /// calibrated.
     pub cd_m2_per_unit: Option<Factor>,
-    /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); none is taken for sRGB. Radiance formats record primaries.
+    /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); `None` means sRGB. Radiance formats
+    /// record primaries.
     pub profile: Option<Profile>,
-    /// Further lines for people.
+    /// Additional lines for users.
     pub comments: Vec<String>,
 }
 
@@ -49,7 +52,7 @@ impl Default for Metadata {
 }
 
 impl Metadata {
-    /// What the reference frame tells of itself; everything else as by default.
+    /// Returns the metadata of the reference frame, and defaults for the rest.
     pub fn of(reference: &Frame) -> Self {
         Metadata {
             capture: reference.capture.clone(),
@@ -61,18 +64,19 @@ impl Metadata {
         }
     }
 
-    /// The camera on one line; `None` when it is unknown.
+    /// Returns the camera on one line, or `None` if it is unknown.
     pub(super) fn camera(&self) -> Option<String> {
         self.capture.camera().map(|name| one_line(&name)).filter(|name| !name.is_empty())
     }
 
-    /// The luminance of a stored (1, 1, 1) in cd/m2, where it is known.
+    /// Returns the luminance of a stored (1, 1, 1) in cd/m2, if it is known.
     pub(super) fn white_luminance(&self) -> Option<f64> {
         Some(self.cd_m2_per_unit?.over(self.exposure_scale)?.get())
     }
 }
 
-/// `text` as printable ASCII on one line: a camera's name must not be able to add a line to a header, and readers expect ASCII.
+/// Returns `text` as printable ASCII on one line: the name of a camera must not be able to add a line to a header,
+/// and readers expect ASCII.
 pub(super) fn one_line(text: &str) -> String {
     let ascii: String = text
         .trim_matches(['\0', ' '])

@@ -39,38 +39,40 @@ pub use staging::{
     sweep, text,
 };
 
-/// How results are written.
+/// Options for result files.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// Whether files that exist are replaced. No by default.
+    /// Whether existing files are replaced; false by default.
     pub overwrite: bool,
-    /// How OpenEXR is encoded.
+    /// Options for OpenEXR.
     pub exr: exr::Options,
-    /// What the pixels of `.hdr` are.
+    /// Pixel encoding of `.hdr`.
     pub hdr: hdr::Encoding,
-    /// What the pixels of a radiance `.tif` are.
+    /// Pixel encoding of a radiance `.tif`.
     pub tiff: tiff::Encoding,
-    /// How `.jpg` is encoded.
+    /// Options for `.jpg`.
     pub jpeg: jpeg::Options,
-    /// How pictures are made.
+    /// Options for pictures.
     pub picture: picture::Options,
 }
 
 impl Options {
-    /// Whether `outputs` can be written like this.
+    /// Checks that `outputs` can be written with these options.
     ///
     /// # Errors
-    /// [`Error::Option`] for the option that is out of its range, that a format cannot follow, or that is for pictures where there is none.
+    /// [`Error::Option`] for an option that is out of range, not supported by a format, or for pictures if there is
+    /// none.
     pub fn check(&self, outputs: &[Output]) -> Result<()> {
         self.jpeg.validate()?;
         self.picture.check(outputs, self.jpeg.gain_map)
     }
 }
 
-/// Writes all of `paths`, the radiance or the picture by extension, to temporary files that [`commit`] renames.
+/// Writes all `paths`, radiance or picture by extension, to temporary files that [`commit`] renames.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] for what a picture of 8 bits cannot give; [`Error::Write`]. Nothing is left behind then.
+/// [`Error::UnknownExtension`]; [`Error::Option`] for options that an 8-bit picture does not support;
+/// [`Error::Write`]. No files remain.
 pub fn write(
     paths: &[PathBuf],
     radiance: &RadianceMap,
@@ -79,7 +81,7 @@ pub fn write(
     options: &Options,
 ) -> Result<Vec<Written>> {
     if options.picture != picture::Options::default() {
-        let reason = "the picture is there already, of 8 bits; `tonemap` and `merge` make others".to_owned();
+        let reason = "the given picture has 8 bits; `tonemap` and `merge` write other depths".to_owned();
         return Err(Error::Option { option: "--bit-depth", reason });
     }
     let outputs = Output::results(paths)?;

@@ -10,33 +10,33 @@ use crate::tonemap::display::codes::{Colours, Depth};
 use std::fmt;
 use std::str::FromStr;
 
-/// How pictures are made.
+/// Options for pictures.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Options {
-    /// Bits of a code. Default: 8.
+    /// Bits per channel. Default: 8.
     pub depth: Depth,
-    /// Primaries and transfer, and the profile that tells them. Default: sRGB.
+    /// Primaries and transfer function, and the profile that describes them. Default: sRGB.
     pub colours: Colours,
-    /// How large they are. Default: as large as the radiance.
+    /// Size. Default: that of the radiance.
     pub size: Size,
-    /// What is changed of it after the operator. Default: nothing.
+    /// Adjustments after the operator. Default: none.
     pub adjust: adjust::Options,
 }
 
-/// How large pictures are; none is ever larger than the radiance that it shows.
+/// Size of pictures; none is ever larger than the radiance.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Size {
     /// As large as the radiance.
     #[default]
     Full,
-    /// So many pixels on the longest side.
+    /// Number of pixels of the longest side.
     Longest(usize),
-    /// So many of a hundred, of either side.
+    /// Percentage of both sides.
     Percent(f64),
 }
 
 impl Size {
-    /// Width and height of the picture of what has `full` pixels.
+    /// Returns width and height of the picture of radiance with `full` pixels.
     pub fn of(self, full: (usize, usize)) -> (usize, usize) {
         let longest = full.0.max(full.1).max(1);
         let factor = match self {
@@ -48,7 +48,7 @@ impl Size {
         (side(full.0), side(full.1))
     }
 
-    /// What the user should know where the picture of what has `full` pixels is not as large as was asked for.
+    /// Returns a warning if the picture of radiance with `full` pixels does not have the requested size.
     pub fn warning(self, full: (usize, usize)) -> Option<Warning> {
         let longest_px = full.0.max(full.1);
         match self {
@@ -62,7 +62,8 @@ impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Size, String> {
-        let wrong = || format!("{text:?} is no size; give the pixels of the longest side, as in `2048`, or `50%`");
+        let wrong =
+            || format!("{text:?} is not a size; give the pixels of the longest side, for example `2048`, or `50%`");
         match text.strip_suffix('%') {
             Some(number) => match number.trim().parse() {
                 Ok(percent) if percent > 0.0 && percent <= 100.0 => Ok(Size::Percent(percent)),
@@ -88,10 +89,10 @@ impl fmt::Display for Size {
 }
 
 impl Options {
-    /// Whether `outputs` can be pictures like this; a `.jpg` has the gain map `gain_map`.
+    /// Checks that `outputs` support these options; a `.jpg` has the gain map `gain_map`.
     ///
     /// # Errors
-    /// [`Error::Option`] where one cannot, or where there is none.
+    /// [`Error::Option`] if one does not, or if there is no picture.
     pub(super) fn check(&self, outputs: &[Output], gain_map: Resolution) -> Result<()> {
         let refused = |option, reason: String| Err(Error::Option { option, reason });
         self.adjust.validate()?;
@@ -99,21 +100,27 @@ impl Options {
             (self.depth != Depth::default()).then_some("--bit-depth"),
             (self.colours != Colours::default()).then_some("--picture-colour"),
             (self.size != Size::default()).then_some("--resize"),
-            // Who names no file at all has the picture in memory.
+            // Without any output the picture is returned in memory.
             self.adjust.asked().filter(|_| !outputs.is_empty()),
         ];
         if outputs.iter().all(|output| output.format.holds_radiance())
             && let Some(option) = asked.into_iter().flatten().next()
         {
-            return refused(option, "no picture is written; name one by --picture, or leave it out".into());
+            return refused(
+                option,
+                "no picture is written; add a picture with -o or --picture, or omit the option".into(),
+            );
         }
         let Some(jpeg) = outputs.iter().find(|output| output.format == Format::Jpeg) else { return Ok(()) };
         let name = jpeg.path.display();
         if self.depth == Depth::Sixteen {
-            return refused("--bit-depth", format!("{name}: JPEG holds 8 bits; name a .png or .tif, or leave it out"));
+            return refused(
+                "--bit-depth",
+                format!("{name}: JPEG has 8 bits; write a .png or .tif, or omit the option"),
+            );
         }
         if self.colours == Colours::AdobeRgb && gain_map != Resolution::None {
-            let reason = "readers of gain maps know srgb and display-p3; give --gain-map none, or one of these";
+            let reason = "gain maps support srgb and display-p3; give --gain-map none, or choose one of these";
             return refused("--picture-colour", format!("{name}: {reason}"));
         }
         Ok(())

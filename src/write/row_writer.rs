@@ -1,4 +1,4 @@
-//! What every output format implements: rows in, in order, then the end of the file.
+//! The interface of output formats: rows in order, then the end of the file.
 //!
 //! In: rows of pixels. Out: a [`Written`]. Cost: see each format.
 
@@ -6,28 +6,28 @@ use super::staging::Written;
 use crate::error::Result;
 use crate::plane::Plane;
 
-/// What every output format implements: rows in, in order, then the end. `P` is the pixel.
+/// The interface of output formats: rows in order, then the end. `P` is the pixel.
 ///
-/// Bands may arrive as they are merged while several writers run; a writer encodes what it is given in parallel before it returns.
-/// A writer that is dropped unfinished leaves nothing behind.
+/// Rows may arrive while they are merged, and several writers may run at the same time. A writer encodes its rows in
+/// parallel before it returns. Nothing remains if it is dropped before the end.
 pub trait RowWriter<P>: Send {
-    /// Takes the next complete rows, without gaps: any number of them, `rows.len()` a multiple of the width.
+    /// Adds the next complete rows, in order: any number of them, with `rows.len()` a multiple of the width.
     ///
     /// # Errors
-    /// [`Error::Write`](crate::error::Error::Write) when the encoder or the disk fails.
+    /// [`Error::Write`](crate::error::Error::Write) if encoding or writing fails.
     ///
     /// # Panics
-    /// When a row is incomplete or there are more than the picture has: an error of the caller, never of a file.
+    /// If a row is incomplete, or there are more rows than the picture has: an error of the caller, never of a file.
     fn push(&mut self, rows: &[P]) -> Result<()>;
 
     /// Ends the file after its last row.
     ///
     /// # Errors
-    /// [`Error::Write`](crate::error::Error::Write) when the disk fails or rows are missing.
+    /// [`Error::Write`](crate::error::Error::Write) if writing fails or rows are missing.
     fn finish(self: Box<Self>) -> Result<Written>;
 }
 
-/// All of `plane` through `writer`.
+/// Writes all of `plane` with `writer`.
 ///
 /// # Errors
 /// Those of the writer.

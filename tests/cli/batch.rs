@@ -148,7 +148,7 @@ fn results_have_the_names_and_formats_asked_for() {
     wrong(&["--name", "../{first}"], "is outside");
     wrong(&["--formats", "exr,gif"], "gif");
     wrong(&["--formats", "exr,exr"], "twice");
-    wrong(&["--bracket", "1"], "from 2 on");
+    wrong(&["--bracket", "1"], "at least 2 photographs");
     wrong(&["--gap=-3"], "--gap");
     wrong(&["--jobs", "0"], "--jobs");
     wrong(&["--normalize", "set", "--absolute"], "--normalize");

@@ -228,7 +228,7 @@ fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
                 &[(256, 9), (257, 9), (258, 32), (259, 8), (262, 1), (277, 65535), (278, 9), (339, 3)],
                 &zeros(1 << 20),
             ),
-            &["65535 samples to a pixel"],
+            &["65535 samples per pixel"],
         ),
     ];
     for (name, bytes, said) in bombs {

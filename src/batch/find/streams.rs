@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// Checks the options.
 pub(super) fn check(options: &FindOptions) -> Result<()> {
     if let Some(frames @ (0 | 1)) = options.frames {
-        let reason = format!("a bracket has at least 2 photographs, and {frames} were given");
+        let reason = format!("a bracket has at least 2 photographs, not {frames}");
         return Err(Error::Option { option: "--bracket", reason });
     }
     match options.gap_s {

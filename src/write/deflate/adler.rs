@@ -1,10 +1,12 @@
 //! Adler-32, the checksum at the end of a zlib stream.
 //!
-//! In: bytes. Out: their checksum, in a form that those of parts can be made one from. Cost: 0.1 ns a byte. Source: RFC 1950, section 8.2.
+//! In: bytes. Out: their checksum, in a form in which those of parts can be combined. Cost: 0.1 ns per byte. Source:
+//! RFC 1950, section 8.2.
 
 use crate::simd::{Loops, vectorised};
 
-/// The Adler-32 checksum (RFC 1950, section 8.2) of some bytes, with their number: the sums of parts can be combined.
+/// The Adler-32 checksum (RFC 1950, section 8.2) of some bytes, with their number, so that the checksums of parts can
+/// be combined.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Adler {
     a: u32,
@@ -21,10 +23,10 @@ impl Default for Adler {
 impl Adler {
     const MODULUS: u32 = 65521;
 
-    /// That of `bytes`.
+    /// Returns the checksum of `bytes`.
     pub(crate) fn of(bytes: &[u8]) -> Self {
         let mut sum = Adler::default();
-        // So many bytes that their sums, each times its distance from the end, surely fit 32 bits.
+        // So many bytes that their sums, each times its distance from the end, fit into 32 bits.
         for part in bytes.chunks(4096) {
             let (plain, weighted) = vectorised(Sums(part));
             let (a, b, n) = (u64::from(sum.a), u64::from(sum.b), part.len() as u64);
@@ -36,7 +38,8 @@ impl Adler {
         sum
     }
 
-    /// The checksum of these bytes and `next` behind them: b counts a of all before once per byte, the 1 that `next` began with not.
+    /// Returns the checksum of these bytes followed by those of `next`: b adds a of the previous bytes once per byte,
+    /// but not the 1 with which `next` started.
     pub(crate) fn followed_by(self, next: Adler) -> Adler {
         let modulus = u64::from(Self::MODULUS);
         let before = u64::from(self.a) + modulus - 1;
@@ -48,13 +51,13 @@ impl Adler {
         }
     }
 
-    /// The number as it is written, high byte first.
+    /// Returns the checksum as it is written, high byte first.
     pub(crate) fn sum(self) -> u32 {
         self.b << 16 | self.a
     }
 }
 
-/// The sum of some bytes, and that of each times its distance from the end, the last one's being 1.
+/// The sum of some bytes, and the sum of each times its distance from the end, which is 1 for the last.
 struct Sums<'a>(&'a [u8]);
 
 impl Loops for Sums<'_> {
@@ -85,7 +88,7 @@ mod tests {
             assert_eq!(joined.sum(), Adler::of(&bytes).sum(), "cut at {cut}");
         }
         assert_eq!(Adler::of(b"Wikipedia").sum(), 0x11e6_0398);
-        // The greatest sums there are; by the definition, byte by byte.
+        // The largest possible sums; compared with the definition, byte by byte.
         let most = vec![255; 10_000];
         let (a, b) = most.iter().fold((1u64, 0u64), |(a, b), &v: &u8| (a + u64::from(v), b + a + u64::from(v)));
         assert_eq!(u64::from(Adler::of(&most).sum()), ((b % 65521) << 16) | (a % 65521));

@@ -1,28 +1,29 @@
-//! Fast deflate: Huffman codes and runs, for bytes that a predictor has filtered.
+//! Fast deflate: Huffman codes and runs, for bytes filtered by a predictor.
 //!
-//! In: bytes, filtered. Out: deflate blocks that end at a byte boundary, so that parts compressed in parallel form one stream when
-//! they are concatenated. Cost: 2 ns a byte and core; photographs end smaller than by a quick search for repetitions, which noise does not have. Source:
-//! RFC 1951, sections 3.2.5 to 3.2.7; A. Moffat and J. Katajainen, "In-Place Calculation of Minimum-Redundancy Codes", WADS 1995; for the
-//! idea that runs of 8 bytes are all that is worth looking for, the `fdeflate` crate.
+//! In: filtered bytes. Out: deflate blocks that end at a byte boundary, so that parts compressed in parallel form one
+//! stream when they are concatenated. Cost: 2 ns per byte and core. Photographs become smaller than with a quick
+//! search for repetitions, which noise does not have. Source: RFC 1951, sections 3.2.5 to 3.2.7; A. Moffat and J.
+//! Katajainen, "In-Place Calculation of Minimum-Redundancy Codes", WADS 1995; the idea to search only for runs of 8
+//! bytes is that of the `fdeflate` crate.
 
 mod adler;
 
 pub(crate) use adler::Adler;
 
-/// Bytes that share a code: few enough that it fits them, enough that its 150 bytes do not matter.
+/// Bytes that share a code: few enough for the code to fit them, enough for its 150 bytes not to matter.
 const BLOCK: usize = 1 << 16;
 
-/// The longest code: four and 7 bits in waiting make one word.
+/// Longest code, in bits: four codes and 7 pending bits fit into one word.
 const LONGEST: usize = 14;
 
-/// Literals, the end, and the lengths of repetitions up to 258.
+/// Literals, the end symbol, and the lengths of repetitions up to 258.
 const SYMBOLS: usize = 286;
 const END: usize = 256;
 
-/// What the head of a block takes at most, of its last byte a part.
+/// Largest size of the header of a block, including a part of its last byte.
 const TABLE_BYTES: usize = (3 + 14 + 19 * 3 + 4 * (SYMBOLS + 1)).div_ceil(8) + 1;
 
-/// Runs are groups of 8 bytes, up to 32 of them.
+/// Runs are groups of 8 bytes; the largest number of groups.
 const MOST_GROUPS: usize = 32;
 
 /// Appends `raw`, compressed; `last` ends the stream.
@@ -33,7 +34,7 @@ pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) {
         let before = start.checked_sub(1).map(|i| raw[i]);
         put_block(before, &raw[start..raw.len().min(start + BLOCK)], &mut bits);
     }
-    // An empty block of stored bytes: it begins at a byte, and so does what follows.
+    // An empty stored block: it ends at a byte boundary.
     bits.room(8);
     bits.put(u64::from(last), 3);
     bits.align();
@@ -49,19 +50,20 @@ pub(crate) fn zlib(raw: &[u8], out: &mut Vec<u8>) {
     out.extend_from_slice(&Adler::of(raw).sum().to_be_bytes());
 }
 
-/// What a block is made of.
+/// A part of a block.
 enum Token<'a> {
     Bytes(&'a [u8; 8]),
-    /// The byte before again, in so many groups of 8.
+    /// The previous byte again, in so many groups of 8.
     Run(usize),
 }
 
-/// `raw` in groups of 8, but for the bytes that are left over; those that repeat the byte before, which is `before` for the first, as runs.
+/// Divides `raw` into groups of 8 and the remaining bytes; groups that repeat the previous byte, which is `before`
+/// for the first, become runs.
 #[inline(always)]
 fn tokens<'a>(before: Option<u8>, raw: &'a [u8], mut take: impl FnMut(Token<'a>)) -> &'a [u8] {
     let (groups, rest) = raw.as_chunks::<8>();
     let again = |byte: u8| u64::from(byte) * 0x0101_0101_0101_0101;
-    // Before the first byte of all there is none: what differs from the first group is no run.
+    // There is no byte before the very first; a value that differs from the first group prevents a run.
     let first = groups.first().map_or(0, |g| u64::from_le_bytes(*g));
     let (mut repeated, mut run) = (before.map_or(!first, again), 0);
     for group in groups {
@@ -87,7 +89,7 @@ fn tokens<'a>(before: Option<u8>, raw: &'a [u8], mut take: impl FnMut(Token<'a>)
 }
 
 fn put_block(before: Option<u8>, raw: &[u8], bits: &mut Bits) {
-    // Four counts of each byte: neighbours that are alike would wait for each other.
+    // Four counts of each byte, because increments of the same counter wait for each other.
     let mut counts = [[0u32; 256]; 4];
     let mut runs = [0u32; MOST_GROUPS + 1];
     let rest = tokens(before, raw, |token| match token {
@@ -119,7 +121,7 @@ fn put_block(before: Option<u8>, raw: &[u8], bits: &mut Bits) {
     for (groups, to) in repetitions.iter_mut().enumerate().skip(1) {
         let (symbol, extra_bits, extra) = length_symbol(8 * groups);
         let Code { bits, length } = entry(symbol);
-        // Behind it a distance of 1, whose code is a single 0.
+        // It is followed by a distance of 1, whose code is a single 0.
         *to = Code { bits: bits | u64::from(extra) << length, length: length + extra_bits + 1 };
     }
 
@@ -143,22 +145,24 @@ fn put_block(before: Option<u8>, raw: &[u8], bits: &mut Bits) {
     bits.put_code(entry(END));
 }
 
-/// The head of a block that is not the last, and the lengths of its codes: 4 bits each, for to pack them would win 50 bytes.
+/// Writes the header of a block that is not the last, and the lengths of its codes: 4 bits each, because compressing
+/// them would save only 50 bytes.
 fn put_table(lengths: &[u8; SYMBOLS], bits: &mut Bits) {
     bits.put(0b100, 3);
     // All 286 symbols, 1 distance, all 19 symbols of the code of the lengths.
     bits.put(29 | 15 << 10, 14);
-    // The lengths 0 to 15 have codes of 4 bits; repetitions of lengths, which come first in their odd order, none.
+    // The lengths 0 to 15 have codes of 4 bits; repetitions of lengths, which come first in the specified order, have
+    // none.
     for i in 0..19 {
         bits.put(if i < 3 { 0 } else { 4 }, 3);
     }
     let reversed = |length: u8| u64::from(length.reverse_bits() >> 4);
     lengths.iter().for_each(|&length| bits.put(reversed(length), 4));
-    // The distance of 1.
+    // The code of the distance 1.
     bits.put(reversed(1), 4);
 }
 
-/// The symbol of a length of repetition from 3 to 258, and the number and value of the bits behind it (section 3.2.5).
+/// Returns the symbol of a repetition of 3 to 258 bytes, and the number and value of the extra bits (section 3.2.5).
 fn length_symbol(length: usize) -> (usize, u32, u32) {
     const BASES: [usize; 29] = [
         3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15, 17, 19, 23, 27, 31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227,
@@ -169,8 +173,8 @@ fn length_symbol(length: usize) -> (usize, u32, u32) {
     (257 + at, extra_bits, (length - BASES[at]) as u32)
 }
 
-/// The lengths of codes for symbols that occur so often: as short as can be under [`LONGEST`], or nearly so where that binds; 0 for those
-/// that do not occur. At least two do.
+/// Returns the lengths of codes for symbols with these counts: optimal under [`LONGEST`], or nearly so if that limit
+/// applies; 0 for symbols that do not occur. At least two occur.
 fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
     // From the rarest up; of equally frequent ones the lower symbol first. A block has fewer than 2^23 of each.
     let mut leaves: Vec<u32> = (0..SYMBOLS).filter(|&s| counts[s] > 0).map(|s| counts[s] << 9 | s as u32).collect();
@@ -192,7 +196,7 @@ fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
             *least += 1;
         }
     }
-    // From the root down: each is one deeper than its parent. Then how many there are of each length.
+    // From the root down: each is one deeper than its parent. Then the number of codes of each length.
     parents[root] = 0;
     let mut of_length = [0usize; LONGEST + 1];
     for node in (0..root).rev() {
@@ -201,7 +205,7 @@ fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
             of_length[usize::from(parents[node]).min(LONGEST)] += 1;
         }
     }
-    // Those that were cut short take too much room (Kraft): the deepest of the others make it by getting a sibling.
+    // Codes that were shortened violate Kraft's inequality; lengthening the longest of the others corrects it.
     let mut room: usize = of_length.iter().enumerate().skip(1).map(|(length, &n)| n << (LONGEST - length)).sum();
     while room > 1 << LONGEST {
         of_length[LONGEST] -= 1;
@@ -218,7 +222,7 @@ fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
     lengths
 }
 
-/// The codes of those lengths (section 3.2.2), the first bit lowest.
+/// Returns the codes of these lengths (section 3.2.2), first bit lowest.
 fn canonical(lengths: &[u8; SYMBOLS]) -> [u16; SYMBOLS] {
     let mut next = [0u16; LONGEST + 2];
     for &length in lengths.iter().filter(|&&length| length > 0) {
@@ -236,7 +240,7 @@ fn canonical(lengths: &[u8; SYMBOLS]) -> [u16; SYMBOLS] {
     codes
 }
 
-/// Some bits, the first lowest, and how many.
+/// Some bits, first bit lowest, and their number.
 #[derive(Debug, Clone, Copy, Default)]
 struct Code {
     bits: u64,
@@ -250,17 +254,17 @@ impl Code {
     }
 }
 
-/// Bits from the bottom of each byte up.
+/// Writes bits from the lowest of each byte up.
 struct Bits<'a> {
     out: &'a mut Vec<u8>,
     at: usize,
-    /// Fewer than 8 bits that do not fill a byte yet; above them zeros.
+    /// Fewer than 8 pending bits; above them zeros.
     word: u64,
     held: u32,
 }
 
 impl Bits<'_> {
-    /// Makes room for so many bytes, and for those that are written to be written again.
+    /// Reserves space for so many bytes and the pending ones.
     fn room(&mut self, bytes: usize) {
         self.out.resize(self.at + bytes + 8, 0);
     }
@@ -269,7 +273,7 @@ impl Bits<'_> {
         self.put_code(Code { bits, length });
     }
 
-    /// At most 56 bits.
+    /// Appends at most 56 bits.
     #[inline(always)]
     fn put_code(&mut self, code: Code) {
         self.word |= code.bits << self.held;
@@ -296,7 +300,7 @@ impl Bits<'_> {
 mod tests {
     use super::*;
 
-    /// The decoder of another.
+    /// Decompresses with another implementation.
     fn inflated(stream: &[u8], length: usize) -> Vec<u8> {
         let mut back = Vec::with_capacity(length + 1);
         let mut decoder = flate2::Decompress::new(false);
@@ -335,7 +339,7 @@ mod tests {
                     "{} of {length}",
                     stream.len()
                 );
-                // What follows is packed by itself, and may begin with what was before.
+                // The next part is compressed separately, and may begin with the previous bytes.
                 deflate(&raw[..length.min(100)], true, &mut stream);
                 let both = [&raw[..], &raw[..length.min(100)]].concat();
                 assert!(inflated(&stream, both.len()) == both, "kind {kind}, {length} bytes");
@@ -347,11 +351,11 @@ mod tests {
     fn runs_are_short() {
         let mut stream = Vec::new();
         deflate(&vec![0; 1 << 20], true, &mut stream);
-        // Of each block 155 bytes of table, and 256 runs of 7 bits.
+        // Each block has 155 bytes of table, and 256 runs of 7 bits.
         assert!(stream.len() < 16 * (155 + 256 * 7 / 8 + 4), "{}", stream.len());
     }
 
-    /// Counts that rise as Fibonacci's numbers make the deepest of trees.
+    /// Counts that grow like Fibonacci numbers give the deepest trees.
     #[test]
     fn no_code_is_too_long_and_all_fit() {
         for symbols in [2, 3, 14, 15, 20, 24] {
@@ -366,9 +370,9 @@ mod tests {
             let longest = *lengths.iter().max().unwrap();
             assert_eq!(usize::from(longest), (symbols - 1).min(LONGEST));
             let kraft: usize = lengths.iter().filter(|&&l| l > 0).map(|&l| 1 << (LONGEST - usize::from(l))).sum();
-            assert_eq!(kraft, 1 << LONGEST, "nothing is left over");
+            assert_eq!(kraft, 1 << LONGEST, "the code is complete");
             let used: Vec<u8> = lengths[7..7 + symbols].to_vec();
-            assert!(used.is_sorted_by(|a, b| a >= b), "the rarer the longer");
+            assert!(used.is_sorted_by(|a, b| a >= b), "rarer symbols have longer codes");
         }
     }
 

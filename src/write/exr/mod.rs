@@ -1,12 +1,14 @@
 //! OpenEXR: half or float RGB, scan lines, lossless.
 //!
-//! In: linear RGB by rows. Out: a file whose blocks lie in increasing order, so the bytes are the same on any number of threads.
-//! [`read`](crate::read) is the way back. Cost: PIZ 30 ns a pixel and core for halves, 55 for floats. On six radiance maps it is the smallest
-//! of all that lose nothing, 35 to 60 % of the halves as they are (ZIP 36 to 65, ZIPS 40 to 71, RLE 72 to 95), which is why it is the default. Source: "OpenEXR File
-//! Layout" and "Standard Attributes" (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
+//! In: linear RGB by rows. Out: a file with its blocks in increasing order, so that the bytes are the same on any
+//! number of threads. [`read`](crate::read) reads it. Cost: PIZ 30 ns per pixel and core for halves, 55 for floats.
+//! On six radiance maps PIZ is the smallest lossless compression, with 35 to 60 % of the uncompressed halves (ZIP 36
+//! to 65, ZIPS 40 to 71, RLE 72 to 95), so it is the default. Source: "OpenEXR File Layout" and "Standard Attributes"
+//! (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
-//! The `exr` crate's own block writer wants all blocks from inside one closure, which a writer fed from outside cannot give; so the
-//! file's frame (magic, header, offset table) is put together here out of the crate's parts, and the crate encodes the header, and blocks that are not PIZ.
+//! The block writer of the `exr` crate needs all blocks within one closure, which is not possible here because rows
+//! arrive from outside. Therefore the frame of the file (magic number, header, offset table) is assembled from parts
+//! of the crate, which encodes the header and all blocks except PIZ.
 
 mod piz;
 mod sample;
@@ -18,7 +20,7 @@ pub use sample::Sample;
 #[doc(hidden)]
 pub use writer::Writer;
 
-/// Compression of an OpenEXR file, always lossless.
+/// Lossless compression of an OpenEXR file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
@@ -36,11 +38,11 @@ pub enum Compression {
     None,
 }
 
-/// How OpenEXR is encoded.
+/// Options for OpenEXR.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// Halves where they do by default.
+    /// Sample type.
     pub sample: Sample,
-    /// PIZ by default.
+    /// Compression; PIZ by default.
     pub compression: Compression,
 }

@@ -1,4 +1,4 @@
-//! Half or float: the sample type of an OpenEXR file, and how well half floats hold the radiance.
+//! Half or float: the sample type of an OpenEXR file, and how well half floats represent the radiance.
 //!
 //! In: linear RGB by rows. Out: a [`Sample`]. Cost: one pass over the values.
 
@@ -10,7 +10,7 @@ use crate::simd::{Loops, vectorised};
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Sample {
-    /// Half floats, or floats where halves are too small or too coarse for the radiance.
+    /// Half floats, or floats if the range or precision of halves is not enough for the radiance.
     #[default]
     Auto,
     /// 16 bits: steps of 1/2048 or finer, up to 65504.
@@ -19,12 +19,13 @@ pub enum Sample {
     Float,
 }
 
-/// Below this the steps of a half, 2^-24, are over a hundredth of the value.
+/// Below this the steps of a half, 2^-24, are more than a hundredth of the value.
 const HALF_FINE: f32 = 6e-6;
 
 impl Sample {
-    /// The sample type for a picture that half floats fit as `fit` counts: for [`Auto`](Self::Auto) floats where a value is above 65504, or where more
-    /// than one in a thousand is below 6e-6, so that a half would round it by more than half a percent; halves otherwise.
+    /// Returns the sample type for a picture with this `fit`: for [`Auto`](Self::Auto) floats if a value is above
+    /// 65504, or if more than one in a thousand is below 6e-6, so that rounding to a half has an error of more than
+    /// half a percent; otherwise halves.
     pub fn settled(self, fit: Fit) -> Sample {
         match self {
             Sample::Auto if fit.over > 0 || fit.fine > fit.values / 1000 => Sample::Float,
@@ -34,7 +35,7 @@ impl Sample {
     }
 }
 
-/// How halves fit a picture: what [`Sample::Auto`] asks, counted by rows as they come.
+/// How well halves represent a picture, counted by rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Fit {
     /// Values above the largest half, 65504.
@@ -46,12 +47,12 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// That of some rows.
+    /// Counts the values of some rows.
     pub fn of(rows: &[[f32; 3]]) -> Fit {
         vectorised(Count(rows.as_flattened()))
     }
 
-    /// That of these rows and others.
+    /// Adds the counts of other rows.
     pub fn and(self, other: Fit) -> Fit {
         Fit { over: self.over + other.over, fine: self.fine + other.fine, values: self.values + other.values }
     }
@@ -65,7 +66,7 @@ impl Loops for Count<'_> {
     #[inline(always)]
     fn run(self) -> Fit {
         let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
-        // Counters as wide as the values fill whole vectors; for so few values they do not overflow.
+        // Counters as wide as the values fill complete vectors; they do not overflow for so few values.
         for part in self.0.chunks(1 << 20) {
             let (mut over, mut fine) = (0u32, 0u32);
             for &v in part {
@@ -94,7 +95,7 @@ mod tests {
         sun.row_mut(69)[29][1] = 65520.0;
         assert_eq!(settled(sun.clone()), Sample::Float);
         assert_eq!(Sample::Half.settled(fit(&sun)), Sample::Half);
-        // Few dark ones do not matter.
+        // A few dark values do not matter.
         sun.row_mut(69)[29] = [1e-9; 3];
         assert_eq!(settled(sun), Sample::Half);
     }

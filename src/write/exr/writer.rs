@@ -27,7 +27,7 @@ pub struct Writer {
     bands: Bands<[f32; 3], Scratch>,
     header: Header,
     sample: Sample,
-    /// Where the offset table is, and what belongs into it: the place of every block so far.
+    /// Position of the offset table, and its entries: the position of every block so far.
     table: u64,
     offsets: Vec<u64>,
     at: u64,
@@ -86,7 +86,7 @@ impl RowWriter<[f32; 3]> for Writer {
             self.file.write_all(&table)
         };
         end().map_err(|e| self.file.error(e))?;
-        let what = "are above 65504 and were written as that; write floats, or scale the picture down";
+        let what = "are above 65504 and were limited to it; --exr-type float keeps them";
         let warnings = clamped(&self.file, self.over, what);
         Written::ended(self.file, warnings)
     }
@@ -103,7 +103,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, options: &Option
         Compression::Zip1 => ::exr::compression::Compression::ZIP1,
         Compression::None => ::exr::compression::Compression::Uncompressed,
     };
-    // Channels are ordered by name.
+    // Channels are sorted by name.
     let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, sample));
     let mut header = Header::new(Text::default(), (width, height), channels.into_iter().collect()).with_encoding(
         compression,
@@ -135,7 +135,7 @@ fn put_frame(header: &Header, metadata: &Metadata, out: &mut Vec<u8>) -> ::exr::
     for (name, value) in header.all_named_attributes() {
         attribute::write(name, &value, out)?;
     }
-    // Further standard attributes that the crate has no field for. Its maps of others have no fixed order.
+    // More standard attributes, for which the crate has no field; its maps for them have no fixed order.
     let words = |t: &Option<String>| t.as_deref().and_then(text).map(AttributeValue::Text);
     let capture = &metadata.capture;
     let space = Space::of(&metadata.primaries).and_then(Space::interop_id);
@@ -165,7 +165,7 @@ fn io_error(error: ::exr::error::Error) -> io::Error {
     }
 }
 
-/// The length of every block, and how many values were beyond what is held.
+/// The length of every block, and the number of values out of range.
 type Encoded = (std::result::Result<Vec<usize>, ::exr::error::Error>, u64);
 
 /// Buffers that are reused from band to band: the tables of PIZ, and planes for the other compressions.
@@ -186,11 +186,11 @@ fn encode_band(
     out: &mut Vec<u8>,
 ) -> Encoded {
     let rows = header.compression.scan_lines_per_block();
-    debug_assert!(BAND_ROWS.is_multiple_of(rows), "a block lies within a band");
+    debug_assert!(BAND_ROWS.is_multiple_of(rows), "a block is inside a band");
     let mut over = 0;
     let blocks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
         let (start, y, size) = (out.len(), first + i * rows, (width, block.len() / width));
-        // The header's validation has refused sides of 2^31.
+        // The validation of the header has rejected sides of 2^31.
         out.extend_from_slice(&(y as i32).to_le_bytes());
         out.extend_from_slice(&[0; 4]);
         let words = if sample == Sample::Half { 1 } else { 2 };
@@ -212,7 +212,7 @@ fn encode_band(
             out.extend(header.compression.compress_image_section_to_le(header, data, place)?);
         }
         let length = out.len() - start;
-        // Of 32 rows there are never 2 GB.
+        // 32 rows never have 2 GB.
         out[start + 4..start + 8].copy_from_slice(&((length - 8) as u32).to_le_bytes());
         Ok(length)
     });
@@ -220,7 +220,7 @@ fn encode_band(
     (blocks, over)
 }
 
-/// Row by row all of B, then G, then R, in the byte order of the machine, as the crate wants it.
+/// Returns rows of all of B, then G, then R, in the byte order of the machine, as the crate expects.
 fn plain(planes: &[u16], width: usize, words: usize) -> Vec<u8> {
     let size = planes.len() / (3 * words);
     let mut out = vec![0; 2 * planes.len()];
@@ -268,7 +268,7 @@ mod tests {
         })
     }
 
-    /// Writes in portions of `portion` rows; gives the bytes and what is read back.
+    /// Writes in portions of `portion` rows; returns the bytes and the picture that is read back.
     fn written(
         picture: &Plane<[f32; 3]>,
         metadata: &Metadata,
@@ -288,7 +288,7 @@ mod tests {
         (std::fs::read(&path).unwrap(), whole.warnings, map, back)
     }
 
-    /// Small values become the smallest half rather than 0.
+    /// Small values become the smallest half instead of 0.
     fn half(v: f32) -> f32 {
         let nearest = f16::from_f32(v).to_f32();
         if v > 0.0 { nearest.max(f16::from_bits(1).to_f32()) } else { nearest }
@@ -324,12 +324,12 @@ mod tests {
         };
         let one = on(1, 2000);
         assert!(one == on(2, 64) && one == on(7, 2000) && one == on(7, 10));
-        // Blocks lie one after the other: the table rises.
+        // Blocks are stored one after the other: the offsets increase.
         let table = offsets(&one, picture.height().div_ceil(32));
         assert!(table.is_sorted() && table[0] > 0 && *table.last().unwrap() < one.len() as u64);
     }
 
-    /// The offset table lies before the first block, to which its first entry points.
+    /// Returns the offset table, which is before the first block, to which its first entry points.
     fn offsets(bytes: &[u8], blocks: usize) -> Vec<u64> {
         let entry = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
         let start = (8..bytes.len() - 8).find(|&at| entry(at) == (at + 8 * blocks) as u64).unwrap();

@@ -1,31 +1,33 @@
-//! The gain map: by how much every pixel of the picture is brightened, channel by channel, to be the radiance again.
+//! The gain map: by how much every pixel of the picture is brightened, channel by channel, to obtain the radiance.
 //!
-//! In: radiance, and the codes of the picture. Out: a [`Rendition`], which is how radiance is shown on an HDR display, and the codes
-//! of the map. Cost: a look at 200,000 pixels; then 5 ns a pixel and core.
-//! Source: ISO 21496-1:2025, clauses 5 and 6; Google, "Ultra HDR Image Format v1.1" (gain map generation); Adobe, "Gain Map" (2023).
+//! In: radiance, and the codes of the picture. Out: a [`Rendition`], which describes how an HDR display shows
+//! radiance, and the codes of the map. Cost: reading 200,000 pixels; then 5 ns per pixel and core. Source: ISO
+//! 21496-1:2025, clauses 5 and 6; Google, "Ultra HDR Image Format v1.1" (gain map generation); Adobe, "Gain Map"
+//! (2023).
 //!
-//! The HDR rendition is the radiance itself, linear and in the primaries of the picture (sRGB's or Display P3's), with a white so that it agrees with the picture in the
-//! mid-tones: what is there keeps its brightness on any display, highlights rise above white as they did in the scene, up to
-//! 6 stops, and shadows fall as deep as they were, by up to 10. A display that reaches less high applies the map in part.
+//! The HDR rendition is the radiance itself, linear and in the primaries of the picture (sRGB's or Display P3's),
+//! with a white for which it agrees with the picture in the mid-tones. So mid-tones keep their brightness on any
+//! display, highlights rise above white as in the scene, by up to 6 stops, and shadows are darker than the picture by
+//! up to 10 stops. A display with a smaller range applies the map in part.
 //!
-//! One range serves the three channels: readers of the older metadata know no other (libultrahdr refuses to write one), and grey
-//! stays grey when the map is compressed.
+//! The three channels have the same range: readers of the older metadata support no other (libultrahdr refuses to
+//! write one), and grey stays grey when the map is compressed.
 
 use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use crate::plane::BAND_ROWS;
 use crate::tonemap::display::codes::Colours;
 
-/// What is added to both before the ratio is taken, so that black has one. The smaller, the nearer shadows come to the radiance,
-/// and the more of the map's range they take.
+/// Added to both values before the ratio, so that black has one. A smaller offset represents shadows more exactly,
+/// and uses more of the map's range.
 pub const OFFSET: f64 = 1.0 / 1024.0;
 
-/// The most that radiance is shown above white, in stops: no display reaches higher.
+/// Largest brightness above white, in stops; no display has more.
 pub const MOST_STOPS: f64 = 6.0;
 
-/// The most that radiance falls below the picture, in stops; what is deeper is black on any display.
+/// Largest darkening relative to the picture, in stops; darker radiance is black on any display.
 pub(super) const MOST_FALL: f64 = 10.0;
 
-/// Numbers are multiples of this, so that decimals and fractions are the same to the letter.
+/// Numbers are multiples of 1 over this, so that decimals and fractions are exactly the same.
 pub(super) const GRAIN: f64 = 1024.0;
 
 /// Size of the gain map.
@@ -33,17 +35,17 @@ pub(super) const GRAIN: f64 = 1024.0;
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Resolution {
-    /// As large as the picture: holds the radiance of every pixel.
+    /// As large as the picture: contains the radiance of every pixel.
     #[default]
     Full,
-    /// Half as wide and high: a smaller file, with the radiance of edges mixed.
+    /// Half the width and height: a smaller file, in which the radiance is mixed at edges.
     Half,
     /// No gain map: an ordinary JPEG.
     None,
 }
 
 impl Resolution {
-    /// Pixels of the picture to one of the map, in a row; none where there is no map.
+    /// Returns the pixels of the picture per pixel of the map in a row; `None` without map.
     pub(super) fn step(self) -> Option<usize> {
         match self {
             Resolution::Full => Some(1),
@@ -53,42 +55,42 @@ impl Resolution {
     }
 }
 
-/// How radiance is shown on an HDR display, and what the map must hold for that.
+/// How an HDR display shows radiance, and the range of the map for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rendition {
-    /// The radiance that is shown at the white of the picture, in the unit of the rows.
+    /// The radiance that is shown as the white of the picture, in the unit of the rows.
     pub white: f32,
-    /// The least gain that the map holds, in stops.
+    /// The smallest gain in the map, in stops.
     pub least_stops: f64,
-    /// The greatest gain that the map holds, in stops.
+    /// The largest gain in the map, in stops.
     pub most_stops: f64,
-    /// How far above white a display must reach to show all of it, in stops.
+    /// The stops above white that a display needs to show all of it.
     pub headroom_stops: f64,
 }
 
 impl Default for Rendition {
-    /// For radiance of which nothing is known.
+    /// For unknown radiance.
     fn default() -> Self {
         Rendition { white: 1.0, least_stops: -MOST_FALL, most_stops: MOST_STOPS, headroom_stops: MOST_STOPS }
     }
 }
 
 impl Rendition {
-    /// The quality at which the map is encoded: the more stops a code of it is, the finer, so that the error is about as many stops.
-    /// Measured: 97 % or more of the pixels in range are within 0.1 stop.
+    /// Returns the JPEG quality of the map: finer if a code is more stops, so that the error in stops is about the
+    /// same. Measured: 97 % or more of the pixels in range are within 0.1 stop.
     pub(super) fn map_quality(&self) -> u8 {
         let range = self.most_stops - self.least_stops;
-        // The cast keeps what is beyond within the type.
+        // The cast limits larger values to the type.
         (100.0 - 11.0 / range.max(0.1)).round().clamp(90.0, 99.0) as u8
     }
 }
 
-/// The way of radiance to the primaries of the picture.
+/// Converts radiance to the primaries of the picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ToBase(Option<Conversion>);
 
 impl ToBase {
-    /// Nothing is done where they are the picture's to three places, or are no primaries at all.
+    /// No conversion if they are those of the picture to three places, or are not valid primaries.
     pub(super) fn of(primaries: &Primaries, colours: Colours) -> Self {
         let is_same = primaries.is_close(&colours.primaries(), 1e-3);
         ToBase(Conversion::between(primaries, &colours.primaries()).filter(|_| !is_same))
@@ -100,13 +102,13 @@ impl ToBase {
     }
 }
 
-/// Light that is a number and not below 0.
+/// Replaces NaN and negative values by 0.
 #[inline(always)]
 pub(super) fn lit(v: f32) -> f32 {
     if v > 0.0 { v } else { 0.0 }
 }
 
-/// Light relative to white as it is shown: within what the map holds.
+/// Limits light relative to white to the range of the map.
 #[inline(always)]
 pub(super) fn shown(v: f32, scale: f32) -> f32 {
     let scaled = lit(v * scale);
@@ -124,22 +126,23 @@ impl Base {
         Base { linear: std::array::from_fn(|code| srgb_to_linear(code as f64 / 255.0) as f32) }
     }
 
-    /// log2 of the light of `code`, with the offset.
+    /// Returns log2 of the light of `code`, with the offset.
     pub(super) fn stops(&self, code: u8) -> f64 {
         libm::log2(f64::from(self.linear[usize::from(code)]) + OFFSET)
     }
 }
 
-/// Bits of a float below which a cell of the logarithm's table ends: 512 cells to the octave, and so 1/1000 stop to either side.
+/// Number of low bits of a float that are dropped for the table of logarithms: 512 cells per octave, which is 1/1000
+/// stop in both directions.
 const CELL_BITS: u32 = 14;
 
-/// Radiance and codes to the codes of the map.
+/// Converts radiance and codes to codes of the map.
 pub(super) struct Gains {
     to_base: ToBase,
     scale: f32,
-    /// By the float's upper bits: log2 of light with the offset, in codes of the map.
+    /// By the upper bits of the float: log2 of light with the offset, in codes of the map.
     of_light: Vec<f32>,
-    /// By code: log2 of its light with the offset and the map's least gain, in codes of the map.
+    /// By code: log2 of its light with the offset and the smallest gain, in codes of the map.
     of_code: [f32; 256],
 }
 
@@ -160,12 +163,12 @@ impl Gains {
         }
     }
 
-    /// The cell of black.
+    /// Index of the cell of black.
     fn first() -> u32 {
         (OFFSET as f32).to_bits() >> CELL_BITS
     }
 
-    /// The gains of a pixel, in codes of the map and not rounded.
+    /// Returns the gains of a pixel, in codes of the map, not rounded.
     #[inline(always)]
     fn of(&self, radiance: [f32; 3], codes: [u8; 3]) -> [f32; 3] {
         let light = self.to_base.apply(radiance);
@@ -175,9 +178,9 @@ impl Gains {
         })
     }
 
-    /// The map of rows of `width` pixels, one code for `step` x `step` of them: the mean of their gains.
+    /// Returns the map for rows of `width` pixels, one code for `step` x `step` pixels: their mean gain.
     pub(super) fn codes(&self, radiance: &[[f32; 3]], shown: &[[u8; 3]], width: usize, step: usize) -> Vec<[u8; 3]> {
-        // The cast rounds down and keeps what is beyond within the type.
+        // The cast rounds down and limits larger values to the type.
         let code = |gain: f32| (gain + 0.5) as u8;
         if step == 1 {
             return radiance.iter().zip(shown).map(|(&p, &q)| self.of(p, q).map(code)).collect();
@@ -189,7 +192,7 @@ impl Gains {
                 for (row, shown) in rows.chunks(width).zip(shown.chunks(width)) {
                     let across = x..(x + step).min(width);
                     for (&p, &q) in row[across.clone()].iter().zip(&shown[across]) {
-                        // What is beyond the map's ends must not outweigh its neighbours.
+                        // Values out of range must not dominate their neighbours.
                         let gain = self.of(p, q).map(|g| if g > 0.0 { if g < 255.0 { g } else { 255.0 } } else { 0.0 });
                         sum = std::array::from_fn(|c| sum[c] + gain[c]);
                         count += 1.0;
@@ -202,7 +205,7 @@ impl Gains {
     }
 }
 
-/// Rows of the picture that become a strip: a strip of the map has complete blocks of eight rows at any resolution.
+/// Rows of the picture per strip: a strip of the map has complete blocks of eight rows at any resolution.
 pub(super) const STRIP_ROWS: usize = BAND_ROWS;
 
 #[cfg(test)]
@@ -211,7 +214,7 @@ mod tests {
     use crate::plane::Plane;
     use crate::write::jpeg::Survey;
 
-    /// Radiance 40 is white; the brightest quarter is shown two stops darker than it is, the rest as it is.
+    /// Radiance 40 is white; the brightest quarter is shown two stops darker than it is, the rest unchanged.
     fn scene() -> (Plane<[f32; 3]>, Plane<[u8; 3]>) {
         let code = |light: f64| {
             let at = |c: usize| srgb_to_linear(c as f64 / 255.0);
@@ -244,7 +247,8 @@ mod tests {
         let found = rendition(&radiance, &shown, None);
         // A code of the darkest mid-tone is 2.6 % of its light.
         assert!((found.white / 40.0 - 1.0).abs() < 0.03, "{found:?}");
-        // The peak of 2.5 stops, less its last 0.2 %; gains are 0 and 2, but for the rounding of codes of 8 and more (6 % of light).
+        // The peak of 2.5 stops, without its last 0.2 %; gains are 0 and 2, except for the rounding of codes from 8
+        // on (6 % of light).
         assert!((found.headroom_stops - libm::log2(2.5)).abs() < 0.1, "{found:?}");
         assert!((found.most_stops - 2.0).abs() < 0.15 && found.least_stops.abs() < 0.15, "{found:?}");
         for stops in [found.most_stops, found.least_stops, found.headroom_stops] {
@@ -268,7 +272,7 @@ mod tests {
         }
     }
 
-    /// The formula of the standard in doubles; the table is off by 1/1000 stop, far below half a code of the range here.
+    /// The formula of the standard in double precision; the error of the table is 1/1000 stop, far below half a code.
     #[test]
     fn codes_are_those_of_the_formula() {
         let (radiance, shown) = scene();
@@ -291,7 +295,7 @@ mod tests {
     fn half_is_the_mean_of_two_by_two() {
         let found = Rendition { white: 1.0, least_stops: 0.0, most_stops: 2.0, headroom_stops: 2.0 };
         let gains = Gains::new(&found, &Primaries::SRGB, Colours::Srgb);
-        // Gains of 0, 1, 2 and 3 stops, the last of which the map holds as 2; the third column and row stand alone.
+        // Gains of 0, 1, 2 and 3 stops; the map limits the last to 2. The third column and row are incomplete cells.
         let light = |stops: f32| [libm::exp2f(stops) * (1.0 + OFFSET as f32) - OFFSET as f32; 3];
         let radiance = [0.0, 1.0, 2.0, 2.0, 3.0, 0.0, 1.0, 1.0, 2.0].map(light);
         let half = gains.codes(&radiance, &[[255; 3]; 9], 3, 2);

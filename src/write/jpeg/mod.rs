@@ -1,13 +1,14 @@
-//! JPEG, with an Ultra HDR gain map behind the picture: every program shows the picture, and HDR displays apply the map.
+//! JPEG with an Ultra HDR gain map after the picture: every program shows the picture, and HDR displays apply the
+//! map.
 //!
-//! In: radiance and the picture, by rows. Out: one file of two JPEGs: the picture with GContainer XMP, the ISO version block and the
-//! multi-picture index, and the map with its numbers as XMP and as the ISO block. Cost: 35 ns a pixel and core. Memory: both encoded, about
-//! two bytes a pixel, as the head of the file tells their sizes.
-//! Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF), sections 5.2 and A.2; libultrahdr, the
-//! layout described at `JpegR::appendGainMap`.
+//! In: radiance and the picture, by rows. Out: one file with two JPEGs: the picture with GContainer XMP, the ISO
+//! version block and the multi-picture index; and the map with its parameters as XMP and as the ISO block. Cost: 35
+//! ns per pixel and core. Memory: both encoded pictures, about two bytes per pixel, because the header of the file
+//! contains their sizes. Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF),
+//! sections 5.2 and A.2; libultrahdr, the layout described at `JpegR::appendGainMap`.
 //!
-//! Gains are of what the encoded picture decodes to, not of what it was encoded from: what the JPEG of the picture loses, the map
-//! gives back.
+//! Gains are relative to the decoded JPEG, not to the original picture, so that the map corrects the losses of the
+//! JPEG.
 
 mod gain_map;
 mod strips;
@@ -23,12 +24,12 @@ pub use gain_map::Resolution;
 pub(crate) use survey::Survey;
 pub(crate) use writer::Writer;
 
-/// How `.jpg` is encoded.
+/// Options for `.jpg`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
     /// The quality of the picture, 1 to 100, on the scale of libjpeg. Default: 93.
     pub quality: u8,
-    /// How large the gain map is. Default: full.
+    /// Size of the gain map. Default: full.
     pub gain_map: Resolution,
 }
 
@@ -39,7 +40,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Whether the quality is one.
+    /// Checks the quality.
     ///
     /// # Errors
     /// [`Error::Option`].
@@ -47,7 +48,7 @@ impl Options {
         if (1..=100).contains(&self.quality) {
             return Ok(());
         }
-        let reason = format!("{} is no quality; give 1 to 100", self.quality);
+        let reason = format!("{} is not a valid quality; give 1 to 100", self.quality);
         Err(Error::Option { option: "--jpeg-quality", reason })
     }
 }

@@ -1,10 +1,10 @@
-//! Baseline JPEG: 8-bit RGB as YCbCr at full resolution, by independent strips of 64 rows.
+//! Baseline JPEG: 8-bit RGB as YCbCr at full resolution, in independent strips of 64 rows.
 //!
-//! In: rows of codes. Out: a baseline JPEG. Cost: 15 ns a pixel and core.
-//! Source: ITU-T T.81, annex B (markers), E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02; by the `jpeg-encoder` crate.
+//! In: rows of codes. Out: a baseline JPEG. Cost: 15 ns per pixel and core. Source: ITU-T T.81, annex B (markers),
+//! E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02; by the `jpeg-encoder` crate.
 //!
-//! Strips are encoded in parallel as pictures of their own, and the data of each becomes one restart interval of the file: the same bytes on
-//! any number of threads.
+//! Strips are encoded in parallel as separate pictures, and the data of each becomes one restart interval of the
+//! file: the same bytes on any number of threads.
 
 use crate::bracket::colour::Profile;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
@@ -15,14 +15,14 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// The longest side. The format holds 65535, most decoders (libjpeg's) 65500.
+/// The longest side. The format allows 65535, most decoders (libjpeg) 65500.
 pub const MOST_SIDE: usize = 65_500;
 
-/// A JPEG of some rows, complete, so that it can be decoded by itself.
+/// A complete JPEG of some rows, which can be decoded separately.
 #[derive(Debug)]
 pub(super) struct Strip {
     bytes: Vec<u8>,
-    /// The quantisation and Huffman tables: their segments, one after the other.
+    /// The segments of the quantisation and Huffman tables, one after the other.
     tables: Vec<u8>,
     /// The entropy-coded data.
     data: Range<usize>,
@@ -39,15 +39,15 @@ impl Strip {
         let (columns, rows) = (side(width)?, side(pixels.len() / width.max(1))?);
         encoder.encode(pixels.as_flattened(), columns, rows, ColorType::Rgb).map_err(io::Error::other)?;
         let mut tables = Vec::new();
-        let start = scan(&bytes, &mut tables).ok_or_else(|| io::Error::other("the encoder made no scan"))?;
-        // Behind the data stands the end marker.
+        let start = scan(&bytes, &mut tables).ok_or_else(|| io::Error::other("the encoder wrote no scan"))?;
+        // The end marker follows the data.
         let data = start..bytes.len().saturating_sub(2).max(start);
         Ok(Strip { bytes, tables, data })
     }
 
-    /// The pixels as a reader of the file will have them: the same on any processor.
+    /// Returns the pixels that a reader of the file decodes: the same on any processor.
     pub(super) fn decoded(&self) -> io::Result<Vec<u8>> {
-        // Without vectors it takes as long: what it is about is the entropy coding.
+        // Without vector instructions it takes the same time, because entropy coding dominates.
         let options = DecoderOptions::new_safe()
             .set_strict_mode(true)
             .set_max_width(usize::from(u16::MAX))
@@ -58,7 +58,7 @@ impl Strip {
     }
 }
 
-/// Appends the segments of tables to `tables`, and gives the place of the first byte of data.
+/// Appends the segments of tables to `tables`, and returns the position of the first byte of data.
 fn scan(bytes: &[u8], tables: &mut Vec<u8>) -> Option<usize> {
     let mut at = 2;
     loop {
@@ -89,11 +89,10 @@ pub(super) const APP2: u8 = 0xE2;
 /// Appends a segment of `parts`.
 ///
 /// # Errors
-/// Where it would be longer than the format allows.
+/// If it would be longer than the format allows.
 pub(super) fn put_segment(code: u8, parts: &[&[u8]], out: &mut Vec<u8>) -> io::Result<()> {
     let length = 2 + parts.iter().map(|part| part.len()).sum::<usize>();
-    let length =
-        u16::try_from(length).map_err(|_| io::Error::other("a JPEG segment holds no more than 65533 bytes"))?;
+    let length = u16::try_from(length).map_err(|_| io::Error::other("a JPEG segment has at most 65533 bytes"))?;
     out.extend_from_slice(&[0xFF, code]);
     out.extend_from_slice(&length.to_be_bytes());
     parts.iter().for_each(|part| out.extend_from_slice(part));
@@ -105,7 +104,7 @@ pub(super) fn put_jfif(out: &mut Vec<u8>) -> io::Result<()> {
     put_segment(APP0, &[b"JFIF\0\x01\x02\0\0\x01\0\x01\0\0"], out)
 }
 
-/// Appends `profile`, in as many segments as it takes (ICC.1:2022, B.4).
+/// Appends `profile`, in as many segments as necessary (ICC.1:2022, B.4).
 pub(super) fn put_profile(profile: &Profile, out: &mut Vec<u8>) -> io::Result<()> {
     let parts: Vec<&[u8]> = profile.icc.chunks(65_519).collect();
     let count = u8::try_from(parts.len()).map_err(|_| io::Error::other("the colour profile is too large for JPEG"))?;
@@ -115,11 +114,11 @@ pub(super) fn put_profile(profile: &Profile, out: &mut Vec<u8>) -> io::Result<()
     Ok(())
 }
 
-/// A JPEG that strips are added to, from the top.
+/// A JPEG to which strips are added from the top.
 #[derive(Debug)]
 pub(super) struct Strips {
     size: (usize, usize),
-    /// Rows of every strip but the last, a multiple of eight.
+    /// Number of rows of every strip except the last, a multiple of eight.
     rows: usize,
     tables: Vec<u8>,
     data: Vec<u8>,
@@ -142,13 +141,13 @@ impl Strips {
         self.count += 1;
     }
 
-    /// The size of the file that [`end`](Self::end) gives, but for the application segments.
+    /// Returns the size of the file of [`end`](Self::end), without the application segments.
     pub(super) fn bytes_without_segments(&self) -> usize {
         // SOI, SOF0 of three components, DRI, SOS of three components, EOI.
         2 + self.tables.len() + 19 + 6 + 14 + self.data.len() + 2
     }
 
-    /// The file, with `segments` before the tables: put out in two parts, that the data need not be copied.
+    /// Returns the file, with `segments` before the tables, in two parts, so that the data need not be copied.
     pub(super) fn end(self, segments: &[u8]) -> io::Result<[Vec<u8>; 2]> {
         let side =
             |n: usize| u16::try_from(n).map_err(|_| io::Error::other("a side of a JPEG has at most 65535 pixels"));
@@ -157,7 +156,7 @@ impl Strips {
         let mut head = vec![0xFF, SOI];
         head.extend_from_slice(segments);
         head.extend_from_slice(&self.tables);
-        // Three components, not subsampled; the first by the first tables, the others by the second.
+        // Three components, not subsampled; the first with the first tables, the others with the second.
         let components = [1, 0x11, 0, 2, 0x11, 1, 3, 0x11, 1];
         put_segment(SOF0, &[&[8], &height.to_be_bytes(), &width.to_be_bytes(), &[3], &components], &mut head)?;
         put_segment(DRI, &[&interval.to_be_bytes()], &mut head)?;
@@ -181,7 +180,7 @@ mod tests {
         })
     }
 
-    /// The strips' own pixels are those that a reader of the file decodes: the map is made for these.
+    /// The decoded pixels of the strips are those that a reader of the file decodes: the map is made for them.
     #[test]
     fn another_decoder_reads_what_the_strips_say() {
         for (width, height) in [(1, 1), (9, 64), (50, 65), (131, 64 * 11 + 9)] {
@@ -200,7 +199,7 @@ mod tests {
             let whole = image::load_from_memory(&file).unwrap().to_rgb8();
             assert_eq!(whole.dimensions(), (width as u32, height as u32));
             assert!(whole.as_raw() == &own, "{width}x{height}");
-            // Steps at quality 90 are at most 24: far below this on the mean.
+            // Steps at quality 90 are at most 24; the mean error is far smaller.
             let far =
                 own.iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
             assert!(far < 12 * own.len() as u64, "{far}");

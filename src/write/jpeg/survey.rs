@@ -1,7 +1,7 @@
-//! The survey of radiance and picture: the white and the range of gains that the gain map is made for.
+//! Survey of radiance and picture: determines the white and the range of gains for the gain map.
 //!
-//! In: radiance by rows, and the codes of the picture for them. Out: a [`Rendition`]. Cost: that of about 200,000 pixels. Source: as for
-//! `gain_map`.
+//! In: radiance by rows, and the codes of the picture for them. Out: a [`Rendition`]. Cost: that of about 200,000
+//! pixels. Source: see `gain_map`.
 
 use super::gain_map::{Base, GRAIN, MOST_FALL, MOST_STOPS, OFFSET, Rendition, ToBase, lit, shown};
 use crate::bracket::colour::Primaries;
@@ -10,10 +10,10 @@ use crate::tonemap::display::codes::Colours;
 use crate::tonemap::display::luminance;
 use rayon::prelude::*;
 
-/// Pixels that a survey looks at, about.
+/// Approximate number of pixels that are read.
 const SEEN: usize = 200_000;
 
-/// A look at some pixels of the radiance beside the picture.
+/// Samples of the radiance and the picture.
 #[derive(Debug, Clone)]
 pub struct Survey {
     to_base: ToBase,
@@ -24,7 +24,7 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Of a picture of `size` pixels of `colours`, the radiance of `primaries`.
+    /// Creates a survey of a picture of `size` pixels with `colours`, and radiance with `primaries`.
     pub fn new(size: (usize, usize), primaries: &Primaries, colours: Colours) -> Self {
         let mut step = 1;
         while (size.0 / step) * (size.1 / step) > SEEN {
@@ -33,7 +33,7 @@ impl Survey {
         Survey { to_base: ToBase::of(primaries, colours), width: size.0, step, seen: Vec::new() }
     }
 
-    /// Sees the rows `pixels`, which begin with row `first`; `show` gives the codes of a row by its number.
+    /// Adds samples of the rows `pixels`, from row `first` on; `show` returns the codes of a row by its number.
     pub fn see(
         &mut self,
         first: usize,
@@ -55,8 +55,8 @@ impl Survey {
         self.seen.extend(seen.into_iter().flatten());
     }
 
-    /// The rendition of what was seen. `white` is the radiance that is shown at the picture's white; none for that by which the two
-    /// agree in the mid-tones.
+    /// Returns the rendition for the samples. `white` is the radiance that is shown as the picture's white; `None`
+    /// for that for which both agree in the mid-tones.
     pub fn rendition(self, white: Option<f32>) -> Rendition {
         let white = white.filter(|w| w.is_finite() && *w > 0.0).unwrap_or_else(|| self.white());
         let base = Base::new();
@@ -65,7 +65,7 @@ impl Survey {
         for (light, codes) in &self.seen {
             let light = light.map(|v| shown(v, scale));
             peaks.push(light[0].max(light[1]).max(light[2]));
-            // Values next to black have no reliable gain.
+            // The gain of values close to black is not reliable.
             let reliable = light.iter().zip(codes).filter(|(_, code)| **code >= LEAST_CODE);
             gains.extend(reliable.map(|(&v, &code)| (libm::log2(f64::from(v) + OFFSET) - base.stops(code)) as f32));
         }
@@ -76,9 +76,9 @@ impl Survey {
             sorted.get(place).copied().map_or(0.0, f64::from)
         };
         let least = (at(&gains, 0.001) * GRAIN).floor() / GRAIN;
-        // A few sparks must not coarsen all the others.
+        // A few very bright pixels must not reduce the precision of all others.
         let most = (at(&gains, 0.9999) * GRAIN).ceil() / GRAIN;
-        // A map of no range cannot be divided by it.
+        // A range of 0 would be divided by.
         let least = least.clamp(-MOST_FALL, 0.0) + 0.0;
         let most = most.clamp(0.0, MOST_STOPS).max(least + 0.125);
         let headroom = (libm::log2(at(&peaks, 0.998).max(1.0)) * GRAIN).round() / GRAIN;
@@ -90,7 +90,8 @@ impl Survey {
         }
     }
 
-    /// The white by which radiance and picture agree in the median of the mid-tones, or of all where there are hardly any.
+    /// Returns the white for which radiance and picture agree in the median of the mid-tones, or of all pixels if
+    /// there are few mid-tones.
     fn white(&self) -> f32 {
         let of_code = Base::new().linear;
         let mut all = Vec::new();
@@ -112,11 +113,11 @@ impl Survey {
     }
 }
 
-/// The mid-tones: luminance of the picture, about codes 63 to 188.
+/// Range of luminance of the mid-tones of the picture, about codes 63 to 188.
 const MIDDLE: std::ops::RangeInclusive<f32> = 0.05..=0.5;
 
-/// The least code whose gain the range must reach.
+/// Smallest code whose gain must be in the range.
 const LEAST_CODE: u8 = 8;
 
-/// Readers divide by the headroom.
+/// Smallest headroom, because readers divide by it.
 const LEAST_HEADROOM: f64 = 0.5;

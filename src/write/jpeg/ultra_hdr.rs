@@ -1,25 +1,28 @@
 //! Ultra HDR metadata: the blocks of a JPEG that announce the gain map and describe how to apply it.
 //!
-//! In: the [`Rendition`] and the sizes of both images. Out: XMP packets, the ISO 21496-1 block and the multi-picture index. Cost: none.
-//! Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF), sections 5.2 and A.2.
+//! In: the [`Rendition`] and the sizes of both images. Out: XMP packets, the ISO 21496-1 block and the multi-picture
+//! index. Cost: negligible. Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007
+//! (MPF), sections 5.2 and A.2.
 
 use super::gain_map::{OFFSET, Rendition};
 use super::strips::{APP1, put_segment};
 use std::io;
 
 pub(super) const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
-/// The least version that a reader must know, and the writer's.
+/// The minimum version for a reader, and the version of the writer.
 pub(super) const VERSION: [u8; 4] = [0; 4];
 pub(super) const MPF: &[u8] = b"MPF\0";
 /// Bytes of the index from its header on: header, three tags, two entries.
 pub(super) const MPF_BYTES: usize = 8 + 2 + 3 * 12 + 4 + 2 * 16;
-/// From the start of the index's segment to its header.
+/// Bytes from the start of the index's segment to its header.
 pub(super) const MPF_HEADER: usize = 4 + MPF.len();
 
-/// The multi-picture index (DC-007, 5.2): sizes of both images, and where the second begins, from the index's header on.
+/// Returns the multi-picture index (DC-007, 5.2): sizes of both images, and the offset of the second from the header
+/// of the index.
 pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Vec<u8>> {
     let four = |n: usize| {
-        let number = u32::try_from(n).map_err(|_| io::Error::other("JPEG with a gain map holds no 4 GB; name a .png"));
+        let number = u32::try_from(n)
+            .map_err(|_| io::Error::other("a JPEG with a gain map must be smaller than 4 GB; write a .png instead"));
         number.map(u32::to_be_bytes)
     };
     four(first.saturating_add(second))?;
@@ -29,7 +32,7 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
     out.extend_from_slice(b"\xB0\x01\0\x04\0\0\0\x01\0\0\0\x02");
     out.extend_from_slice(b"\xB0\x02\0\x07\0\0\0\x20\0\0\0\x32");
     out.extend_from_slice(&[0; 4]);
-    // The first is the representative one, a baseline primary image; of what kind the second is, the standard has no word for.
+    // The first is the representative image, a baseline primary image; the standard has no type for the second.
     for (kind, size, offset) in [([0, 3, 0, 0], first, 0), ([0; 4], second, offset)] {
         out.extend_from_slice(&kind);
         out.extend_from_slice(&four(size)?);
@@ -39,7 +42,8 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
     Ok(out)
 }
 
-/// The numbers of `rendition` as ISO 21496-1 has them, after the version: one channel's for all, in the picture's primaries.
+/// Returns the parameters of `rendition` as in ISO 21496-1, after the version: the same for all channels, in the
+/// picture's primaries.
 pub(super) fn iso_numbers(rendition: &Rendition) -> Vec<u8> {
     const IN_BASE_SPACE: u8 = 0x40;
     // The numbers are multiples of 1/1024 within +-16: the cast is exact.
@@ -56,7 +60,8 @@ pub(super) fn put_xmp(packet: &str, out: &mut Vec<u8>) -> io::Result<()> {
     put_segment(APP1, &[b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()], out)
 }
 
-/// An XMP packet of the attributes and content `description`. It ends with a line: ImageMagick overwrites the last byte before it reads.
+/// Returns an XMP packet with the attributes and content `description`. It ends with a line feed: ImageMagick
+/// overwrites the last byte before it reads.
 fn packet(software: &str, description: &str) -> String {
     let software: String = software.chars().filter(|c| !matches!(c, '<' | '>' | '&' | '"')).collect();
     format!(
@@ -65,7 +70,7 @@ fn packet(software: &str, description: &str) -> String {
     )
 }
 
-/// The XMP of the picture: that there is a gain map, and how long it is.
+/// Returns the XMP of the picture: the existence and the length of the gain map.
 pub(super) fn primary_xmp(map_size: usize, software: &str) -> String {
     let item = |semantic: &str, length: String| {
         format!(
@@ -82,7 +87,7 @@ pub(super) fn primary_xmp(map_size: usize, software: &str) -> String {
     )
 }
 
-/// The XMP of the map: its numbers, in stops.
+/// Returns the XMP of the map: its parameters, in stops.
 pub(super) fn map_xmp(rendition: &Rendition, software: &str) -> String {
     let Rendition { least_stops, most_stops, headroom_stops, .. } = rendition;
     packet(

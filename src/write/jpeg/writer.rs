@@ -1,4 +1,4 @@
-//! The JPEG writer: the picture by strips, its gain map beside it, and the file of both.
+//! The JPEG writer: the picture in strips, its gain map, and the file with both.
 //!
 //! In: radiance and the picture, by rows. Out: a `.jpg` file. Cost and source: see [`super`].
 
@@ -29,7 +29,7 @@ pub struct Writer {
     shown: Vec<[u8; 3]>,
 }
 
-/// The map as far as it is.
+/// The part of the map so far.
 struct Map {
     gains: Gains,
     rendition: Rendition,
@@ -39,10 +39,11 @@ struct Map {
 }
 
 impl Writer {
-    /// Begins a file of `size` pixels, a picture of `colours`, of which the [`profile`](Metadata::profile) is; without one it is sRGB and marked as such.
+    /// Starts a file of `size` pixels with `colours`, described by the [`profile`](Metadata::profile); without one it
+    /// is sRGB and marked as such.
     ///
     /// # Errors
-    /// [`Error::Write`]: a side is longer than 65500 px.
+    /// [`Error::Write`] if a side is longer than 65500 px.
     pub fn new(
         file: Pending,
         size: (usize, usize),
@@ -76,20 +77,20 @@ impl Writer {
         })
     }
 
-    /// Takes the next complete rows of either or both, without gaps.
+    /// Adds the next complete rows of either or both, in order.
     ///
     /// # Errors
     /// [`Error::Write`].
     ///
     /// # Panics
-    /// When a row is incomplete or there are more than the picture has.
+    /// If a row is incomplete, or there are more rows than the picture has.
     pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[u8; 3]]) -> Result<()> {
         let (width, height) = self.size;
         let missing = (height - self.done) * width;
         let come = (self.radiance.len() + radiance.len(), self.shown.len() + shown.len());
         assert!(
             radiance.len().is_multiple_of(width) && shown.len().is_multiple_of(width) && come.0.max(come.1) <= missing,
-            "rows come whole, and not more than there are"
+            "rows must be complete, and not more than the picture has"
         );
         let both = come.0.min(come.1);
         let ready = if both == missing { both } else { both / (STRIP_ROWS * width) * (STRIP_ROWS * width) };
@@ -138,10 +139,10 @@ impl Writer {
         Ok(())
     }
 
-    /// Puts the file together after the last row.
+    /// Writes the file after the last row.
     ///
     /// # Errors
-    /// [`Error::Write`] when the disk fails or rows are missing.
+    /// [`Error::Write`] if writing fails or rows are missing.
     pub fn finish(self) -> Result<Written> {
         let Writer { mut file, size, segments, base, map, done, radiance, .. } = self;
         if done < size.1 {
@@ -157,7 +158,7 @@ impl Writer {
     }
 }
 
-/// Whether JPEG holds a picture of this size.
+/// Checks that JPEG supports a picture of this size.
 fn check_size(path: &Path, (width, height): (usize, usize)) -> Result<()> {
     if width.max(height) <= MOST_SIDE {
         return Ok(());
@@ -168,7 +169,7 @@ fn check_size(path: &Path, (width, height): (usize, usize)) -> Result<()> {
     Err(Error::Write { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) })
 }
 
-/// What both kinds of file begin with: JFIF, EXIF, the profile.
+/// Returns the first segments of both kinds of file: JFIF, EXIF, the profile.
 fn segments(size: (usize, usize), metadata: &Metadata) -> io::Result<Vec<u8>> {
     let mut out = Vec::new();
     strips::put_jfif(&mut out)?;
@@ -182,7 +183,7 @@ fn segments(size: (usize, usize), metadata: &Metadata) -> io::Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The file, in parts.
+/// Returns the file, in parts.
 fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Result<Vec<Vec<u8>>> {
     let Some(map) = map else { return Ok(base.end(&segments)?.into()) };
     let mut map_segments = Vec::new();
@@ -192,13 +193,13 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     let second_size = second[0].len() + second[1].len();
     put_xmp(&primary_xmp(second_size, &map.software), &mut segments)?;
     put_segment(APP2, &[ISO, &VERSION], &mut segments)?;
-    // The index comes last of the segments: from its header on the second image is counted.
+    // The index is the last segment: the offset of the second image is relative to its header.
     let index_at = 2 + segments.len() + MPF_HEADER;
     let first_size = base.bytes_without_segments() + segments.len() + 4 + MPF.len() + MPF_BYTES;
     let offset = first_size - index_at;
     put_segment(APP2, &[MPF, &index(first_size, second_size, offset)?], &mut segments)?;
     let mut parts = Vec::from(base.end(&segments)?);
-    debug_assert_eq!(parts[0].len() + parts[1].len(), first_size, "the index tells the size of the first image");
+    debug_assert_eq!(parts[0].len() + parts[1].len(), first_size, "the index contains the size of the first image");
     parts.extend(second);
     Ok(parts)
 }

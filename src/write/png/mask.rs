@@ -1,7 +1,7 @@
 //! Masks: 8-bit grey PNG.
 //!
-//! In: a plane of bytes. Out: a PNG of them, for people and programs; linear numbers, not light, so that it states no colour space. Cost: some
-//! 10 ns a pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
+//! In: a plane of bytes. Out: a PNG, for people and programs; the values are not light, so it has no colour space.
+//! Cost: about 10 ns per pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
 
 use crate::error::{Error, Result};
 use crate::plane::Plane;
@@ -10,10 +10,10 @@ use crate::write::staging::{Pending, Written};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Whether a mask can be written to `path` by its name, and whether there `is_one` to be written.
+/// Checks that a mask can be written to `path` by its extension, and that there `is_one`.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] where nothing is sought that a mask could show.
+/// [`Error::UnknownExtension`]; [`Error::Option`] if motion is not detected, so that there is no mask.
 pub fn check(path: Option<&Path>, is_one: bool) -> Result<()> {
     let Some(path) = path else { return Ok(()) };
     if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
@@ -22,7 +22,7 @@ pub fn check(path: Option<&Path>, is_one: bool) -> Result<()> {
     if is_one {
         return Ok(());
     }
-    let reason = "there is no mask where nothing is sought; take --deghost=off away".to_owned();
+    let reason = "there is no mask without deghosting; remove --deghost=off".to_owned();
     Err(Error::Option { option: "--ghost-mask", reason })
 }
 
@@ -43,7 +43,7 @@ fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    // So that it is not taken for a photograph.
+    // So that it is not mistaken for a photograph.
     encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
     let mut writer = encoder.write_header()?;
     writer.write_image_data(mask.as_slice())?;

@@ -1,4 +1,4 @@
-//! The PNG writer: bands of rows, filtered and deflated side by side.
+//! The PNG writer: bands of rows, filtered and compressed in parallel.
 //!
 //! In: display-encoded RGB by rows. Out: a `.png` file. Cost and source: see [`super`].
 
@@ -15,9 +15,9 @@ use flate2::write::ZlibEncoder;
 use flate2::{Compression, Crc};
 use std::io::{self, Write};
 
-/// A code that PNG can hold.
+/// A code that PNG supports.
 pub trait Sample: crate::write::tiff::Sample {
-    /// The bytes of `pixels`, the upper ones first; in `buffer` where they are not these themselves.
+    /// Returns the bytes of `pixels`, high bytes first; in `buffer` if they have to be converted.
     fn bytes<'a>(pixels: &'a [[Self; 3]], buffer: &'a mut Vec<u8>) -> &'a [u8];
 }
 
@@ -35,7 +35,7 @@ impl Sample for u16 {
     }
 }
 
-/// What an encoder keeps from band to band: the bytes of the codes, and the filtered rows.
+/// Buffers of an encoder: the bytes of the codes, and the filtered rows.
 type Buffers = (Vec<u8>, Vec<u8>);
 
 /// The `.png` writer for pixels `[T; 3]`.
@@ -47,8 +47,8 @@ pub struct Writer<T> {
 }
 
 impl<T: Sample> Writer<T> {
-    /// Writes the header of a picture of `size` pixels of `colours`, of which the [`profile`](Metadata::profile) is; rows follow. Without one it is
-    /// sRGB and marked as such.
+    /// Writes the header of a picture of `size` pixels with `colours`, described by the
+    /// [`profile`](Metadata::profile); without one it is sRGB and marked as such. Rows follow.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -87,7 +87,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     }
 }
 
-/// Everything before the pixels.
+/// Returns everything before the pixels.
 fn header((width, height): (usize, usize), bits: u8, metadata: &Metadata, colours: Colours) -> io::Result<Vec<u8>> {
     let side = |n: usize| {
         u32::try_from(n)
@@ -98,11 +98,12 @@ fn header((width, height): (usize, usize), bits: u8, metadata: &Metadata, colour
     // RGB, deflate, adaptive filters, not interlaced.
     put_chunk(b"IHDR", &[&side(width)?[..], &side(height)?, &[bits, 2, 0, 0, 0]].concat(), &mut out);
     if colours == Colours::DisplayP3 {
-        // Primaries of SMPTE EG 432-1, sRGB's transfer, RGB, full range (ITU-T H.273); readers that do not know it take the profile.
+        // Primaries of SMPTE EG 432-1, sRGB's transfer function, RGB, full range (ITU-T H.273); readers that do not
+        // know it use the profile.
         put_chunk(b"cICP", &[12, 13, 0, 1], &mut out);
     }
     match &metadata.profile {
-        // Perceptual intent, which is meant for photographs.
+        // Perceptual intent, which is for photographs.
         None => put_chunk(b"sRGB", &[0], &mut out),
         Some(profile) => {
             let mut icc = ZlibEncoder::new(b"ICC\0\0".to_vec(), Compression::default());
@@ -126,18 +127,18 @@ fn put_chunk(name: &[u8; 4], data: &[u8], out: &mut Vec<u8>) {
     end_chunk(start, out);
 }
 
-/// Ends the chunk that begins at `start` with room for its length: this, and the checksum.
+/// Ends the chunk that begins at `start`: writes its length, and appends the checksum.
 fn end_chunk(start: usize, out: &mut Vec<u8>) {
     let mut crc = Crc::new();
     crc.update(&out[start + 4..]);
-    // A band of 64 rows is far below the 2 GB that a chunk may have.
+    // A band of 64 rows is far below the limit of 2 GB for a chunk.
     let length = (out.len() - start - 8) as u32;
     out[start..start + 4].copy_from_slice(&length.to_be_bytes());
     out.extend_from_slice(&crc.sum().to_be_bytes());
 }
 
-/// Appends a chunk of the filtered rows of `bytes`, a pixel of which has `pixel` of them, as deflate blocks that end at a byte, and gives their
-/// checksum; the first band begins the stream, the last one ends it.
+/// Appends a chunk with the filtered rows of `bytes`, `pixel` bytes each pixel, as deflate blocks that end at a byte
+/// boundary, and returns their checksum. The first band begins the stream, the last one ends it.
 fn encode_band(
     bytes: &[u8],
     pixel: usize,
@@ -163,7 +164,8 @@ fn encode_band(
     Adler::of(raw)
 }
 
-/// Rows of `stride` bytes, `PIXEL` each, to the filter's number and the filtered row: Paeth, or Sub where the row above belongs to another band.
+/// Filters rows of `stride` bytes, `PIXEL` per pixel: the number of the filter and the filtered row. Paeth, or Sub if
+/// the row above belongs to another band.
 struct Filter<'a, const PIXEL: usize> {
     bytes: &'a [u8],
     stride: usize,
@@ -190,7 +192,7 @@ impl<const PIXEL: usize> Loops for Filter<'_, PIXEL> {
                 }
                 Some(above) => {
                     kind[0] = 4;
-                    // Left of the first pixel is nothing, and so nearest is what is above.
+                    // There is no pixel left of the first, so the one above is closest.
                     for ((to, &v), &up) in out_first.iter_mut().zip(first).zip(above) {
                         *to = v.wrapping_sub(up);
                     }
@@ -205,7 +207,7 @@ impl<const PIXEL: usize> Loops for Filter<'_, PIXEL> {
     }
 }
 
-/// Of left, above and above left, that which is nearest to left + above - above left (section 9.4).
+/// Returns left, above or above left, whichever is closest to left + above - above left (section 9.4).
 #[inline(always)]
 fn paeth(a: u8, b: u8, c: u8) -> u8 {
     let [i, j, k] = [a, b, c].map(i16::from);
@@ -240,7 +242,7 @@ mod tests {
         std::fs::read(&path).unwrap()
     }
 
-    /// The decoder checks every CRC and, when asked to, the Adler sum.
+    /// The decoder checks every CRC and, on request, the Adler checksum.
     #[test]
     fn another_decoder_reads_the_same_pixels() {
         for (width, height) in [(1, 1), (3, 64), (200, 65), (61, 64 * 18 + 7)] {
@@ -271,7 +273,7 @@ mod tests {
         }
     }
 
-    /// Section 9.2 as it stands, byte by byte.
+    /// Section 9.2, implemented byte by byte.
     #[test]
     fn rows_are_filtered_as_the_standard_says() {
         for width in [1, 2, 21, 200] {

@@ -42,13 +42,13 @@ pub(super) fn most() -> usize {
     getrlimit(Resource::Nofile).current.map_or(usize::MAX, |most| usize::try_from(most / 2).unwrap_or(usize::MAX))
 }
 
-/// None.
+/// Not supported.
 #[cfg(not(target_os = "linux"))]
 pub(super) fn create(_: &Path) -> Option<File> {
     None
 }
 
-/// Never.
+/// Not supported.
 ///
 /// # Errors
 /// Always.
@@ -57,7 +57,7 @@ pub(super) fn link(_: &File, _: &Path) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// None.
+/// Not supported.
 #[cfg(not(target_os = "linux"))]
 pub(super) fn most() -> usize {
     0

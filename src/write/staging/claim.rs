@@ -14,13 +14,13 @@ const PREFIX: &str = ".hdralign-";
 const PART: &str = ".part";
 const LOCK: &str = ".lock";
 
-/// Letters and digits of an ID: 62^12 of them.
+/// Letters and digits of an ID: 62^12 combinations.
 const ID_LENGTH: usize = 12;
 
 /// Content of a lock file. Lock files of older versions have the same text, so it must not change, not even the path.
 const SIGNATURE: &[u8] = b"hdralign: temporary files are written here; see docs/faults.md\n";
 
-/// How often another lock file is made in place of one that was swept before it was locked.
+/// Number of attempts to create a lock file, if one is swept before it is locked.
 const TRIES: usize = 16;
 
 /// Temporary names in a folder. Dropped, their files are removed.
@@ -29,7 +29,7 @@ pub(super) struct Claim {
     _lock: NamedTempFile,
     folder: PathBuf,
     id: String,
-    /// How many names were made.
+    /// Number of names created.
     made: u64,
     paths: BTreeSet<PathBuf>,
 }
@@ -42,7 +42,7 @@ impl Claim {
     pub fn new(folder: &Path) -> io::Result<Claim> {
         let mut lock = locked_in(folder)?;
         lock.write_all(SIGNATURE)?;
-        // After a power cut the files are not known without it.
+        // After a power failure the files could not be recognised without it.
         lock.as_file().sync_all()?;
         let name = lock.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
         let id = id_of(&name).unwrap_or_default().to_owned();
@@ -57,9 +57,9 @@ impl Claim {
         path
     }
 
-    /// Removes the file `path`, if it is there, and its name; whether that was the last one.
+    /// Removes the file `path`, if it exists, and its name. Returns whether that was the last one.
     pub fn remove(&mut self, path: &Path) -> bool {
-        // Mostly it has its final name by now, and else there is nobody to tell.
+        // It usually has its final name by now; otherwise an error cannot be reported.
         let _ = fs::remove_file(path);
         self.paths.remove(path);
         self.paths.is_empty()
@@ -68,21 +68,21 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // The lock file goes after them.
+        // The lock file is removed after them.
         for path in &self.paths {
             let _ = fs::remove_file(path);
         }
     }
 }
 
-/// A lock file in `folder`, locked where there are locks.
+/// Creates a lock file in `folder`, locked if the file system supports locks.
 fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
     let open = |path: &Path| OpenOptions::new().read(true).write(true).create_new(true).open(path);
     for _ in 0..TRIES {
         let lock = tempfile::Builder::new().prefix(PREFIX).suffix(LOCK).rand_bytes(ID_LENGTH).make_in(folder, open)?;
         match lock.as_file().try_lock() {
             Ok(()) if lock.path().exists() => return Ok(lock),
-            // A sweep saw it before it was locked, and removes it, or has done so.
+            // A sweep found it before it was locked, and removes it, or has done so.
             Ok(()) | Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(_)) => return Ok(lock),
         }
@@ -95,9 +95,10 @@ fn id_of(name: &str) -> Option<&str> {
     name.strip_prefix(PREFIX)?.strip_suffix(LOCK).filter(|id| id.len() == ID_LENGTH)
 }
 
-/// Removes the temporary files that processes left in `folder` when they were killed, and gives their number. Those of a living process are
-/// claimed by a file that it has locked, and stay; where the file system knows no locks, all stay. Where locks do not reach other machines
-/// (Lustre's `localflock`), it must not run beside another machine that writes there: that one would fail to name its files.
+/// Removes the temporary files that killed processes left in `folder`, and returns their number. Those of a running
+/// process are protected by the file that it has locked; if the file system does not support locks, nothing is
+/// removed. If locks do not reach other machines (Lustre's `localflock`), it must not run while another machine
+/// writes there, because that machine could not name its files.
 pub fn sweep(folder: &Path) -> usize {
     names(folder).iter().filter_map(|name| id_of(name)).map(|id| sweep_one(folder, id)).sum()
 }
@@ -107,7 +108,7 @@ fn names(folder: &Path) -> Vec<String> {
     entries.filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
-/// Removes the files of the claim `id`, if nobody has it locked, and gives their number.
+/// Removes the files of the claim `id` if no process has it locked, and returns their number.
 fn sweep_one(folder: &Path, id: &str) -> usize {
     let lock = folder.join(format!("{PREFIX}{id}{LOCK}"));
     let Some(abandoned) = Abandoned::at(&lock) else { return 0 };
@@ -121,17 +122,17 @@ fn sweep_one(folder: &Path, id: &str) -> usize {
     parts.chain([lock]).filter(|path| fs::remove_file(path).is_ok()).count()
 }
 
-/// A lock file whose process is gone, locked by this one.
+/// A lock file whose process has ended, locked by this one.
 struct Abandoned {
     _locked: File,
-    /// Not where the process was killed before it had signed it, and so before it made names.
+    /// False if the process was killed before it had written the signature, and so before it created names.
     is_signed: bool,
 }
 
 impl Abandoned {
-    /// The lock file `path`, if it is one and nobody has it locked.
+    /// Opens the lock file `path`, if it is one and no process has it locked.
     fn at(path: &Path) -> Option<Abandoned> {
-        // A link is none of ours. A lock on NFS needs a file that may be written.
+        // A link is not ours. A lock on NFS needs a writable file.
         fs::symlink_metadata(path).ok().filter(|there| there.is_file())?;
         let file = OpenOptions::new().read(true).write(true).open(path).ok()?;
         file.try_lock().ok()?;
@@ -160,7 +161,7 @@ mod tests {
             names.sort();
             names
         };
-        // The user's, by their names or by what they hold.
+        // Files of the user, by name or by content.
         let users = [
             ".hdralign-notes.part",
             ".hdralign-aaaaaaaaaaaa-0.part",
@@ -188,7 +189,7 @@ mod tests {
         assert_eq!((sweep(dir.path()), sweep(&at("nowhere"))), (0, 0));
     }
 
-    /// Sweeps that run all the time take no file from those who make them.
+    /// Sweeps that run continuously remove no file from threads that create them.
     #[test]
     fn claims_made_during_a_sweep_stay() {
         let dir = tempfile::tempdir().unwrap();

@@ -147,7 +147,7 @@ impl Pending {
         let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|Open(file)| {
             match syncing {
                 Some(thread) => {
-                    thread.join().map_err(|_| io::Error::other("the thread that waits for the disk died"))??
+                    thread.join().map_err(|_| io::Error::other("the thread that waits for the disk failed"))??
                 }
                 None => file.file().sync_all()?,
             }
@@ -215,7 +215,7 @@ impl<'a> Renamed<'a> {
             Err(error) if overwrite && error.kind() == io::ErrorKind::AlreadyExists => {
                 // As on a case-insensitive file system.
                 if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
-                    let reason = format!("{} is the same file there; give it another name", other.display());
+                    let reason = format!("{} is the same file there; choose another name", other.display());
                     return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
                 }
                 file.rename_over(state, target).map_err(failed)?;
@@ -336,7 +336,7 @@ mod tests {
                 match pair.and_then(|pair| commit(pair, false)) {
                     Ok(()) => named += 1,
                     Err(Error::Abandoned { .. }) => return named,
-                    // Nothing else may go wrong.
+                    // No other error may occur.
                     Err(error) => panic!("{error}"),
                 }
             }
@@ -364,7 +364,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let error = Pending::create(&dir.path().join("gone/a.exr")).unwrap_err().to_string();
         assert!(error.contains("gone/a.exr") && !error.contains(".hdralign-"), "{error}");
-        // The folder goes while the file is written, as when a disk is taken away.
+        // The folder is removed while the file is written, as when a disk is removed.
         let folder = dir.path().join("sub");
         fs::create_dir(&folder).unwrap();
         let file = pending(&folder.join("a.exr"), "A");
@@ -373,7 +373,7 @@ mod tests {
         assert!(error.contains("sub/a.exr: cannot be written") && !error.contains(".hdralign-"), "{error}");
     }
 
-    /// What is written after the disk was sent the rest is in the file as well.
+    /// Data written after the sync was started are also in the file.
     #[test]
     fn sync_ahead_before_the_last_byte_loses_nothing() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,9 +1,10 @@
 //! Checks of the targets: whether all files can be written, before any work is done.
 //!
-//! In: [`Target`]s, and the files that are read. Out: an error for the first target that cannot be written. Cost: a few
+//! In: [`Target`]s, and the input files. Out: an error for the first target that cannot be written. Cost: a few
 //! system calls for each file.
 //!
-//! Files and folders are compared by device and inode, so that links, mounts and ways to spell a path do not matter.
+//! Files and folders are compared by device and inode, so that links, mounts and different spellings of a path do not
+//! matter.
 
 use crate::error::{Error, Result};
 use crate::intake::{Identity, identity};
@@ -18,7 +19,7 @@ use std::path::{Path, PathBuf};
 pub struct Target {
     /// The file.
     pub path: PathBuf,
-    /// The option as it is typed: `--report`.
+    /// The option as typed: `--report`.
     pub option: &'static str,
 }
 
@@ -29,7 +30,7 @@ impl AsRef<Path> for Target {
 }
 
 impl Target {
-    /// Of all `paths` that `option` names.
+    /// Returns the targets `paths` of `option`.
     pub fn of(option: &'static str, paths: &[PathBuf]) -> Vec<Target> {
         paths.iter().map(|path| Target { path: path.clone(), option }).collect()
     }
@@ -64,7 +65,7 @@ pub fn check_targets(targets: &[Target], inputs: &[PathBuf], overwrite: bool) ->
         let name = target.path.file_name().unwrap_or_default().to_owned();
         if let Some(other) = named.insert((folder, name), target) {
             let by = if other.option == target.option { String::new() } else { format!(", also by {}", other.option) };
-            return Err(target.usage(&format!("is named twice{by}; give every output a name of its own")));
+            return Err(target.usage(&format!("is named twice{by}; choose different names")));
         }
         match fs::symlink_metadata(&target.path) {
             Ok(there) if there.is_dir() => return Err(target.refused("it is a folder; name a file in it".into())),
@@ -75,12 +76,12 @@ pub fn check_targets(targets: &[Target], inputs: &[PathBuf], overwrite: bool) ->
     Ok(())
 }
 
-/// The folder of `target`, which must be there.
+/// Returns the folder of `target`, which must exist.
 fn folder(target: &Target) -> Result<Identity> {
     let folder = folder_of(&target.path);
     let remedy = match fs::metadata(folder) {
         Ok(there) if there.is_dir() => None,
-        Ok(_) => Some(format!("{} is not a folder; name one that is", folder.display())),
+        Ok(_) => Some(format!("{} is not a folder; choose another", folder.display())),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Some(format!(
             "the folder {} does not exist; make it first, as in `mkdir -p {}`",
             folder.display(),
@@ -95,7 +96,7 @@ fn folder(target: &Target) -> Result<Identity> {
     }
 }
 
-/// The folder that `path` is in: `.` for a bare name.
+/// Returns the folder that contains `path`: `.` for a bare name.
 pub(super) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -133,7 +134,7 @@ mod tests {
         assert_eq!(check(&["old.exr"], true), Ok(()));
     }
 
-    /// As two names of one file on a file system that does not tell cases apart.
+    /// The same as two names of one file on a file system that ignores case.
     #[cfg(unix)]
     #[test]
     fn input_under_another_name_is_refused_by_the_option_that_names_it() {
@@ -144,7 +145,7 @@ mod tests {
         let message =
             |targets: &[Target], inputs: &[PathBuf]| check_targets(targets, inputs, true).unwrap_err().to_string();
         let said = message(&Target::of("--report", std::slice::from_ref(&output)), &[input]);
-        assert!(said.starts_with("--report: ") && said.contains("IMG_1.jpg is one of the files"), "{said}");
+        assert!(said.starts_with("--report: ") && said.contains("IMG_1.jpg is also an input file"), "{said}");
         let both = [Target { path: output.clone(), option: "-o" }, Target { path: output, option: "--transforms" }];
         let said = message(&both, &[]);
         assert!(said.starts_with("--transforms: ") && said.contains("is named twice, also by -o; "), "{said}");

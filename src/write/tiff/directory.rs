@@ -1,7 +1,8 @@
 //! The directory of a TIFF: tags with their values, and the header that points to it.
 //!
-//! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or BigTIFF. Cost: none to speak of.
-//! Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF 2.32, section 4.6; libtiff (StoNits).
+//! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or
+//! BigTIFF. Cost: negligible. Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF
+//! 2.32, section 4.6; libtiff (StoNits).
 
 use crate::bracket::colour::Primaries;
 use crate::write::exif::fraction;
@@ -51,12 +52,12 @@ const UNDEFINED: u16 = 7;
 const DOUBLE: u16 = 12;
 const LONG8: u16 = 16;
 
-/// An image file directory: tags in rising order, each with its type, count and bytes.
+/// An image file directory: tags in increasing order, each with its type, count and bytes.
 #[derive(Debug)]
 pub(crate) struct Directory {
     pub(crate) big: bool,
     entries: BTreeMap<u16, (u16, u64, Vec<u8>)>,
-    /// The directories that tags point to: [`tag::EXIF`], [`tag::GPS`].
+    /// The directories to which tags point: [`tag::EXIF`], [`tag::GPS`].
     others: BTreeMap<u16, Directory>,
 }
 
@@ -65,8 +66,8 @@ impl Directory {
         Directory { big, entries: BTreeMap::new(), others: BTreeMap::new() }
     }
 
-    /// What the reference frame tells of itself: camera and date, and by way of EXIF exposure and lens. Size and orientation are the
-    /// picture's own; where it was taken is left out.
+    /// Adds the capture data of the reference frame: camera and date and, in EXIF, exposure and lens. Size and
+    /// orientation are those of the picture; the location is omitted.
     pub(crate) fn capture(&mut self, metadata: &Metadata) {
         let capture = &metadata.capture;
         self.text(tag::DESCRIPTION, Some(&metadata.comments.join("; ")));
@@ -84,7 +85,7 @@ impl Directory {
         number(tag::F_NUMBER, metadata.f_number);
         number(tag::FOCAL_LENGTH, capture.focal_length_mm);
         match metadata.iso.map(f64::round) {
-            // What does not fit is 65535 by the standard.
+            // Values that do not fit are 65535, by the standard.
             Some(iso) if iso >= 1.0 => exif.short(tag::ISO, &[iso.min(65535.0) as u16]),
             _ => {}
         }
@@ -115,7 +116,7 @@ impl Directory {
         }
     }
 
-    /// What red, green, blue and white are.
+    /// Adds the primaries and the white.
     pub(crate) fn primaries(&mut self, primaries: &Primaries) {
         let Primaries { red, green, blue, white } = primaries;
         self.white_point(*white);
@@ -166,21 +167,22 @@ impl Directory {
         if self.big {
             value.to_le_bytes().to_vec()
         } else {
-            // Sizes were weighed when the kind was chosen.
+            // The size was checked when the kind of TIFF was chosen.
             (value as u32).to_le_bytes().to_vec()
         }
     }
 
-    /// The first bytes of the file, with the offset of the directory.
+    /// Returns the first bytes of the file, with the offset of the directory.
     pub(crate) fn file_header(&self, place: u64) -> Vec<u8> {
         let magic: &[u8] = if self.big { b"II\x2b\0\x08\0\0\0" } else { b"II\x2a\0" };
         [magic, &self.word(place)].concat()
     }
 
-    /// The directory as it stands at `place`; behind it the values that are too long for their entries, and the other directories.
+    /// Returns the directory at offset `place`, followed by the values that do not fit into their entries, and the
+    /// other directories.
     pub(crate) fn bytes(&mut self, place: u64) -> Vec<u8> {
         let others = std::mem::take(&mut self.others);
-        // Where they are does not change the length.
+        // Their offsets do not change the length.
         others.keys().for_each(|&pointer| self.long(pointer, &[0]));
         let length = self.own_bytes(place).len().next_multiple_of(8);
         let mut behind = Vec::new();
@@ -224,7 +226,7 @@ impl Directory {
     }
 }
 
-/// The type, the count and the bytes of a field's value; none of a type that EXIF does not have.
+/// Returns the type, the count and the bytes of a field's value, or `None` for a type that EXIF does not have.
 fn value(value: &Value) -> Option<(u16, u64, Vec<u8>)> {
     let fractions = |n: u32, d: u32| [n.to_le_bytes(), d.to_le_bytes()].concat();
     let (kind, size, bytes): (u16, usize, Vec<u8>) = match value {

@@ -1,9 +1,10 @@
-//! LogLuv TIFF: luminance by its logarithm and a CIE chromaticity, in 24 or 32 bits a pixel.
+//! LogLuv TIFF: logarithmic luminance and a CIE chromaticity, in 24 or 32 bits per pixel.
 //!
-//! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, as they are) or 34676 (32 bits, by runs) and photometric
-//! interpretation 32845, by strips of 64 rows, that libtiff reads, and with it ImageMagick and OpenCV. Grey is written as X = Y = Z and the
-//! white it was under as WhitePoint, as `tif_luv.c` asks for. StoNits is what a luminance read is to be multiplied by. Cost: 80 ns a pixel
-//! and core; 3 bytes, or about 3 by runs. Source: see [`crate::pixel::logluv`].
+//! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, uncompressed) or 34676 (32 bits, run-length
+//! encoded) and photometric interpretation 32845, in strips of 64 rows, as read by libtiff, ImageMagick and OpenCV.
+//! Grey is written as X = Y = Z and its white as WhitePoint, as `tif_luv.c` requires. StoNits is the factor for the
+//! stored luminance. Cost: 80 ns per pixel and core; 3 bytes, or about 3 with runs. Source: see
+//! [`crate::pixel::logluv`].
 
 use super::directory::tag;
 use super::strips::Strips;
@@ -19,14 +20,14 @@ use crate::write::metadata::Metadata;
 use crate::write::row_writer::RowWriter;
 use crate::write::staging::{Pending, Written, clamped};
 
-/// The luminance that 0.1 % of the pixels of `map` are above.
+/// Returns the luminance that 0.1 % of the pixels of `map` exceed.
 pub(crate) fn bright(map: &RadianceMap) -> f32 {
     Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9
 }
 
-/// What the values of a map are to be multiplied by to be held: a power of two of 1 or below, so that all but the brightest 0.1 % of pixels,
-/// those above the luminance `bright`, stay below the greatest. StoNits takes it back; of relative radiance, which is known but for a
-/// factor, the description tells it.
+/// Returns the factor for the values of a map in LogLuv: a power of two of at most 1, so that all but the brightest
+/// 0.1 % of pixels, those above the luminance `bright`, are in range. StoNits compensates for it; for relative
+/// radiance, which has an arbitrary factor, the description contains it.
 pub(crate) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
@@ -47,14 +48,15 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begins a picture of `size` pixels, which are multiplied by `scale` before they are written.
+    /// Starts a picture of `size` pixels, which are multiplied by `scale`.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
     pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata, depth: Depth, scale: f32) -> Result<Self> {
         let mut strips = Strips::begin(file, size, 32)?;
         let directory = &mut strips.directory;
-        // The bits are those of the values that users of libtiff read and write; the compression defines what is stored.
+        // The bits are those of the values that users of libtiff read and write; the compression defines what is
+        // stored.
         directory.short(tag::BITS, &[16; 3]);
         directory.short(tag::SAMPLE_FORMAT, &[2; 3]);
         let compression = match depth {
@@ -100,7 +102,7 @@ impl RowWriter<[f32; 3]> for Writer {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
         let (low, high) = self.depth.range();
         let what = format!(
-            "of luminance are outside of {:.2e} to {:.3e} and were written as 0 or the greatest; logluv32 and float hold more",
+            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest; logluv32 and float have a larger range",
             low / self.scale,
             high / self.scale
         );
@@ -109,7 +111,7 @@ impl RowWriter<[f32; 3]> for Writer {
     }
 }
 
-/// Appends the rows; gives how many pixels were beyond what is held.
+/// Appends the rows; returns the number of pixels out of range.
 fn encode_band(
     pixels: &[[f32; 3]],
     width: usize,
@@ -176,8 +178,8 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// Half a step of luminance is 0.55 % or 0.14 %; of chromaticity 0.00175 or 0.00122 in u' and v', which in red or blue of these
-    /// colours is up to 5 % of the largest component.
+    /// Half a step of luminance is 0.55 % or 0.14 %; of chromaticity 0.00175 or 0.00122 in u' and v', which for red
+    /// or blue of these colours is up to 5 % of the largest component.
     #[test]
     fn what_is_written_comes_back_within_the_steps() {
         for (depth, tolerance) in [(Depth::Bits24, 0.0056), (Depth::Bits32, 0.0014)] {

@@ -38,7 +38,7 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The bits of LogLuv; none for floats.
+    /// Returns the bits of LogLuv; `None` for floats.
     pub(crate) fn depth(self) -> Option<Depth> {
         match self {
             Encoding::Float => None,

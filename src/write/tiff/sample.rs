@@ -1,11 +1,11 @@
-//! Samples of a TIFF, and the predictor that makes rows of them small.
+//! Samples of a TIFF, and the predictor that makes rows compressible.
 //!
-//! In: a row of pixels. Out: its bytes, as differences from the pixel on the left. Cost: see [`super`]. Source: TIFF 6.0, section 14; Adobe
-//! Photoshop TIFF Technical Note 3 (floating-point predictor).
+//! In: a row of pixels. Out: its bytes, as differences from the pixel on the left. Cost: see [`super`]. Source: TIFF
+//! 6.0, section 14; Adobe Photoshop TIFF Technical Note 3 (floating-point predictor).
 
-/// A sample that TIFF can hold: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
+/// A sample that TIFF supports: `u8` or `u16` (display- or camera-encoded) or `f32` (linear).
 pub trait Sample: Copy + Send + Sync + 'static {
-    /// Its size.
+    /// Its size in bits.
     const BITS: u16;
     /// The TIFF sample format: 1 for unsigned integers, 3 for floats.
     const FORMAT: u16;
@@ -51,7 +51,7 @@ impl Sample for f32 {
     const FORMAT: u16 = 3;
     const PREDICTOR: u16 = 3;
 
-    /// All first bytes of the row, then all second ones, from the sign down; of these the differences, three apart.
+    /// All first bytes of the row, then all second ones, from the sign down; then their differences, three apart.
     fn put_predicted(row: &[[f32; 3]], out: &mut Vec<u8>) {
         let samples = row.as_flattened();
         let start = out.len();

@@ -1,6 +1,6 @@
-//! The structure of a TIFF: strips of 64 rows in order, and the directory behind them.
+//! The structure of a TIFF: strips of 64 rows in order, followed by the directory.
 //!
-//! In: packed strips. Out: a file. Cost: none beyond writing. Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
+//! In: compressed strips. Out: a file. Cost: that of writing. Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
 
 use super::directory::{Directory, tag};
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::plane::BAND_ROWS;
 use crate::write::staging::Pending;
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// A file whose strips come in order and whose directory comes last.
+/// A file with its strips in order, and its directory at the end.
 #[derive(Debug)]
 pub(crate) struct Strips {
     pub(crate) file: Pending,
@@ -18,11 +18,11 @@ pub(crate) struct Strips {
 }
 
 impl Strips {
-    /// Begins a picture of `size` pixels, `bits_per_pixel` each before they are packed, in strips of 64 rows.
+    /// Starts a picture of `size` pixels with `bits_per_pixel` bits before compression, in strips of 64 rows.
     pub(crate) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
         let (width, height) = (size.0 as u64, size.1 as u64);
         let raw = width * height * bits_per_pixel / 8;
-        // Noise can make packing grow by a little; the directory needs some room too.
+        // Compressed noise can be a little larger; the directory also needs some space.
         let mut directory = Directory::new(raw + raw / 64 + (1 << 24) > u64::from(u32::MAX));
         directory.long(tag::WIDTH, &[width]);
         directory.long(tag::HEIGHT, &[height]);
@@ -34,7 +34,7 @@ impl Strips {
         Ok(Strips { file, directory, at: start.len() as u64, strips: Vec::new() })
     }
 
-    /// The next strip.
+    /// Writes the next strip.
     pub(crate) fn put(&mut self, strip: &[u8]) -> Result<()> {
         self.file.put(strip)?;
         self.strips.push((self.at, strip.len() as u64));
@@ -42,12 +42,12 @@ impl Strips {
         Ok(())
     }
 
-    /// The directory, and the place of it.
+    /// Writes the directory, and its offset.
     pub(crate) fn end(mut self) -> Result<Pending> {
         let (offsets, counts): (Vec<u64>, Vec<u64>) = self.strips.iter().copied().unzip();
         self.directory.long(tag::STRIP_OFFSETS, &offsets);
         self.directory.long(tag::STRIP_COUNTS, &counts);
-        // The directory begins at an even place.
+        // The directory must have an even offset.
         let place = self.at.next_multiple_of(2);
         let mut end = vec![0; (place - self.at) as usize];
         end.extend(self.directory.bytes(place));

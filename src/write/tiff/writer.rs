@@ -1,4 +1,4 @@
-//! The TIFF writer for integers and floats: packed strips and the tags that describe them.
+//! The TIFF writer for integers and floats: compressed strips and the tags that describe them.
 //!
 //! In: pixels by rows. Out: a TIFF. Cost and source: see [`super`].
 
@@ -23,8 +23,8 @@ pub struct Writer<T> {
 }
 
 impl<T: Sample> Writer<T> {
-    /// Begins a picture of `size` pixels. Integers carry the [`profile`](Metadata::profile), if there is one; floats the
-    /// [`primaries`](Metadata::primaries).
+    /// Starts a picture of `size` pixels. Integers have the [`profile`](Metadata::profile), if there is one; floats
+    /// the [`primaries`](Metadata::primaries).
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -32,8 +32,8 @@ impl<T: Sample> Writer<T> {
         Self::begin(file, size, metadata, |directory| directory.capture(metadata))
     }
 
-    /// The same of a picture, with all that EXIF says of the photograph, and the resolution. Without a profile it is sRGB and has that one: TIFF has
-    /// no other word for it.
+    /// Starts a display picture, with all EXIF fields of the photograph, and the resolution. Without a profile it is
+    /// sRGB and has that profile, because TIFF has no other way to state it.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -62,10 +62,10 @@ impl<T: Sample> Writer<T> {
             if metadata.primaries.are_positive() {
                 directory.primaries(&metadata.primaries);
             } else {
-                // The tag holds no negative chromaticity, as ACES2065-1 has one; a profile holds all.
+                // The tag does not support negative chromaticities, such as those of ACES2065-1; a profile does.
                 let profile =
                     Profile::of(&metadata.primaries, Curve::Power(1.0), "linear RGB of the file's own primaries");
-                let unknown = || io::Error::other("its primaries span no colour space");
+                let unknown = || io::Error::other("its primaries do not span a colour space");
                 directory.opaque(tag::ICC, &profile.ok_or_else(unknown).map_err(|e| strips.file.error(e))?.icc);
             }
             if let Some(luminance) = metadata.white_luminance() {
@@ -91,7 +91,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     }
 }
 
-/// Appends a strip.
+/// Appends a compressed strip.
 fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) {
     raw.clear();
     raw.reserve(size_of_val(pixels));
@@ -131,7 +131,7 @@ mod tests {
         let pending = Pending::create(&path).unwrap();
         let mut writer = Writer::<T>::new(pending, size, metadata).unwrap();
         if big {
-            // As if it were huge: start over with the other kind of header.
+            // As if it were very large: starts over with the other kind of header.
             let strips = &mut writer.strips;
             strips.file.seek(SeekFrom::Start(0)).unwrap();
             strips.directory = Directory::new(true);
@@ -221,7 +221,7 @@ mod tests {
         let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();
         assert_eq!(decoder.get_tag_f64(Tag::Unknown(tag::STONITS)).unwrap(), 1.0);
         assert_eq!(decoder.get_tag_ascii_string(Tag::DateTime).unwrap(), "2009:07:11 12:34:56");
-        assert!(decoder.get_tag_u8_vec(Tag::IccProfile).is_err(), "a display profile says nothing of radiance");
+        assert!(decoder.get_tag_u8_vec(Tag::IccProfile).is_err(), "a display profile does not apply to radiance");
     }
 
     #[test]

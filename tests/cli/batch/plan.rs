@@ -108,7 +108,7 @@ fn what_is_no_plan_is_refused_with_the_line() {
     folder.put("plan.jsonl", b"\n{\"schema\": 1}\n");
     assert!(run(&format!("--id {id}")).contains("line 2"));
     folder.put("plan.jsonl", b"");
-    assert!(refused(folder.line("batch --summarize plan.jsonl")).contains("no step"));
+    assert!(refused(folder.line("batch --summarize plan.jsonl")).contains("no jobs"));
     let odd = line.to_string().replace("\"options\":[]", "\"options\":[\"--bogus=1\"]");
     folder.put("plan.jsonl", odd.as_bytes());
     assert!(run(&format!("--id {id}")).contains("--bogus"));

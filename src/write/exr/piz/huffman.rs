@@ -1,34 +1,35 @@
-//! The Huffman code of PIZ: 16-bit values, one code for runs, and the table of code lengths before them.
+//! The Huffman code of PIZ: 16-bit values, a code for runs, and the table of code lengths before them.
 //!
-//! In: values. Out: the table and the codes, by bits from the top down. Cost: 2 to 3 ns a value, and 1 ms for the table where 10,000 different
-//! ones occur. Source: `ImfHuf.cpp` (`hufCompress`); D. A. Huffman, "A Method for the Construction of Minimum-Redundancy Codes",
-//! Proc. IRE 40 (1952); of two sorted rows of nodes instead of a heap: J. van Leeuwen, "On the construction of Huffman trees" (1976).
+//! In: values. Out: the table and the codes, highest bit first. Cost: 2 to 3 ns per value, and 1 ms for the table of
+//! 10,000 different values. Source: `ImfHuf.cpp` (`hufCompress`); D. A. Huffman, "A Method for the Construction of
+//! Minimum-Redundancy Codes", Proc. IRE 40 (1952); two sorted rows of nodes instead of a heap: J. van Leeuwen, "On
+//! the construction of Huffman trees" (1976).
 //!
-//! Of nodes that are equally frequent that of the lower value goes first, and a node made of two has the value of the second: code
-//! lengths follow from that, and with them every byte.
+//! Of equally frequent nodes the one with the lower value comes first, and an inner node has the value of its second
+//! child. This determines the code lengths, and with them every byte.
 
-/// The values, and the code of runs, which is the one above the greatest value.
+/// The values, and the code of runs, which follows the largest value.
 const SYMBOLS: usize = (1 << 16) + 1;
 
-/// The longest code that a table can tell; in a block of fewer than 2^39 values none is as long.
+/// Longest code that a table can represent; codes of blocks with fewer than 2^39 values are shorter.
 const LONGEST: usize = 58;
 
-/// A run of fewer empty entries in the table takes 6 bits; up to that many more take 8 more bits.
+/// Longest run of empty entries in the table that takes 6 bits; longer ones take 8 more bits.
 const LONG_RUN: usize = 6;
 const MOST_RUN: usize = 255 + LONG_RUN;
 
 /// Encodes blocks; keeps its tables from one to the next.
 #[derive(Debug)]
 pub(super) struct Coder {
-    /// How often each value occurs, in two parts: neighbours that are alike would wait for each other.
+    /// Counts of each value, in two parts, because increments of the same counter wait for each other.
     counts: Box<[[u32; 1 << 16]; 2]>,
-    /// Of every symbol the code, and below it in 6 bits its length; 0 where it does not occur.
+    /// The code of every symbol, and below it in 6 bits its length; 0 for symbols that do not occur.
     codes: Box<[u64; SYMBOLS]>,
     /// Frequency, and below it in 17 bits the symbol, from the rarest up.
     leaves: Vec<u64>,
-    /// The same of inner nodes that have no parent yet, and their number among all nodes.
+    /// The same for inner nodes without parent, and their number among all nodes.
     inner: Vec<(u64, u32)>,
-    /// Of every node, leaves first, the parent, and later how deep it is.
+    /// The parent of every node, leaves first, and later its depth.
     parents: Vec<u32>,
 }
 
@@ -45,7 +46,7 @@ impl Default for Coder {
 }
 
 impl Coder {
-    /// Appends the code of `values`, of which there is one at least.
+    /// Appends the code of `values`, which are not empty.
     pub(super) fn encode(&mut self, values: &[u16], out: &mut Vec<u8>) {
         let (first, last) = self.count(values);
         let most_bits = self.assign_lengths();
@@ -62,7 +63,7 @@ impl Coder {
         self.codes[first..=last].fill(0);
     }
 
-    /// Counts the values into leaves. Gives the first symbol that occurs and the last, which is that of runs.
+    /// Counts the values into leaves. Returns the first symbol that occurs and the last, which is that of runs.
     fn count(&mut self, values: &[u16]) -> (usize, usize) {
         let [even, odd] = &mut *self.counts;
         let (pairs, rest) = values.as_chunks::<2>();
@@ -74,7 +75,7 @@ impl Coder {
             even[usize::from(value)] += 1;
         }
         self.leaves.clear();
-        // Most of the table is empty: by 16 entries.
+        // Most of the table is empty: it is read in groups of 16 entries.
         for (at, (even, odd)) in even.as_chunks_mut::<16>().0.iter_mut().zip(odd.as_chunks_mut::<16>().0).enumerate() {
             if (0..16).fold(0, |any, i| any | even[i] | odd[i]) == 0 {
                 continue;
@@ -95,7 +96,8 @@ impl Coder {
         (first, runs)
     }
 
-    /// Puts the length of every symbol's code into the table. Gives how many bits all values take without runs, and those of runs once.
+    /// Writes the length of every symbol's code into the table. Returns the number of bits of all values without
+    /// runs, with one code for runs.
     fn assign_lengths(&mut self) -> u64 {
         let Coder { codes, leaves, inner, parents, .. } = self;
         let leaf_count = leaves.len();
@@ -104,7 +106,7 @@ impl Coder {
         inner.clear();
         let (mut next_leaf, mut next_inner) = (0, 0);
         for node in leaf_count..2 * leaf_count - 1 {
-            // The least of both rows, twice.
+            // The smallest of both rows, twice.
             let mut least = || {
                 let inner_key = inner.get(next_inner).map_or(u64::MAX, |n: &(u64, u32)| n.0);
                 let leaf_key = leaves.get(next_leaf).map_or(u64::MAX, |&key| key);
@@ -118,8 +120,8 @@ impl Coder {
             };
             let ((rare, a), (frequent, b)) = (least(), least());
             (parents[a], parents[b]) = (node as u32, node as u32);
-            // The frequencies add, the symbol is that of the second. No node before is more frequent, but of those that are equally so
-            // some may have a greater symbol.
+            // The sum of the frequencies, and the symbol of the second child. No previous node is more frequent, but
+            // some that are equally frequent may have a larger symbol.
             let key = frequent + (rare >> 17 << 17);
             let mut at = inner.len();
             while at > next_inner && inner[at - 1].0 > key {
@@ -127,7 +129,7 @@ impl Coder {
             }
             inner.insert(at, (key, node as u32));
         }
-        // From the root, which comes last, down: each is one deeper than its parent.
+        // From the root, which is last, down: each is one deeper than its parent.
         let root = 2 * leaf_count - 2;
         parents[root] = 0;
         for node in (0..root).rev() {
@@ -139,7 +141,7 @@ impl Coder {
         })
     }
 
-    /// The canonical codes: longer ones are lower; among those of one length they rise with the symbol.
+    /// Assigns the canonical codes: longer ones are lower; codes of one length rise with the symbol.
     fn assign_codes(&mut self, first: usize, last: usize) {
         let mut next = [0u64; LONGEST + 1];
         let codes = &mut self.codes[first..=last];
@@ -160,10 +162,10 @@ impl Coder {
         }
     }
 
-    /// The lengths, 6 bits each; of symbols that do not occur by runs.
+    /// Writes the lengths, 6 bits each; symbols that do not occur as runs.
     fn put_table(&self, first: usize, last: usize, out: &mut Vec<u8>) {
         let codes = &self.codes[first..=last];
-        // None takes more than 6 bits, but for the 14 of six and more.
+        // None takes more than 6 bits, except the 14 for six and more.
         let mut bits = Bits::within(out, codes.len() + 8);
         let mut at = 0;
         while at < codes.len() {
@@ -184,7 +186,7 @@ impl Coder {
         bits.end();
     }
 
-    /// The codes, of no more than `most_bits` and a byte of each run; gives how many bits they took.
+    /// Writes the codes, at most `most_bits` and a byte for each run. Returns their number of bits.
     fn put_values(&self, values: &[u16], runs: usize, most_bits: u64, out: &mut Vec<u8>) -> u64 {
         let codes = &self.codes[..];
         let of_runs = codes[runs];
@@ -194,7 +196,7 @@ impl Coder {
             let value = values[at];
             let code = codes[usize::from(value)];
             at += 1;
-            // Mostly two that do not come again, together: a 64-bit word takes them at once.
+            // Usually two values that are not repeated: a 64-bit word takes both at once.
             if let Some(&[next, after]) = values[at..].first_chunk::<2>()
                 && (next != value) & (after != next)
             {
@@ -210,7 +212,7 @@ impl Coder {
                 bits.put(code >> 6, code & 63);
                 continue;
             }
-            // How often it comes again.
+            // Number of repetitions.
             let again = values[at..].iter().take(255).take_while(|&&v| v == value).count();
             at += again;
             let length = code & 63;
@@ -228,37 +230,37 @@ impl Coder {
     }
 }
 
-/// Bits, from the top of each byte down, appended to bytes.
+/// Writes bits, highest of each byte first, after the bytes.
 struct Bits<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     at: usize,
-    /// Bits that do not fill a byte yet, at the top; below them zeros.
+    /// Pending bits at the top; below them zeros.
     word: u64,
     held: u64,
 }
 
 impl<'a> Bits<'a> {
-    /// For at most `bytes`, of which 8 stay free.
+    /// Creates a writer for at most `bytes`; 8 more are reserved.
     fn within(out: &'a mut Vec<u8>, bytes: usize) -> Self {
         let start = out.len();
         out.resize(start + bytes, 0);
         Bits { out, start, at: start, word: 0, held: 0 }
     }
 
-    /// The low `count` bits of `bits`, above which are none; at most 56.
+    /// Appends the low `count` bits of `bits`, whose higher bits are 0; at most 56.
     #[inline(always)]
     fn put(&mut self, bits: u64, count: u64) {
         self.held += count;
         self.word |= bits << (64 - self.held);
-        // All 8 bytes are written, and those that are not full again the next time.
+        // All 8 bytes are written; incomplete ones are written again the next time.
         self.out[self.at..self.at + 8].copy_from_slice(&self.word.to_be_bytes());
         self.at += (self.held >> 3) as usize;
         self.word <<= self.held & 0x38;
         self.held &= 7;
     }
 
-    /// Fills the last byte with zeros and gives the number of bits.
+    /// Fills the last byte with zeros and returns the number of bits.
     fn end(self) -> u64 {
         let count = (self.at - self.start) as u64 * 8 + self.held;
         self.out.truncate(self.at + usize::from(self.held > 0));
@@ -270,7 +272,7 @@ impl<'a> Bits<'a> {
 mod tests {
     use super::*;
 
-    /// A heap as in the source, and depths by counting: the lengths of all codes.
+    /// The lengths of all codes, with a heap as in the source, and depths by counting.
     fn textbook(values: &[u16]) -> Vec<(usize, u64)> {
         let mut counts = std::collections::BTreeMap::new();
         values.iter().for_each(|&v| *counts.entry(usize::from(v)).or_insert(0u64) += 1);

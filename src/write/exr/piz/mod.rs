@@ -1,24 +1,25 @@
-//! PIZ, OpenEXR's wavelet compression of blocks of 32 rows, without loss.
+//! PIZ, OpenEXR's lossless wavelet compression of blocks of 32 rows.
 //!
-//! In: the rows of a block as planes of 16-bit values. Out: the block as the file wants it. Cost: 10 ns a value and core for halves of noisy
-//! photographs, and no memory but buffers that are reused from block to block. Source: the PIZ format of C. Rouet as OpenEXR has it:
-//! `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
+//! In: the rows of a block as planes of 16-bit values. Out: the block as in the file. Cost: 10 ns per value and core
+//! for halves of noisy photographs; memory only for buffers that are reused. Source: the PIZ format of C. Rouet in
+//! OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
 //!
-//! Values that occur are numbered in order, so that few bits are left; wavelets take out what is smooth; and a Huffman code with run
-//! lengths packs the rest. The `exr` crate, which packs to the same bytes in three times the time, is the oracle of the tests.
+//! The values that occur are numbered in order, so that fewer bits are needed; wavelets remove what is smooth; and a
+//! Huffman code with run lengths compresses the rest. The `exr` crate, which writes the same bytes in three times the
+//! time, is the oracle of the tests.
 
 mod huffman;
 mod wavelet;
 
 use crate::simd::{Loops, vectorised};
 
-/// Packs blocks; keeps its tables and buffers from one to the next.
+/// Compresses blocks; keeps its tables and buffers from one to the next.
 #[derive(Debug)]
 pub(super) struct Packer {
     width: usize,
-    /// 16-bit words in a sample.
+    /// 16-bit words per sample.
     words: usize,
-    /// Those of B, G and R; for floats of each the low and then the high words.
+    /// The words of B, G and R; for floats the low and then the high words of each.
     planes: Vec<u16>,
     coded: Vec<u16>,
     scratch: Vec<u16>,
@@ -45,15 +46,16 @@ impl Default for Packer {
 }
 
 impl Packer {
-    /// The planes of a block of `rows` rows of `width` samples of `words` 16-bit words, 1 or 2, one after the other: B, G, R, and of each the
-    /// low words first. All of it is to be filled before [`pack`](Self::pack).
+    /// Returns the planes of a block of `rows` rows of `width` samples of `words` 16-bit words, 1 or 2, one after the
+    /// other: B, G, R, and of each the low words first. Fill all of it before [`pack`](Self::pack).
     pub(super) fn planes(&mut self, width: usize, rows: usize, words: usize) -> &mut [u16] {
         (self.width, self.words) = (width, words);
         self.planes.resize(3 * words * rows * width, 0);
         &mut self.planes
     }
 
-    /// Appends the block that [`planes`](Self::planes) was filled with; what would not shrink, as it is.
+    /// Appends the compressed block that [`planes`](Self::planes) was filled with, or the uncompressed one if that is
+    /// not larger.
     pub(super) fn pack(&mut self, out: &mut Vec<u8>) {
         let start = out.len();
         let size = self.planes.len() / (3 * self.words);
@@ -73,7 +75,7 @@ impl Packer {
         let length = out.len();
         out.extend_from_slice(&[0; 4]);
         self.coder.encode(coded, out);
-        // Of 32 rows there are never 2 GB.
+        // 32 rows never have 2 GB.
         let packed = (out.len() - length - 4) as u32;
         out[length..length + 4].copy_from_slice(&packed.to_le_bytes());
         if out.len() - start >= 2 * self.planes.len() {
@@ -82,8 +84,8 @@ impl Packer {
         }
     }
 
-    /// Numbers the values that occur, and 0 in any case, in order; appends the bitmap of them without 0, from its first byte that is not
-    /// empty to the last. Gives the highest number.
+    /// Numbers the values that occur, and always 0, in order. Appends their bitmap without 0, from its first byte
+    /// that is not empty to the last. Returns the highest number.
     fn number(&mut self, out: &mut Vec<u8>) -> u16 {
         self.occurs.fill(0);
         for &value in &self.planes {
@@ -99,7 +101,7 @@ impl Packer {
         let highest = count.wrapping_sub(1);
         self.occurs[0] = 0;
         let (eights, _) = self.occurs.as_chunks::<8>();
-        // Each product brings one of the eight bits to the top byte, and nothing carries.
+        // Each product moves one of the eight bits to the top byte, without carry.
         let byte = |eight: &[u8; 8]| (u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8;
         let is_used = |eight: &[u8; 8]| *eight != [0; 8];
         let first = eights.iter().position(is_used).unwrap_or(0);
@@ -110,7 +112,7 @@ impl Packer {
         highest
     }
 
-    /// The block as it is: by rows, channels and samples.
+    /// Appends the uncompressed block, by rows, channels and samples.
     fn put_plain(&self, out: &mut Vec<u8>) {
         let (width, words) = (self.width, self.words);
         let size = self.planes.len() / (3 * words);
@@ -124,7 +126,7 @@ impl Packer {
     }
 }
 
-/// Of every two planes of `size` words the words by turns.
+/// Interleaves each two planes of `size` words.
 fn interleave(planes: &[u16], size: usize, out: &mut Vec<u16>) {
     out.resize(planes.len(), 0);
     for (pair, to) in planes.chunks_exact(2 * size).zip(out.chunks_exact_mut(2 * size)) {
@@ -160,7 +162,7 @@ mod tests {
     use ::exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType, Text};
     use ::exr::meta::header::Header;
 
-    /// What the `exr` crate makes of a block, given as its rows by channels.
+    /// Returns a block, given as its rows by channels, as compressed by the `exr` crate.
     fn judged(width: usize, rows: usize, words: usize, samples: &[u16]) -> Vec<u8> {
         let kind = if words == 1 { SampleType::F16 } else { SampleType::F32 };
         let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, kind)).into_iter().collect();
@@ -171,7 +173,7 @@ mod tests {
         Compression::PIZ.compress_image_section_to_le(&header, bytes, bounds).unwrap()
     }
 
-    /// `value(plane, place)` as planes and as rows.
+    /// Compares `value(plane, place)` as planes and as rows.
     fn check(packer: &mut Packer, (width, rows, words): (usize, usize, usize), value: impl Fn(usize, usize) -> u16) {
         let size = width * rows;
         for (i, to) in packer.planes(width, rows, words).iter_mut().enumerate() {
@@ -190,7 +192,7 @@ mod tests {
         assert!(ours[6..] == judged(width, rows, words, &samples), "{width}x{rows}, {words} words");
     }
 
-    /// One packer for all, so that nothing of a block may show in the next.
+    /// One packer for all, so that data of one block in the next would be detected.
     #[test]
     fn blocks_are_those_of_the_exr_crate_to_the_byte() {
         let noise = |plane: usize, i: usize| ((plane * 1_000_003 + i).wrapping_mul(2_654_435_761) >> 13) as u16;
@@ -204,9 +206,9 @@ mod tests {
                 check(&mut packer, size, |_, _| 0);
                 check(&mut packer, size, |_, _| 0x3c00);
                 check(&mut packer, size, |plane, i| if noise(plane, i) % 50 == 0 { noise(plane, i) } else { 0x3c00 });
-                // More than 2^14 different ones, which take the other wavelet.
+                // More than 2^14 different values, which use the other wavelet.
                 check(&mut packer, size, |plane, i| noise(plane, i) / if plane % 2 == 0 { 3 } else { 900 });
-                // What does not shrink.
+                // Incompressible values.
                 check(&mut packer, size, noise);
                 check(&mut packer, size, |plane, i| (plane * size.0 * size.1 + i) as u16);
             }

@@ -1,13 +1,15 @@
-//! The wavelets of PIZ: sums and differences of neighbours across and down, then of the sums, and so on.
+//! The wavelets of PIZ: sums and differences of neighbours in both directions, then of the sums, and so on.
 //!
-//! In: a plane of 16-bit values. Out: the same many in place: at every second column or row what it differs by, at the others what the
-//! next level made. Cost: 0.5 ns a value. Source: `ImfWav.cpp` (`wav2Encode`, `wenc14`, `wenc16`).
+//! In: a plane of 16-bit values. Out: the coefficients in place: differences in every second column or row, the
+//! results of the next level in the others. Cost: 0.5 ns per value. Source: `ImfWav.cpp` (`wav2Encode`, `wenc14`,
+//! `wenc16`).
 //!
-//! The sums of a level are taken out into a plane of their own for the next, so that every level runs over neighbours in memory.
+//! The sums of a level are copied to a separate plane for the next, so that every level accesses neighbours in
+//! memory.
 
 use crate::simd::{Loops, vectorised};
 
-/// Transforms `plane` of `width` values a row, none of which is above `highest`; `scratch` is overwritten.
+/// Transforms `plane` with `width` values per row, none above `highest`; `scratch` is overwritten.
 pub(super) fn transform(plane: &mut [u16], width: usize, highest: u16, scratch: &mut Vec<u16>) {
     let height = plane.len() / width;
     // A level needs half a plane, and leaves a quarter to the next.
@@ -19,7 +21,8 @@ pub(super) fn transform(plane: &mut [u16], width: usize, highest: u16, scratch: 
     }
 }
 
-/// One level and those below it. `WIDE` values take all 16 bits and wrap; others have 14, so that sums and differences fit.
+/// Transforms one level and those below it. `WIDE` values use all 16 bits and wrap around; others have 14, so that
+/// sums and differences fit.
 fn level<const WIDE: bool>(plane: &mut [u16], width: usize, height: usize, scratch: &mut [u16]) {
     if width < 2 || height < 2 {
         return;
@@ -32,12 +35,12 @@ fn level<const WIDE: bool>(plane: &mut [u16], width: usize, height: usize, scrat
     vectorised(Join::<WIDE> { plane, width, sums, across });
 }
 
-/// The mean of two values and their difference.
+/// Returns the mean of two values and their difference.
 #[inline(always)]
 fn pair<const WIDE: bool>(a: u16, b: u16) -> (u16, u16) {
     if WIDE {
         let a = a ^ 0x8000;
-        // The mean of two of 16 bits without the 17th.
+        // The mean of two 16-bit values without a 17th bit.
         let mean = (a & b) + ((a ^ b) >> 1);
         (if a < b { mean ^ 0x8000 } else { mean }, a.wrapping_sub(b))
     } else {
@@ -46,7 +49,8 @@ fn pair<const WIDE: bool>(a: u16, b: u16) -> (u16, u16) {
     }
 }
 
-/// The sums of every four neighbours and their differences across, each to a plane of their own; the other differences in place.
+/// Writes the sums of each four neighbours and their horizontal differences to separate planes, and the other
+/// differences in place.
 struct Split<'a, const WIDE: bool> {
     plane: &'a mut [u16],
     width: usize,
@@ -82,7 +86,7 @@ impl<const WIDE: bool> Loops for Split<'_, WIDE> {
     }
 }
 
-/// Brings both planes back, and pairs the last of an odd number of rows.
+/// Copies both planes back, and pairs the last of an odd number of rows.
 struct Join<'a, const WIDE: bool> {
     plane: &'a mut [u16],
     width: usize,
@@ -115,7 +119,7 @@ impl<const WIDE: bool> Loops for Join<'_, WIDE> {
 mod tests {
     use super::*;
 
-    /// The loops of `wav2Encode` as they stand, in place and with strides.
+    /// The loops of `wav2Encode`, in place and with strides.
     fn textbook(values: &mut [u16], width: usize, height: usize, wide: bool) {
         let pair = |a: u16, b: u16| {
             if wide {
