@@ -1,16 +1,16 @@
 //! Files of transforms, plans, reports that a batch reads back, and templates of names.
 //!
 //! In: the kind by the first byte, and the file. Held: what is read and written again is the same; homographies that are taken place a small
-//! bracket with finite radiance or an error; a step's brackets have its inputs; a name stays below its folder.
+//! bracket with finite radiance or an error; a job's brackets have its inputs; a name stays below its folder.
 #![no_main]
 
 use hdralign::align::preset::Preset;
 use hdralign::align::transforms_file::SavedAlignment;
 use hdralign::align::{AlignMode, AlignOptions};
 use hdralign::batch::name::{Template, Values, plain};
-use hdralign::batch::plan::Step;
+use hdralign::batch::plan::Job;
 use hdralign::batch::record::Record;
-use hdralign::batch::step::{Brief, Failure};
+use hdralign::batch::job::{Brief, Failure};
 use hdralign::batch::summary::Summary;
 use hdralign::bracket::LoadOptions;
 use hdralign::pipeline::{self, Crop, Options};
@@ -81,27 +81,27 @@ fn bracket() -> &'static [PathBuf] {
 
 fn plan(content: &[u8]) {
     let path = put("plan.jsonl", content);
-    let mut steps = match Step::read_all(&path) {
-        Ok(steps) => steps,
+    let mut jobs = match Job::read_all(&path) {
+        Ok(jobs) => jobs,
         Err(e) => return check_error(&e, "plan.jsonl"),
     };
-    let lines: Vec<String> = steps.iter().map(|step| step.to_line().expect("UTF-8 as it was read")).collect();
-    let again = Step::read_all(&put("again.jsonl", (lines.join("\n") + "\n").as_bytes()));
-    assert_eq!(again.unwrap_or_else(|e| panic!("what was written: {e}")), steps);
-    for step in &mut steps {
-        assert_eq!(step.by_bracket().concat(), step.inputs);
-        if let Err(e) = Step::read(&path, std::slice::from_ref(&step.id)) {
+    let lines: Vec<String> = jobs.iter().map(|job| job.to_line().expect("UTF-8 as it was read")).collect();
+    let again = Job::read_all(&put("again.jsonl", (lines.join("\n") + "\n").as_bytes()));
+    assert_eq!(again.unwrap_or_else(|e| panic!("what was written: {e}")), jobs);
+    for job in &mut jobs {
+        assert_eq!(job.by_bracket().concat(), job.inputs);
+        if let Err(e) = Job::read(&path, std::slice::from_ref(&job.id)) {
             check_error(&e, "plan.jsonl");
         }
         // Nothing outside of this process's folder is to be read.
         let named = |path: &Path| folder().join(plain(&path.to_string_lossy()));
-        (step.report, step.failure) = (path.clone(), named(&step.failure));
-        step.outputs.iter_mut().for_each(|path| *path = named(path));
-        step.page = None;
+        (job.report, job.failure) = (path.clone(), named(&job.failure));
+        job.outputs.iter_mut().for_each(|path| *path = named(path));
+        job.page = None;
     }
-    let summary = Summary::collected(&steps);
+    let summary = Summary::collected(&jobs);
     assert!(serde_json::from_str::<serde_json::Value>(&summary.to_json()).is_ok());
-    assert_eq!(summary.steps.len(), steps.len());
+    assert_eq!(summary.jobs.len(), jobs.len());
     let _ = (summary.to_csv(), summary.verdict());
 }
 
@@ -115,8 +115,8 @@ fn report(content: &[u8]) {
         assert!(!record.is_whole(&there), "one of them is not there");
         let _ = (record.is_whole(&[]), record.is_of(&record.inputs), record.made(&path).expect("it is there"));
     }
-    let step = serde_json::from_str::<Step>(STEP).map(|step| Step { failure: path, ..step });
-    let _ = Failure::read(&step.expect("a step"));
+    let job = serde_json::from_str::<Job>(STEP).map(|job| Job { failure: path, ..job });
+    let _ = Failure::read(&job.expect("a job"));
 }
 
 const STEP: &str = r#"{"schema":"hdralign-plan/1","software":"x","kind":"merge","id":"a","needs":[],"inputs":[],"brackets":[],

@@ -1,4 +1,4 @@
-//! Estimates of memory and time for a step, before it runs.
+//! Estimates of memory and time for a job, before it runs.
 //!
 //! In: number and size of the photographs. Out: bytes, and seconds of one core. Cost: negligible. Source: memory is
 //! that of the [`budget`](crate::budget) of a run, and is sufficient; time was measured (see the tests), and is
@@ -6,7 +6,7 @@
 
 use crate::budget::{Demand, Stages};
 
-/// The work of a step.
+/// The work of a job.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
     /// Whether the frames are merged, and not only used for the response.

@@ -1,10 +1,10 @@
-//! The plan: one line for each step, which any workflow engine can run on any machine, in any order that respects
+//! The plan: one line for each job, which any workflow engine can run on any machine, in any order that respects
 //! `needs`.
 //!
-//! In: the brackets that were found, and settings for the results. Out: [`Step`]s, and JSON lines of them. Cost:
+//! In: the brackets that were found, and settings for the results. Out: [`Job`]s, and JSON lines of them. Cost:
 //! negligible.
 //!
-//! A step needs only its own files: its line contains everything that affects its results. Paths are absolute.
+//! A job needs only its own files: its line contains everything that affects its results. Paths are absolute.
 
 mod names;
 
@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::intake;
 use crate::pipeline::natural;
 use crate::statistics::of_rank;
-use names::{StepFiles, Unique};
+use names::{JobFiles, Unique};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-plan/1";
 
-/// The kind of a step.
+/// The kind of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -33,18 +33,18 @@ pub enum Kind {
     Response,
 }
 
-/// A step of a plan.
+/// A job of a plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Step {
+pub struct Job {
     /// [`SCHEMA`].
     pub schema: String,
     /// The program and its version: another version may write other bytes.
     pub software: String,
-    /// The kind of step.
+    /// The kind of job.
     pub kind: Kind,
     /// The id, unique in the plan: letters, digits, `.`, `_` and `-`.
     pub id: String,
-    /// Ids of the steps that must be done first.
+    /// Ids of the jobs that must be done first.
     pub needs: Vec<String>,
     /// The photographs in order; those of all brackets, one bracket after the other.
     pub inputs: Vec<PathBuf>,
@@ -59,7 +59,7 @@ pub struct Step {
     pub pictures: Vec<PathBuf>,
     /// The report page, if requested.
     pub page: Option<PathBuf>,
-    /// The JSON report; it contains the record of the step.
+    /// The JSON report; it contains the record of the job.
     pub report: PathBuf,
     /// The JSON file that is written if the job fails, with the reason.
     pub failure: PathBuf,
@@ -80,11 +80,11 @@ pub struct Step {
     pub memory_mb: u64,
     /// Approximate wall time on one core of a server of 2023, in seconds.
     pub time_s: f64,
-    /// The summary of all steps.
+    /// The summary of all jobs.
     pub summary: PathBuf,
 }
 
-/// A bracket, with what its step depends on.
+/// A bracket, with what its job depends on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Planned {
     /// The searched folder; results go there if no other folder is given.
@@ -175,12 +175,12 @@ pub struct Settings {
     pub fuses: bool,
 }
 
-/// Returns the steps for `brackets`, responses first. Ids and names are unique, and are the same for any order of
+/// Returns the jobs for `brackets`, responses first. Ids and names are unique, and are the same for any order of
 /// `brackets` unless names collide.
 ///
 /// # Errors
 /// [`Error::Option`] if a path cannot be made absolute.
-pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
+pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
     let absolute = |path: &Path| {
         let reason = |e| Error::Option { option: "FOLDER", reason: format!("{}: {e}", path.display()) };
         std::path::absolute(path).map_err(reason)
@@ -193,7 +193,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
     let mut files = Unique::default();
     files.reserve([summary.clone(), summary.with_extension("csv")]);
     let mut ids = Unique::default();
-    let mut steps = Vec::with_capacity(brackets.len());
+    let mut jobs = Vec::with_capacity(brackets.len());
     let shared = match settings.responses {
         Responses::Shared => responses(brackets, settings, &summary, &mut files, &mut ids, absolute)?,
         Responses::Own | Responses::Given(_) => BTreeMap::new(),
@@ -208,14 +208,14 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
         let formats = || settings.formats.iter().chain(&settings.pictures).map(String::as_str);
-        let base = files.path(base, |base| StepFiles::new(base, formats(), settings.page).all());
-        let StepFiles { outputs, page, report, failure } = StepFiles::new(&base, formats(), settings.page);
+        let base = files.path(base, |base| JobFiles::new(base, formats(), settings.page).all());
+        let JobFiles { outputs, page, report, failure } = JobFiles::new(&base, formats(), settings.page);
         let id = ids.text(plain(&name.to_string_lossy()));
         let own = shared.get(&bracket.camera);
         let response = match &settings.responses {
             Responses::Own => None,
             Responses::Given(path) => Some(absolute(path)?),
-            Responses::Shared => own.and_then(|step: &Step| step.outputs.first().cloned()),
+            Responses::Shared => own.and_then(|job: &Job| job.outputs.first().cloned()),
         };
         let photographs = bracket.photographs.len();
         let size = Size {
@@ -227,11 +227,11 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             seeks_ghosts: settings.seeks_ghosts,
             fuses: settings.fuses,
         };
-        steps.push(Step {
+        jobs.push(Job {
             schema: SCHEMA.into(),
             software: super::SOFTWARE.into(),
             kind: Kind::Merge,
-            needs: own.map(|step| step.id.clone()).into_iter().collect(),
+            needs: own.map(|job| job.id.clone()).into_iter().collect(),
             inputs: bracket.photographs.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
             brackets: vec![photographs],
             set: Some(bracket.set),
@@ -252,12 +252,12 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Step>> {
             id,
         });
     }
-    let mut all: Vec<Step> = shared.into_values().collect();
-    all.extend(steps);
+    let mut all: Vec<Job> = shared.into_values().collect();
+    all.extend(jobs);
     Ok(all)
 }
 
-/// Returns the steps that recover a response for each camera.
+/// Returns the jobs that recover a response for each camera.
 fn responses(
     brackets: &[Planned],
     settings: &Settings,
@@ -265,18 +265,18 @@ fn responses(
     files: &mut Unique,
     ids: &mut Unique,
     absolute: impl Fn(&Path) -> Result<PathBuf>,
-) -> Result<BTreeMap<Option<String>, Step>> {
+) -> Result<BTreeMap<Option<String>, Job>> {
     let mut cameras: BTreeMap<Option<String>, Vec<&Planned>> = BTreeMap::new();
     for bracket in brackets {
         cameras.entry(bracket.camera.clone()).or_default().push(bracket);
     }
-    let mut steps = BTreeMap::new();
+    let mut jobs = BTreeMap::new();
     for (camera, brackets) in cameras {
         let name = plain(camera.as_deref().unwrap_or("unknown_camera"));
         let id = ids.text(format!("response-{name}"));
         let wanted = summary.with_file_name(&id);
-        let base = files.path(wanted, |base| StepFiles::new(base, ["response.json"], false).all());
-        let StepFiles { outputs, page, report, failure } = StepFiles::new(&base, ["response.json"], false);
+        let base = files.path(wanted, |base| JobFiles::new(base, ["response.json"], false).all());
+        let JobFiles { outputs, page, report, failure } = JobFiles::new(&base, ["response.json"], false);
         let inputs = brackets.iter().flat_map(|b| &b.photographs).map(|path| absolute(path));
         let largest = brackets.iter().map(|b| b.size).max_by_key(|(w, h)| w * h).unwrap_or_default();
         let counts: Vec<usize> = brackets.iter().map(|b| b.photographs.len()).collect();
@@ -289,7 +289,7 @@ fn responses(
             seeks_ghosts: false,
             fuses: false,
         };
-        let step = Step {
+        let job = Job {
             schema: SCHEMA.into(),
             software: super::SOFTWARE.into(),
             kind: Kind::Response,
@@ -313,9 +313,9 @@ fn responses(
             summary: summary.to_owned(),
             id,
         };
-        steps.insert(camera, step);
+        jobs.insert(camera, job);
     }
-    Ok(steps)
+    Ok(jobs)
 }
 
 /// Bytes per pixel in memory.
@@ -354,7 +354,7 @@ fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
 }
 
 /// Returns the median exposure of all brackets that share a unit: about that of their reference frames. It is 1 s if
-/// none is known, and the step then reports that the photographs have no exposure.
+/// none is known, and the job then reports that the photographs have no exposure.
 fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<usize>, Option<f64>> {
     let mut exposures: BTreeMap<Option<usize>, Vec<f64>> = BTreeMap::new();
     for bracket in brackets {
@@ -367,8 +367,8 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
     exposures.into_iter().map(|(unit, all)| (unit, unit.map(|_| middle(all)))).collect()
 }
 
-impl Step {
-    /// Returns the step as a line of JSON, without a line feed.
+impl Job {
+    /// Returns the job as a line of JSON, without a line feed.
     ///
     /// # Errors
     /// [`Error::Option`] if a path is not valid UTF-8, because JSON cannot contain it.
@@ -384,55 +384,55 @@ impl Step {
         serde_json::to_string(self).map_err(|e| Error::Option { option: "--plan", reason: e.to_string() })
     }
 
-    /// Reads the steps in the file `path`.
+    /// Reads the jobs in the file `path`.
     ///
     /// # Errors
     /// [`Error::Read`]; [`Error::PlanFile`] if it is not a plan, has another version, or contains an id twice.
-    pub fn read_all(path: &Path) -> Result<Vec<Step>> {
+    pub fn read_all(path: &Path) -> Result<Vec<Job>> {
         let text = intake::text(path, intake::MOST_OF_A_PLAN)?;
         let refused = |line: usize, reason: String| Error::PlanFile { path: path.to_owned(), line, reason };
-        let mut steps: Vec<Step> = Vec::new();
+        let mut jobs: Vec<Job> = Vec::new();
         let mut ids = BTreeSet::new();
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-            let step: Step = serde_json::from_str(line).map_err(|e| refused(i + 1, e.to_string()))?;
-            if step.schema != SCHEMA {
-                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is supported", step.schema)));
+            let job: Job = serde_json::from_str(line).map_err(|e| refused(i + 1, e.to_string()))?;
+            if job.schema != SCHEMA {
+                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is supported", job.schema)));
             }
-            if step.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(step.inputs.len()) {
+            if job.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(job.inputs.len()) {
                 return Err(refused(i + 1, "the sizes of its brackets do not add up to the number of inputs".into()));
             }
-            if !ids.insert(step.id.clone()) {
-                return Err(refused(i + 1, format!("the id {:?} is used twice", step.id)));
+            if !ids.insert(job.id.clone()) {
+                return Err(refused(i + 1, format!("the id {:?} is used twice", job.id)));
             }
-            steps.push(step);
+            jobs.push(job);
         }
-        Ok(steps)
+        Ok(jobs)
     }
 
-    /// Reads the steps `ids` of the plan in the file `path`, in that order.
+    /// Reads the jobs `ids` of the plan in the file `path`, in that order.
     ///
     /// # Errors
-    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if there is no such step, or if another version of
+    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if there is no such job, or if another version of
     /// hdralign made the plan.
-    pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Step>> {
-        let all = Step::read_all(path)?;
-        ids.iter().map(|id| Step::named(path, &all, id)).collect()
+    pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Job>> {
+        let all = Job::read_all(path)?;
+        ids.iter().map(|id| Job::named(path, &all, id)).collect()
     }
 
-    fn named(path: &Path, all: &[Step], id: &str) -> Result<Step> {
+    fn named(path: &Path, all: &[Job], id: &str) -> Result<Job> {
         let refused = |option, reason| Err(Error::Option { option, reason });
-        match all.iter().find(|step| step.id == id) {
-            None => refused("--id", format!("{}: there is no step {id:?}; `jq -r .id` lists them", path.display())),
-            Some(step) if step.software != super::SOFTWARE => refused(
+        match all.iter().find(|job| job.id == id) {
+            None => refused("--id", format!("{}: there is no job {id:?}; `jq -r .id` lists them", path.display())),
+            Some(job) if job.software != super::SOFTWARE => refused(
                 "--run",
                 format!(
                     "{}: this plan is from {}, and this is {}, whose results may have other bytes; create the plan again",
                     path.display(),
-                    step.software,
+                    job.software,
                     super::SOFTWARE
                 ),
             ),
-            Some(step) => Ok(step.clone()),
+            Some(job) => Ok(job.clone()),
         }
     }
 

@@ -1,7 +1,7 @@
-//! The record of a step, by which a later run recognises complete results and its own files.
+//! The record of a job, by which a later run recognises complete results and its own files.
 //!
-//! In: a step, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and
-//! a record of the files that were written, stored in the step's report under `step`. Cost: every input and output is
+//! In: a job, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and
+//! a record of the files that were written, stored in the job's report under `job`. Cost: every input and output is
 //! read once, for SHA-256.
 //!
 //! The report gets its final name before the results do. If the process is killed between the two, the results in the
@@ -9,7 +9,7 @@
 //! previous files as [replaced](Record::replaced), so that the next run may replace them. Files that are in no record
 //! belong to the user and are never replaced.
 
-use super::plan::Step;
+use super::plan::Job;
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::pipeline::Options;
@@ -74,16 +74,16 @@ fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The inputs, options and results of a step.
+/// The inputs, options and results of a job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
-    /// [`Step::id`].
+    /// [`Job::id`].
     pub id: String,
     /// SHA-256 of the contents of all inputs, the options and the version: equal keys give equal bytes.
     pub key: String,
     /// The program and its version.
     pub software: String,
-    /// [`Step::options`].
+    /// [`Job::options`].
     pub options: Vec<String>,
     /// The photographs in order.
     pub inputs: Vec<Content>,
@@ -96,14 +96,15 @@ pub struct Record {
 /// The part of the report that contains the record.
 #[derive(Deserialize)]
 struct Report {
-    step: Record,
+    #[serde(rename = "step")]
+    job: Record,
 }
 
 impl Record {
     /// Reads the record in the report `path`. Returns `None` if the file does not exist or has no record.
     pub fn read(path: &Path) -> Option<Record> {
         let text = intake::whole(path, intake::MOST_OF_A_TEXT).ok()?;
-        Some(serde_json::from_slice::<Report>(&text).ok()?.step)
+        Some(serde_json::from_slice::<Report>(&text).ok()?.job)
     }
 
     /// Whether all `outputs` exist and are either those of this record, by length (only complete files get their
@@ -134,11 +135,11 @@ impl Record {
     }
 }
 
-/// Returns the key of `step` with `inputs` and `options`.
+/// Returns the key of `job` with `inputs` and `options`.
 ///
 /// # Errors
 /// [`Error::Read`] for the response file.
-pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String> {
+pub fn key(job: &Job, inputs: &[Content], options: &Options) -> Result<String> {
     let mut hash = Sha256::new();
     let mut take = |text: &str| {
         hash.update((text.len() as u64).to_le_bytes());
@@ -153,25 +154,25 @@ pub fn key(step: &Step, inputs: &[Content], options: &Options) -> Result<String>
     acting.load.memory = None;
     acting.load.max_pixels = 0;
     acting.write.overwrite = false;
-    take(&format!("{:?} {acting:?}", step.kind));
-    for output in &step.outputs {
-        let is_picture = step.pictures.contains(output);
+    take(&format!("{:?} {acting:?}", job.kind));
+    for output in &job.outputs {
+        let is_picture = job.pictures.contains(output);
         let format = if is_picture { Format::of_picture(output) } else { Format::of(output) };
         take(&format.map_or_else(|_| name(output), |format| format!("{format:?}")));
     }
-    take(if step.page.is_some() { "page" } else { "" });
+    take(if job.page.is_some() { "page" } else { "" });
     match &options.response_file {
         Some(path) => take(&Content::of(path)?.sha256),
         None => take(""),
     }
-    take(&format!("{:?}", step.brackets));
+    take(&format!("{:?}", job.brackets));
     inputs.iter().for_each(|content| take(&content.sha256));
     Ok(hex(hash))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::plan::tests::step;
+    use super::super::plan::tests::job;
     use super::*;
 
     #[test]
@@ -191,7 +192,7 @@ mod tests {
         std::fs::write(at("c"), "A").unwrap();
         let contents = |names: [&str; 2]| names.map(|n| Content::of(&at(n)).unwrap());
         let plain = Options::default();
-        let of = |names, options: &Options| key(&step(), &contents(names), options).unwrap();
+        let of = |names, options: &Options| key(&job(), &contents(names), options).unwrap();
         let first = of(["a", "b"], &plain);
         assert_eq!(first, of(["c", "b"], &plain), "names have no influence");
         assert_ne!(first, of(["b", "a"], &plain));
@@ -199,7 +200,7 @@ mod tests {
         assert_ne!(first, of(["a", "b"], &flare));
         let elsewhere = Options { threads: Some(3), outputs: vec!["x.exr".into()], ..Options::default() };
         assert_eq!(first, of(["a", "b"], &elsewhere));
-        let mut other = step();
+        let mut other = job();
         other.outputs.pop();
         assert_ne!(first, key(&other, &contents(["a", "b"]), &plain).unwrap());
         let with_response = |name| Options { response_file: Some(at(name)), ..Options::default() };

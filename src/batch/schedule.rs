@@ -1,14 +1,14 @@
-//! Runs all steps of a plan on one machine: as many at a time as cores and memory allow.
+//! Runs all jobs of a plan on one machine: as many at a time as cores and memory allow.
 //!
-//! In: steps, each after those that it needs. Out: the outcome of each. Cost: that of the steps. A step runs on one
-//! core while there are enough steps, because that takes less time in total than several cores for one step; the last
-//! steps share the remaining cores.
+//! In: jobs, each after those that it needs. Out: the outcome of each. Cost: that of the jobs. A job runs on one
+//! core while there are enough jobs, because that takes less time in total than several cores for one job; the last
+//! jobs share the remaining cores.
 //!
-//! A separate thread waits for the disk and gives files their names, so that no core waits. A failed step stops only
-//! those that need it. Results do not depend on which steps run at the same time.
+//! A separate thread waits for the disk and gives files their names, so that no core waits. A failed job stops only
+//! those that need it. Results do not depend on which jobs run at the same time.
 
-use super::plan::Step;
-use super::step::{self, Begun, Brief, Made};
+use super::job::{self, Begun, Brief, Made};
+use super::plan::Job;
 use crate::budget::Demand;
 use crate::error::Result;
 use crate::pipeline::{self, Options};
@@ -20,21 +20,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Number of steps that may wait for the disk; if there are more, computing waits too.
+/// Number of jobs that may wait for the disk; if there are more, computing waits too.
 const WAITING: usize = 4;
 
 /// Resources of the machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
-    /// Number of steps at a time; at least 1.
+    /// Number of jobs at a time; at least 1.
     pub jobs: usize,
-    /// Number of computing threads of all steps together; at least 1.
+    /// Number of computing threads of all jobs together; at least 1.
     pub threads: usize,
-    /// Memory of all steps together.
+    /// Memory of all jobs together.
     pub memory: Option<MemoryLimit>,
 }
 
-/// The outcome of a step.
+/// The outcome of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ending {
     /// It was run.
@@ -50,34 +50,34 @@ pub enum Ending {
 /// An event of a batch, reported from any thread.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// A step starts.
-    Begins(&'a Step),
-    /// A step has ended.
-    Ends(&'a Step, &'a Ending),
-    /// The disk of this step's results is full; no further step is started that writes to the same disk.
-    Fills(&'a Step),
+    /// A job starts.
+    Begins(&'a Job),
+    /// A job has ended.
+    Ends(&'a Job, &'a Ending),
+    /// The disk of this job's results is full; no further job is started that writes to the same disk.
+    Fills(&'a Job),
 }
 
-/// Runs `steps` with `options`. Returns their outcomes in the same order. With `force` finished steps are run again.
-/// After `stop` is set, running steps are finished and no other is started.
+/// Runs `jobs` with `options`. Returns their outcomes in the same order. With `force` finished jobs are run again.
+/// After `stop` is set, running jobs are finished and no other is started.
 pub fn run(
-    steps: &[Step],
+    jobs: &[Job],
     options: &Options,
     limits: &Limits,
     force: bool,
     stop: &AtomicBool,
     watch: &(dyn Fn(Event) + Sync),
 ) -> Vec<Ending> {
-    let board = Board::new(steps, limits, stop, watch);
+    let board = Board::new(jobs, limits, stop, watch);
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
         // This thread also works, and names files if there is no other thread for it, because the system may refuse
         // threads.
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let _ = thread("hdralign names").spawn_scoped(scope, || name(&board, made));
-        for _ in 1..workers(steps, limits) {
+        for _ in 1..workers(jobs, limits) {
             let (to_namer, board) = (to_namer.clone(), &board);
-            let _ = thread("hdralign steps").spawn_scoped(scope, move || work(board, options, force, &to_namer));
+            let _ = thread("hdralign jobs").spawn_scoped(scope, move || work(board, options, force, &to_namer));
         }
         work(&board, options, force, &to_namer);
         drop(to_namer);
@@ -85,16 +85,16 @@ pub fn run(
     board.endings()
 }
 
-/// Returns the largest number of steps at a time, by their number and by memory.
-fn workers(steps: &[Step], limits: &Limits) -> usize {
-    let least = steps.iter().map(pixels).min().unwrap_or(0).max(1);
+/// Returns the largest number of jobs at a time, by their number and by memory.
+fn workers(jobs: &[Job], limits: &Limits) -> usize {
+    let least = jobs.iter().map(pixels).min().unwrap_or(0).max(1);
     let fitting = usize::try_from(capacity(limits) / least).unwrap_or(usize::MAX);
-    limits.jobs.min(steps.len()).min(fitting).max(1)
+    limits.jobs.min(jobs.len()).min(fitting).max(1)
 }
 
-/// Runs one step after the other.
+/// Runs one job after the other.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
-    // The thread pool is kept from step to step, because memory of its threads is not returned when it ends. It is
+    // The thread pool is kept from job to job, because memory of its threads is not returned when it ends. It is
     // dropped while there is no work, because it keeps that memory.
     let mut pool: Option<ThreadPool> = None;
     while let Some((i, share)) = board.take(|| pool = None) {
@@ -102,8 +102,8 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
         if pool.as_ref().is_none_or(|pool| pool.current_num_threads() != share.threads) {
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
         }
-        let begin = || guarded(|| step::begin(&board.steps[i], &own, force, &pipeline::unwatched), || board.fill(i));
-        // If a pool cannot be created, the step reports the error.
+        let begin = || guarded(|| job::begin(&board.jobs[i], &own, force, &pipeline::unwatched), || board.fill(i));
+        // If a pool cannot be created, the job reports the error.
         let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
         match begun {
@@ -128,7 +128,7 @@ fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
     guarded(|| made.commit(), || board.fill(i)).map_or_else(Ending::Failed, Ending::Done)
 }
 
-/// Runs `work`. A panic fails only this step. If the disk is full, `fill` is called.
+/// Runs `work`. A panic fails only this job. If the disk is full, `fill` is called.
 fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
     let result = outcome.map_err(|panic| {
@@ -144,11 +144,11 @@ fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::res
     })
 }
 
-/// Returns the disk of the results of `step`; if it is not known, all steps count as on one disk.
+/// Returns the disk of the results of `job`; if it is not known, all jobs count as on one disk.
 #[cfg(unix)]
-fn disk(step: &Step) -> u64 {
+fn disk(job: &Job) -> u64 {
     use std::os::unix::fs::MetadataExt;
-    let there = step.report.ancestors().skip(1).find_map(|folder| {
+    let there = job.report.ancestors().skip(1).find_map(|folder| {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         std::fs::metadata(folder).ok()
     });
@@ -156,11 +156,11 @@ fn disk(step: &Step) -> u64 {
 }
 
 #[cfg(not(unix))]
-fn disk(_: &Step) -> u64 {
+fn disk(_: &Job) -> u64 {
     0
 }
 
-/// Resources of one step.
+/// Resources of one job.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Share {
     threads: usize,
@@ -169,8 +169,8 @@ struct Share {
 }
 
 impl Share {
-    /// Returns the share of a step that needs `pixels` of the `free` bytes and `thread` bytes for each additional
-    /// thread, and may use at most `threads`: a small step has as many threads as memory allows; a large one uses
+    /// Returns the share of a job that needs `pixels` of the `free` bytes and `thread` bytes for each additional
+    /// thread, and may use at most `threads`: a small job has as many threads as memory allows; a large one uses
     /// memory of its pixels for them.
     fn of(pixels: u64, thread: u64, free: u64, threads: usize) -> Share {
         let extra = thread * (threads as u64 - 1);
@@ -199,9 +199,9 @@ enum State {
     Ended(Ending),
 }
 
-/// Open, running and ended steps, and free resources.
+/// Open, running and ended jobs, and free resources.
 struct Board<'a> {
-    steps: &'a [Step],
+    jobs: &'a [Job],
     places: BTreeMap<&'a str, usize>,
     limits: &'a Limits,
     stop: &'a AtomicBool,
@@ -212,19 +212,19 @@ struct Board<'a> {
 
 struct Open {
     states: Vec<State>,
-    /// Bytes for pixels that no step uses.
+    /// Bytes for pixels that no job uses.
     free: u64,
-    /// Number of steps that compute.
+    /// Number of jobs that compute.
     going: usize,
 }
 
 impl<'a> Board<'a> {
-    fn new(steps: &'a [Step], limits: &'a Limits, stop: &'a AtomicBool, watch: &'a (dyn Fn(Event) + Sync)) -> Self {
-        let states = steps.iter().map(|_| State::Open).collect();
+    fn new(jobs: &'a [Job], limits: &'a Limits, stop: &'a AtomicBool, watch: &'a (dyn Fn(Event) + Sync)) -> Self {
+        let states = jobs.iter().map(|_| State::Open).collect();
         let open = Open { states, free: capacity(limits), going: 0 };
         Board {
-            steps,
-            places: steps.iter().enumerate().map(|(i, step)| (step.id.as_str(), i)).collect(),
+            jobs,
+            places: jobs.iter().enumerate().map(|(i, job)| (job.id.as_str(), i)).collect(),
             limits,
             stop,
             watch,
@@ -238,7 +238,7 @@ impl<'a> Board<'a> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the next step with its resources, or `None` if no step is left to start. `idle` is called before
+    /// Returns the next job with its resources, or `None` if no job is left to start. `idle` is called before
     /// waiting.
     fn take(&self, mut idle: impl FnMut()) -> Option<(usize, Share)> {
         let mut open = self.lock();
@@ -255,19 +255,19 @@ impl<'a> Board<'a> {
                 open = self.lock();
                 continue;
             }
-            let ready: Vec<usize> = (0..self.steps.len()).filter(|&i| self.is_ready(&open, i)).collect();
+            let ready: Vec<usize> = (0..self.jobs.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
-                // If memory is enough for only one step at a time, it may have all cores.
+                // If memory is enough for only one job at a time, it may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
-                let step = &self.steps[i];
-                let thread = Demand::another_thread((step.width_px, step.height_px));
+                let job = &self.jobs[i];
+                let thread = Demand::another_thread((job.width_px, job.height_px));
                 let share = Share::of(pixels, thread, open.free, (self.limits.threads / at_once).max(1));
                 open.states[i] = State::Going;
                 open.free -= share.taken;
                 open.going += 1;
                 drop(open);
-                (self.watch)(Event::Begins(&self.steps[i]));
+                (self.watch)(Event::Begins(&self.jobs[i]));
                 return Some((i, share));
             }
             if !open.states.iter().any(|state| matches!(state, State::Open)) {
@@ -278,12 +278,12 @@ impl<'a> Board<'a> {
         }
     }
 
-    /// Returns the longest of the `ready` steps for which there is memory, with its bytes, so that a long step does
-    /// not run alone at the end. Of equal steps it is the first.
+    /// Returns the longest of the `ready` jobs for which there is memory, with its bytes, so that a long job does
+    /// not run alone at the end. Of equal jobs it is the first.
     fn longest(&self, open: &Open, ready: &[usize]) -> Option<(usize, u64)> {
-        let sized = ready.iter().map(|&i| (i, pixels(&self.steps[i]).min(capacity(self.limits))));
+        let sized = ready.iter().map(|&i| (i, pixels(&self.jobs[i]).min(capacity(self.limits))));
         let fitting = sized.filter(|(_, pixels)| *pixels <= open.free);
-        fitting.min_by(|(a, _), (b, _)| self.steps[*b].time_s.total_cmp(&self.steps[*a].time_s))
+        fitting.min_by(|(a, _), (b, _)| self.jobs[*b].time_s.total_cmp(&self.jobs[*a].time_s))
     }
 
     fn is_ready(&self, open: &Open, i: usize) -> bool {
@@ -291,13 +291,13 @@ impl<'a> Board<'a> {
             let state = self.places.get(id.as_str()).map(|&i| &open.states[i]);
             matches!(state, Some(State::Ended(Ending::Done(_) | Ending::Unchanged(_))))
         };
-        matches!(open.states[i], State::Open) && self.steps[i].needs.iter().all(is_done)
+        matches!(open.states[i], State::Open) && self.jobs[i].needs.iter().all(is_done)
     }
 
-    /// Returns open steps that need one that failed, was not started, or does not exist.
+    /// Returns open jobs that need one that failed, was not started, or does not exist.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
-            None => Some(Ending::Failed(format!("it needs the step {id}, which is not in the plan"))),
+            None => Some(Ending::Failed(format!("it needs the job {id}, which is not in the plan"))),
             Some(State::Ended(Ending::Failed(why))) => {
                 Some(Ending::Failed(format!("it needs {id}, which failed: {why}")))
             }
@@ -305,30 +305,30 @@ impl<'a> Board<'a> {
             _ => None,
         };
         let is_open = |i: &usize| matches!(open.states[*i], State::Open);
-        let open_steps = (0..self.steps.len()).filter(is_open);
-        let failed = |i: usize| Some((i, self.steps[i].needs.iter().find_map(ending)?));
-        open_steps.filter_map(failed).collect()
+        let open_jobs = (0..self.jobs.len()).filter(is_open);
+        let failed = |i: usize| Some((i, self.jobs[i].needs.iter().find_map(ending)?));
+        open_jobs.filter_map(failed).collect()
     }
 
-    /// Marks the disk of step `i` as full: steps that write there are not started.
+    /// Marks the disk of job `i` as full: jobs that write there are not started.
     fn fill(&self, i: usize) {
-        let full = disk(&self.steps[i]);
+        let full = disk(&self.jobs[i]);
         let mut left = 0;
         let mut open = self.lock();
-        for (state, step) in open.states.iter_mut().zip(self.steps) {
-            if matches!(state, State::Open) && disk(step) == full {
+        for (state, job) in open.states.iter_mut().zip(self.jobs) {
+            if matches!(state, State::Open) && disk(job) == full {
                 *state = State::Ended(Ending::NotBegun);
                 left += 1;
             }
         }
         drop(open);
         if left > 0 {
-            (self.watch)(Event::Fills(&self.steps[i]));
+            (self.watch)(Event::Fills(&self.jobs[i]));
         }
         self.changed.notify_all();
     }
 
-    /// Returns the resources of a step that has finished computing.
+    /// Returns the resources of a job that has finished computing.
     fn give_back(&self, share: &Share) {
         let mut open = self.lock();
         open.free += share.taken;
@@ -345,9 +345,9 @@ impl<'a> Board<'a> {
     /// Reports an outcome. It writes and prints, so the board must not be locked.
     fn tell(&self, i: usize, ending: &Ending) {
         if let Ending::Failed(error) = ending {
-            step::remember_failure(&self.steps[i], error);
+            job::remember_failure(&self.jobs[i], error);
         }
-        (self.watch)(Event::Ends(&self.steps[i], ending));
+        (self.watch)(Event::Ends(&self.jobs[i], ending));
     }
 
     fn endings(self) -> Vec<Ending> {
@@ -360,14 +360,14 @@ impl<'a> Board<'a> {
     }
 }
 
-/// Bytes for the pixels of all steps together.
+/// Bytes for the pixels of all jobs together.
 fn capacity(limits: &Limits) -> u64 {
     limits.memory.as_ref().map_or(u64::MAX, MemoryLimit::for_pixels)
 }
 
-/// Bytes for the pixels of `step`, if it may have them.
-fn pixels(step: &Step) -> u64 {
-    (step.memory_mb * 1_000_000).saturating_sub(MemoryLimit::PROGRAM)
+/// Bytes for the pixels of `job`, if it may have them.
+fn pixels(job: &Job) -> u64 {
+    (job.memory_mb * 1_000_000).saturating_sub(MemoryLimit::PROGRAM)
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
-//! The summary of a batch: a row for each step, as JSON and as CSV.
+//! The summary of a batch: a row for each job, as JSON and as CSV.
 //!
-//! In: steps and their outcomes; or steps only, whose files are then read. Out: a [`Summary`]. Cost: negligible; or
-//! reading the steps' reports.
+//! In: jobs and their outcomes; or jobs only, whose files are then read. Out: a [`Summary`]. Cost: negligible; or
+//! reading the jobs' reports.
 
-use super::plan::{Kind, Step};
+use super::job::{Brief, Failure};
+use super::plan::{Job, Kind};
 use super::record::Record;
 use super::schedule::Ending;
-use super::step::{Brief, Failure};
 use crate::error::{Error, Result};
 use crate::intake;
 use crate::write::{self, Target};
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-batch/1";
 
-/// The status of a step.
+/// The status of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
@@ -43,14 +43,14 @@ impl Status {
     }
 }
 
-/// A row of the summary: one step.
+/// A row of the summary: one job.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// [`Step::id`].
+    /// [`Job::id`].
     pub id: String,
-    /// The kind of step.
+    /// The kind of job.
     pub kind: Kind,
-    /// The status of the step.
+    /// The status of the job.
     pub status: Status,
     /// The number of its panorama.
     pub set: Option<usize>,
@@ -76,11 +76,12 @@ pub struct Unused {
     pub reason: String,
 }
 
-/// Numbers of steps by status.
+/// Numbers of jobs by status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Counts {
-    /// All steps.
-    pub steps: usize,
+    /// All jobs.
+    #[serde(rename = "steps")]
+    pub jobs: usize,
     /// [`Status::Done`].
     pub done: usize,
     /// [`Status::Unchanged`].
@@ -100,29 +101,30 @@ pub struct Summary {
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// Numbers of steps by status.
+    /// Numbers of jobs by status.
     pub counts: Counts,
-    /// The steps, in the order of the plan.
-    pub steps: Vec<Row>,
+    /// The jobs, in the order of the plan.
+    #[serde(rename = "steps")]
+    pub jobs: Vec<Row>,
     /// Photographs that are in no bracket; null if only the plan is known.
     pub left_over: Option<Vec<Unused>>,
-    /// Wall time in seconds; null if steps were run elsewhere.
+    /// Wall time in seconds; null if jobs were run elsewhere.
     pub time_s: Option<f64>,
 }
 
 /// The outcome of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// Every step is done.
+    /// Every job is done.
     All,
-    /// No step is done.
+    /// No job is done.
     None,
     /// Some are.
     Some,
 }
 
 impl Verdict {
-    /// Returns the outcome for `done` steps of `all`; `None` if there are no steps.
+    /// Returns the outcome for `done` jobs of `all`; `None` if there are no jobs.
     pub fn of(done: usize, all: usize) -> Verdict {
         match done {
             0 => Verdict::None,
@@ -133,55 +135,55 @@ impl Verdict {
 }
 
 impl Summary {
-    /// Creates the summary of `steps` with their outcomes `endings`.
-    pub fn new(steps: &[Step], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
-        let rows = steps.iter().zip(endings).map(|(step, ending)| {
+    /// Creates the summary of `jobs` with their outcomes `endings`.
+    pub fn new(jobs: &[Job], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
+        let rows = jobs.iter().zip(endings).map(|(job, ending)| {
             let (status, brief, error) = match ending {
                 Ending::Done(brief) => (Status::Done, brief.clone(), None),
                 Ending::Unchanged(brief) => (Status::Unchanged, brief.clone(), None),
                 Ending::Failed(error) => (Status::Failed, Brief::default(), Some(error.clone())),
                 Ending::NotBegun => (Status::NotDone, Brief::default(), None),
             };
-            row(step, status, brief, error)
+            row(job, status, brief, error)
         });
         Summary::of(rows.collect(), Some(left_over), Some(time_s))
     }
 
-    /// Creates the summary of `steps` that were run elsewhere, from their files: a step is done if its report has the
+    /// Creates the summary of `jobs` that were run elsewhere, from their files: a job is done if its report has the
     /// same options and version and its results are complete; otherwise its failure file is used.
-    pub fn collected(steps: &[Step]) -> Summary {
-        let rows = steps.iter().map(|step| {
-            let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
-            let record = Record::read(&step.report).filter(|record| {
-                record.options == step.options && record.software == step.software && record.is_whole(&results)
+    pub fn collected(jobs: &[Job]) -> Summary {
+        let rows = jobs.iter().map(|job| {
+            let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
+            let record = Record::read(&job.report).filter(|record| {
+                record.options == job.options && record.software == job.software && record.is_whole(&results)
             });
-            match (record.and_then(|_| Brief::read(&step.report)), Failure::read(step)) {
-                // A completed step removes its failure file: if both exist, the report is of an earlier form of the
-                // step.
-                (_, Some(failure)) => row(step, Status::Failed, Brief::default(), Some(failure.error)),
-                (Some(brief), None) => row(step, Status::Done, brief, None),
-                (None, None) => row(step, Status::NotDone, Brief::default(), None),
+            match (record.and_then(|_| Brief::read(&job.report)), Failure::read(job)) {
+                // A completed job removes its failure file: if both exist, the report is of an earlier form of the
+                // job.
+                (_, Some(failure)) => row(job, Status::Failed, Brief::default(), Some(failure.error)),
+                (Some(brief), None) => row(job, Status::Done, brief, None),
+                (None, None) => row(job, Status::NotDone, Brief::default(), None),
             }
         });
         Summary::of(rows.collect(), None, None)
     }
 
-    fn of(steps: Vec<Row>, left_over: Option<Vec<Unused>>, time_s: Option<f64>) -> Summary {
-        let count = |status| steps.iter().filter(|row| row.status == status).count();
+    fn of(jobs: Vec<Row>, left_over: Option<Vec<Unused>>, time_s: Option<f64>) -> Summary {
+        let count = |status| jobs.iter().filter(|row| row.status == status).count();
         let counts = Counts {
-            steps: steps.len(),
+            jobs: jobs.len(),
             done: count(Status::Done),
             unchanged: count(Status::Unchanged),
             failed: count(Status::Failed),
             not_done: count(Status::NotDone),
-            degraded: steps.iter().filter(|row| row.brief.degraded).count(),
+            degraded: jobs.iter().filter(|row| row.brief.degraded).count(),
         };
-        Summary { schema: SCHEMA, software: super::SOFTWARE, counts, steps, left_over, time_s }
+        Summary { schema: SCHEMA, software: super::SOFTWARE, counts, jobs, left_over, time_s }
     }
 
     /// Returns the outcome.
     pub fn verdict(&self) -> Verdict {
-        Verdict::of(self.counts.done + self.counts.unchanged, self.counts.steps)
+        Verdict::of(self.counts.done + self.counts.unchanged, self.counts.jobs)
     }
 
     /// Returns the summary as JSON, with a final line feed.
@@ -190,12 +192,12 @@ impl Summary {
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Returns the summary as CSV (RFC 4180), with a header row and a row for each step.
+    /// Returns the summary as CSV (RFC 4180), with a header row and a row for each job.
     pub fn to_csv(&self) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
         // Writing to memory does not fail, and all rows have the same length.
         let _ = writer.write_record(COLUMNS);
-        for row in &self.steps {
+        for row in &self.jobs {
             let number = |n: Option<f64>| n.map(|n| n.to_string()).unwrap_or_default();
             let _ = writer.write_record([
                 row.id.clone(),
@@ -280,18 +282,18 @@ const COLUMNS: [&str; 13] = [
     "time_s",
 ];
 
-fn row(step: &Step, status: Status, brief: Brief, error: Option<String>) -> Row {
+fn row(job: &Job, status: Status, brief: Brief, error: Option<String>) -> Row {
     let text = |path: &PathBuf| path.to_string_lossy().into_owned();
     let is_done = matches!(status, Status::Done | Status::Unchanged);
-    let results = step.outputs.iter().chain(&step.page);
+    let results = job.outputs.iter().chain(&job.page);
     Row {
-        id: step.id.clone(),
-        kind: step.kind,
+        id: job.id.clone(),
+        kind: job.kind,
         status,
-        set: step.set,
-        photographs: step.inputs.iter().map(text).collect(),
+        set: job.set,
+        photographs: job.inputs.iter().map(text).collect(),
         outputs: results.filter(|_| is_done).map(text).collect(),
-        report: is_done.then(|| text(&step.report)),
+        report: is_done.then(|| text(&job.report)),
         error,
         brief,
     }
@@ -299,12 +301,12 @@ fn row(step: &Step, status: Status, brief: Brief, error: Option<String>) -> Row 
 
 #[cfg(test)]
 mod tests {
-    use super::super::plan::tests::step;
+    use super::super::plan::tests::job;
     use super::*;
 
     fn summary(endings: &[Ending]) -> Summary {
-        let steps: Vec<Step> = endings.iter().map(|_| step()).collect();
-        Summary::new(&steps, endings, Vec::new(), 1.5)
+        let jobs: Vec<Job> = endings.iter().map(|_| job()).collect();
+        Summary::new(&jobs, endings, Vec::new(), 1.5)
     }
 
     #[test]
@@ -318,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn every_step_has_a_row() {
+    fn every_job_has_a_row() {
         let degraded = Brief { degraded: true, left_out: 1, least_confidence: Some(0.25), ..Brief::default() };
         let all = summary(&[Ending::Done(degraded), Ending::Failed("a, \"b\"".into())]);
         let json: serde_json::Value = serde_json::from_str(&all.to_json()).unwrap();

@@ -9,7 +9,7 @@ use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use hdralign::align::{AlignMode, AlignOptions};
-use hdralign::batch::{plan::Step, step};
+use hdralign::batch::{job, plan::Job};
 use hdralign::pipeline::{self, Options, Progress, Stage};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
@@ -271,14 +271,14 @@ fn card() -> (Folder, Vec<PathBuf>, u64) {
 
 /// A plan holds the size that its photographs had, and so is the leave to read them.
 #[test]
-fn a_batch_reads_what_is_allowed_and_a_step_what_was_planned() {
+fn a_batch_reads_what_is_allowed_and_a_job_what_was_planned() {
     let (folder, _, pixels) = card();
     let (less, planning) = (pixels - 1, "batch . -d out --formats png --align none");
     let run = folder.line(&format!("batch . --dry-run --max-pixels {less}"));
     assert!(run.code == 1 && run.stdout.contains(&format!("the {less} allowed")), "{run:?}");
     let plan = folder.line(&format!("{planning} --plan --max-pixels {pixels}")).done().stdout;
     folder.put("plan.jsonl", plan.as_bytes());
-    let id = Step::read_all(&folder.at("plan.jsonl")).expect("a plan").remove(0).id;
+    let id = Job::read_all(&folder.at("plan.jsonl")).expect("a plan").remove(0).id;
     let run = folder.line(&format!("batch --run plan.jsonl --id {id} --max-pixels {less}"));
     assert!(run.code == 1 && run.stderr.contains(&format!("the {less} allowed")), "{run:?}");
     folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
@@ -423,13 +423,13 @@ fn memory_that_is_refused_leaves_the_result_or_none() {
     assert_eq!(folder.listing(), before);
 }
 
-/// A step reads its photographs twice, for their digests and for their pixels; here one is written anew between the two.
+/// A job reads its photographs twice, for their hashes and for their pixels; here one is replaced between the two.
 #[test]
-fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_result() {
+fn a_photograph_that_changes_while_a_job_is_done_is_an_error_and_leaves_no_result() {
     let (folder, photographs, _) = card();
     let plan = folder.line("batch . -d out --plan --formats png").done().stdout;
     folder.put("plan.jsonl", plan.as_bytes());
-    let steps = Step::read_all(&folder.at("plan.jsonl")).expect("a plan");
+    let jobs = Job::read_all(&folder.at("plan.jsonl")).expect("a plan");
     let (frame, before) = (&photographs[1], fs::read(&photographs[1]).expect("a photograph"));
     let change = |progress| {
         if progress == Progress::Begins(Stage::Load) {
@@ -439,10 +439,10 @@ fn a_photograph_that_changes_while_a_step_is_done_is_an_error_and_leaves_no_resu
     };
     let options =
         Options { align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() }, ..Options::default() };
-    let error = step::run(&steps[0], &options, false, &change).expect_err("it was changed").to_string();
+    let error = job::run(&jobs[0], &options, false, &change).expect_err("it was changed").to_string();
     assert!(error.contains(": was changed while it was read"), "{error}");
-    assert!(!steps[0].outputs[0].exists() && !steps[0].report.exists());
+    assert!(!jobs[0].outputs[0].exists() && !jobs[0].report.exists());
     // Now that it stays as it is, it is merged: JPEGs may have anything behind them.
-    step::run(&steps[0], &options, false, &pipeline::unwatched).expect("merged");
-    assert!(steps[0].outputs[0].exists());
+    job::run(&jobs[0], &options, false, &pipeline::unwatched).expect("merged");
+    assert!(jobs[0].outputs[0].exists());
 }

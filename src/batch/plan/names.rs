@@ -1,28 +1,28 @@
-//! Unique names in a plan: no two steps have the same file, and none has that of the summary.
+//! Unique names in a plan: no two jobs have the same file, and none has that of the summary.
 //!
 //! In: the requested names. Out: these, or with a number appended. Cost: negligible.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The files of a step.
-pub(super) struct StepFiles {
+/// The files of a job.
+pub(super) struct JobFiles {
     pub(super) outputs: Vec<PathBuf>,
     pub(super) page: Option<PathBuf>,
     pub(super) report: PathBuf,
     pub(super) failure: PathBuf,
 }
 
-impl StepFiles {
-    /// Returns the files of a step with the name `base`, with extensions appended after any dots.
-    pub(super) fn new<'a>(base: &Path, extensions: impl IntoIterator<Item = &'a str>, has_page: bool) -> StepFiles {
+impl JobFiles {
+    /// Returns the files of a job with the name `base`, with extensions appended after any dots.
+    pub(super) fn new<'a>(base: &Path, extensions: impl IntoIterator<Item = &'a str>, has_page: bool) -> JobFiles {
         let with = |extension: &str| {
             let mut name = base.as_os_str().to_owned();
             name.push(".");
             name.push(extension);
             PathBuf::from(name)
         };
-        StepFiles {
+        JobFiles {
             outputs: extensions.into_iter().map(with).collect(),
             page: has_page.then(|| with("html")),
             report: with("json"),

@@ -20,8 +20,8 @@ fn settings() -> Settings {
     Settings { formats: vec!["exr".into(), "png".into()], ..Settings::default() }
 }
 
-/// A step.
-pub fn step() -> Step {
+/// A job.
+pub fn job() -> Job {
     plan(&[planned("/in", "a", 1)], &settings()).unwrap().remove(0)
 }
 
@@ -29,7 +29,7 @@ pub fn step() -> Step {
 fn results_lie_as_the_photographs_do() {
     let brackets = [planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "", 5)];
     let beside = plan(&brackets, &settings()).unwrap();
-    let reports = |steps: &[Step]| steps.iter().map(|s| s.report.to_str().unwrap().to_owned()).collect::<Vec<_>>();
+    let reports = |jobs: &[Job]| jobs.iter().map(|s| s.report.to_str().unwrap().to_owned()).collect::<Vec<_>>();
     assert_eq!(reports(&beside), ["/in/a/IMG_1-IMG_2.json", "/in/b/IMG_1-IMG_2.json", "/in/IMG_5-IMG_6.json"]);
     assert_eq!(beside[0].outputs, ["/in/a/IMG_1-IMG_2.exr", "/in/a/IMG_1-IMG_2.png"].map(PathBuf::from));
     assert_eq!(beside[0].failure, Path::new("/in/a/IMG_1-IMG_2.failed.json"));
@@ -50,27 +50,27 @@ fn results_lie_as_the_photographs_do() {
 #[test]
 fn no_two_results_have_one_name() {
     let template = Template::parse("all").unwrap();
-    let steps = plan(
+    let jobs = plan(
         &[planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)],
         &Settings { template, ..settings() },
     )
     .unwrap();
-    let reports: Vec<_> = steps.iter().map(|s| s.report.to_str().unwrap()).collect();
+    let reports: Vec<_> = jobs.iter().map(|s| s.report.to_str().unwrap()).collect();
     assert_eq!(reports, ["/in/all.json", "/in/all-2.json", "/in/all-3.json"]);
-    let ids: Vec<_> = steps.iter().map(|s| s.id.as_str()).collect();
+    let ids: Vec<_> = jobs.iter().map(|s| s.id.as_str()).collect();
     assert_eq!(ids, ["all", "all-2", "all-3"]);
 }
 
 /// `x` may not have the report or the failure file of `x.failed`, and a bracket may not have the files of a response
 /// or of the summary.
 #[test]
-fn no_two_steps_have_a_file_in_common() {
+fn no_two_jobs_have_a_file_in_common() {
     let named = |folder: &str| planned("/in", folder, 1);
     let brackets: Vec<Planned> =
         ["x.failed", "x", "batch", "BATCH", "response-Canon_EOS_5D", "x"].into_iter().map(named).collect();
     let template = Template::parse("{folder}").unwrap();
-    let steps = plan(&brackets, &Settings { template, responses: Responses::Shared, ..settings() }).unwrap();
-    let reports: Vec<_> = steps.iter().map(|step| step.report.to_str().unwrap()).collect();
+    let jobs = plan(&brackets, &Settings { template, responses: Responses::Shared, ..settings() }).unwrap();
+    let reports: Vec<_> = jobs.iter().map(|job| job.report.to_str().unwrap()).collect();
     let expected = ["response-Canon_EOS_5D", "x.failed", "x-2", "batch-2", "BATCH-3", "response-Canon_EOS_5D-2", "x-3"];
     assert_eq!(reports, expected.map(|name| format!("/in/{name}.json")));
 }
@@ -79,14 +79,14 @@ fn no_two_steps_have_a_file_in_common() {
 fn a_camera_has_one_response() {
     let mut brackets = vec![planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "c", 1)];
     brackets[2].camera = None;
-    let steps = plan(&brackets, &Settings { responses: Responses::Shared, ..settings() }).unwrap();
-    let kinds: Vec<_> = steps.iter().map(|s| (s.kind, s.id.as_str())).collect();
+    let jobs = plan(&brackets, &Settings { responses: Responses::Shared, ..settings() }).unwrap();
+    let kinds: Vec<_> = jobs.iter().map(|s| (s.kind, s.id.as_str())).collect();
     assert_eq!(kinds[..2], [(Kind::Response, "response-unknown_camera"), (Kind::Response, "response-Canon_EOS_5D")]);
-    assert_eq!(steps[1].outputs, [PathBuf::from("/in/response-Canon_EOS_5D.response.json")]);
-    assert_eq!(steps[1].by_bracket(), [brackets[0].photographs.clone(), brackets[1].photographs.clone()]);
-    assert_eq!(steps[2].needs, ["response-Canon_EOS_5D"]);
-    assert_eq!(steps[2].response.as_ref(), Some(&steps[1].outputs[0]));
-    assert_eq!(steps[4].needs, ["response-unknown_camera"]);
+    assert_eq!(jobs[1].outputs, [PathBuf::from("/in/response-Canon_EOS_5D.response.json")]);
+    assert_eq!(jobs[1].by_bracket(), [brackets[0].photographs.clone(), brackets[1].photographs.clone()]);
+    assert_eq!(jobs[2].needs, ["response-Canon_EOS_5D"]);
+    assert_eq!(jobs[2].response.as_ref(), Some(&jobs[1].outputs[0]));
+    assert_eq!(jobs[4].needs, ["response-unknown_camera"]);
 }
 
 #[test]
@@ -96,8 +96,8 @@ fn a_panorama_has_one_unit() {
     brackets[2].set = 2;
     brackets[2].exposures = Vec::new();
     let units = |normalisation| {
-        let steps = plan(&brackets, &Settings { normalisation, ..settings() }).unwrap();
-        steps.iter().map(|s| s.unit_exposure_s).collect::<Vec<_>>()
+        let jobs = plan(&brackets, &Settings { normalisation, ..settings() }).unwrap();
+        jobs.iter().map(|s| s.unit_exposure_s).collect::<Vec<_>>()
     };
     assert_eq!(units(Normalisation::Bracket), [None, None, None]);
     assert_eq!(units(Normalisation::Set), [Some(4.0), Some(4.0), Some(1.0)]);
@@ -108,18 +108,18 @@ fn a_panorama_has_one_unit() {
 fn a_plan_is_read_as_it_was_written() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("plan.jsonl");
-    let steps = plan(&[planned("/in", "a", 1), planned("/in", "b \u{fc}", 1)], &settings()).unwrap();
-    let text: String = steps.iter().map(|s| s.to_line().unwrap() + "\n").collect();
+    let jobs = plan(&[planned("/in", "a", 1), planned("/in", "b \u{fc}", 1)], &settings()).unwrap();
+    let text: String = jobs.iter().map(|s| s.to_line().unwrap() + "\n").collect();
     std::fs::write(&path, &text).unwrap();
-    assert_eq!(Step::read_all(&path).unwrap(), steps);
-    assert_eq!(Step::read(&path, &["a_IMG_1-IMG_2".into()]).unwrap(), steps[..1]);
-    assert!(Step::read(&path, &["c".into()]).unwrap_err().to_string().contains("no step"));
+    assert_eq!(Job::read_all(&path).unwrap(), jobs);
+    assert_eq!(Job::read(&path, &["a_IMG_1-IMG_2".into()]).unwrap(), jobs[..1]);
+    assert!(Job::read(&path, &["c".into()]).unwrap_err().to_string().contains("no job"));
     let wrong = |text: String, said: &str| {
         std::fs::write(&path, text).unwrap();
-        let error = Step::read(&path, std::slice::from_ref(&steps[0].id)).unwrap_err().to_string();
+        let error = Job::read(&path, std::slice::from_ref(&jobs[0].id)).unwrap_err().to_string();
         assert!(error.contains(said), "{error}");
     };
-    let line = steps[0].to_line().unwrap();
+    let line = jobs[0].to_line().unwrap();
     wrong(format!("{line}\n{line}\n"), "line 2");
     wrong("{}".into(), "line 1");
     wrong(line.replace("hdralign-plan/1", "hdralign-plan/9"), "hdralign-plan/9");

@@ -1,18 +1,18 @@
-use super::super::plan::tests::step;
-use super::super::plan::{Kind, Step};
+use super::super::plan::tests::job;
+use super::super::plan::{Job, Kind};
 use super::*;
 use crate::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
-/// Steps of which none can be done: their photographs do not exist.
-fn steps(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Step> {
-    let named = |(id, needs): &(&str, &[&str])| Step {
+/// Jobs of which none can be done: their photographs do not exist.
+fn jobs(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Job> {
+    let named = |(id, needs): &(&str, &[&str])| Job {
         id: (*id).into(),
         needs: needs.iter().map(|n| (*n).into()).collect(),
         report: folder.join(format!("{id}.json")),
         failure: folder.join(format!("{id}.failed.json")),
-        ..step()
+        ..job()
     };
     ids.iter().map(named).collect()
 }
@@ -25,7 +25,7 @@ fn limits(jobs: usize, bytes: Option<u64>) -> Limits {
 #[test]
 fn one_bad_step_stops_nothing_but_what_needs_it() {
     let dir = tempfile::tempdir().unwrap();
-    let steps = steps(&[("b", &["a"]), ("a", &[]), ("c", &[]), ("d", &["none"])], dir.path());
+    let all = jobs(&[("b", &["a"]), ("a", &[]), ("c", &[]), ("d", &["none"])], dir.path());
     for jobs in [1, 3] {
         let stop = AtomicBool::new(false);
         let ended = AtomicUsize::new(0);
@@ -34,7 +34,7 @@ fn one_bad_step_stops_nothing_but_what_needs_it() {
                 ended.fetch_add(1, Ordering::SeqCst);
             }
         };
-        let endings = run(&steps, &Options::default(), &limits(jobs, Some(1 << 27)), false, &stop, &count);
+        let endings = run(&all, &Options::default(), &limits(jobs, Some(1 << 27)), false, &stop, &count);
         let failed = |i: usize| match &endings[i] {
             Ending::Failed(error) => error.clone(),
             other => panic!("{other:?}"),
@@ -42,27 +42,27 @@ fn one_bad_step_stops_nothing_but_what_needs_it() {
         assert!(failed(0).contains("needs a, which failed") && failed(1).contains("IMG_1.JPG"), "{endings:?}");
         assert!(failed(2).contains("cannot be read") && failed(3).contains("not in the plan"), "{endings:?}");
         assert_eq!(ended.load(Ordering::SeqCst), 4);
-        assert!(steps.iter().all(|s| step::Failure::read(s).is_some_and(|f| f.id == s.id)));
+        assert!(all.iter().all(|s| job::Failure::read(s).is_some_and(|f| f.id == s.id)));
     }
 }
 
 #[test]
 fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
     let dir = tempfile::tempdir().unwrap();
-    let steps = steps(&[("a", &[]), ("b", &[]), ("c", &["b"])], dir.path());
+    let jobs = jobs(&[("a", &[]), ("b", &[]), ("c", &["b"])], dir.path());
     let (stop, limits) = (AtomicBool::new(false), limits(2, None));
     let (reports, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let watch = |event: Event| match event {
-        Event::Fills(step) => assert_eq!((step.id.as_str(), reports.fetch_add(1, Ordering::SeqCst)), ("a", 0)),
+        Event::Fills(job) => assert_eq!((job.id.as_str(), reports.fetch_add(1, Ordering::SeqCst)), ("a", 0)),
         Event::Ends(..) => assert_eq!(ended.fetch_add(1, Ordering::SeqCst), 0),
         Event::Begins(_) => {}
     };
     let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
     let write = || Error::Write { path: "a.exr".into(), source: full() };
-    // A full scratch disk does not affect smaller steps.
+    // A full scratch disk does not affect smaller jobs.
     let scratch = || Error::Scratch { folder: "s".into(), source: full() };
     assert!(write().is_disk_full() && !scratch().is_disk_full());
-    let board = Board::new(&steps, &limits, &stop, &watch);
+    let board = Board::new(&jobs, &limits, &stop, &watch);
     assert_eq!(board.take(|| ()).unwrap().0, 0);
     let outcome = guarded(|| Err::<(), _>(write()), || board.fill(0));
     board.end(0, Ending::Failed(outcome.unwrap_err()));
@@ -75,10 +75,10 @@ fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
 /// A job that was not started because its disk is full does not delay jobs for other disks.
 #[test]
 fn what_needs_a_step_that_is_not_begun_is_not_begun() {
-    let steps = steps(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
+    let jobs = jobs(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
     let (stop, limits) = (AtomicBool::new(false), limits(1, None));
     let watch = |_: Event| ();
-    let board = Board::new(&steps, &limits, &stop, &watch);
+    let board = Board::new(&jobs, &limits, &stop, &watch);
     board.lock().states[0] = State::Ended(Ending::NotBegun);
     assert!(board.take(|| ()).is_none());
     assert_eq!(board.endings(), [Ending::NotBegun, Ending::NotBegun]);
@@ -87,47 +87,47 @@ fn what_needs_a_step_that_is_not_begun_is_not_begun() {
 #[test]
 fn what_is_stopped_begins_nothing() {
     let dir = tempfile::tempdir().unwrap();
-    let steps = steps(&[("a", &[]), ("b", &[])], dir.path());
+    let jobs = jobs(&[("a", &[]), ("b", &[])], dir.path());
     let stop = AtomicBool::new(true);
-    let endings = run(&steps, &Options::default(), &limits(2, None), false, &stop, &|_| ());
+    let endings = run(&jobs, &Options::default(), &limits(2, None), false, &stop, &|_| ());
     assert_eq!(endings, [Ending::NotBegun, Ending::NotBegun]);
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 
-/// Memory is divided: never more than there is, and always enough for one step to run.
+/// Memory is divided: never more than there is, and always enough for one job to run.
 #[test]
 fn memory_and_threads_are_shared_out() {
-    let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
-    all.iter_mut().for_each(|step| step.memory_mb = 400);
+    let mut all = jobs(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
+    all.iter_mut().for_each(|job| job.memory_mb = 400);
     let stop = AtomicBool::new(false);
-    let of_step = 400_000_000 - MemoryLimit::PROGRAM;
+    let of_job = 400_000_000 - MemoryLimit::PROGRAM;
     let watch = |_: Event| ();
 
-    let two = limits(2, Some(MemoryLimit::PROGRAM + 2 * of_step));
+    let two = limits(2, Some(MemoryLimit::PROGRAM + 2 * of_job));
     let board = Board::new(&all, &two, &stop, &watch);
     let (first, second) = (board.take(|| ()).unwrap(), board.take(|| ()).unwrap());
     assert_eq!((first.0, second.0), (0, 1));
-    assert_eq!(first.1, Share { threads: 1, taken: of_step });
+    assert_eq!(first.1, Share { threads: 1, taken: of_job });
     assert_eq!(board.lock().free, 0);
     board.give_back(&first.1);
     assert_eq!(board.take(|| ()).unwrap().0, 2);
 
     assert_eq!(workers(&all, &two), 2);
 
-    // There is memory for only one step at a time: it has both threads.
-    let one = limits(2, Some(MemoryLimit::PROGRAM + of_step + 1));
+    // There is memory for only one job at a time: it has both threads.
+    let one = limits(2, Some(MemoryLimit::PROGRAM + of_job + 1));
     assert_eq!(workers(&all, &one), 1);
     let board = Board::new(&all, &one, &stop, &watch);
     let share = board.take(|| ()).unwrap().1;
-    assert_eq!(share, Share { threads: 2, taken: of_step + 1 });
+    assert_eq!(share, Share { threads: 2, taken: of_job + 1 });
 
-    // Memory for threads: enough, none, and for a small step.
+    // Memory for threads: enough, none, and for a small job.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
     assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
     assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
     assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
-    // A step that is larger than the memory gets all memory, and runs alone.
+    // A job that is larger than the memory gets all memory, and runs alone.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);
     let (_, share) = board.take(|| ()).unwrap();
@@ -141,9 +141,9 @@ fn memory_and_threads_are_shared_out() {
 
 #[test]
 fn the_longest_comes_first_if_there_is_room_for_it() {
-    let mut all = steps(&[("a", &[]), ("b", &[]), ("c", &[]), ("d", &[])], Path::new("/none"));
-    for (step, (time_s, memory_mb)) in all.iter_mut().zip([(1.0, 100), (3.0, 200), (2.0, 100), (2.0, 100)]) {
-        (step.time_s, step.memory_mb) = (time_s, memory_mb);
+    let mut all = jobs(&[("a", &[]), ("b", &[]), ("c", &[]), ("d", &[])], Path::new("/none"));
+    for (job, (time_s, memory_mb)) in all.iter_mut().zip([(1.0, 100), (3.0, 200), (2.0, 100), (2.0, 100)]) {
+        (job.time_s, job.memory_mb) = (time_s, memory_mb);
     }
     let stop = AtomicBool::new(false);
     let watch = |_: Event| ();
@@ -160,7 +160,7 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
 #[test]
 fn a_response_comes_before_what_needs_it() {
     let dir = tempfile::tempdir().unwrap();
-    let mut all = steps(&[("merge", &["response"]), ("response", &[])], dir.path());
+    let mut all = jobs(&[("merge", &["response"]), ("response", &[])], dir.path());
     all[1].kind = Kind::Response;
     let stop = AtomicBool::new(false);
     let limits = limits(2, None);

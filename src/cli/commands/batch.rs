@@ -10,9 +10,9 @@ use crate::cli::heading::{INPUT, MERGE, MODE, OUTPUT, RESOURCES};
 use clap::parser::ValueSource;
 use clap::{ArgAction, ArgMatches, Parser};
 use hdralign::batch::find::{self, FindOptions};
+use hdralign::batch::job;
 use hdralign::batch::name::Template;
-use hdralign::batch::plan::{self, Normalisation, Responses, Settings, Step};
-use hdralign::batch::step;
+use hdralign::batch::plan::{self, Job, Normalisation, Responses, Settings};
 use hdralign::batch::summary::{Summary, Verdict};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
@@ -200,10 +200,10 @@ impl Acting {
         Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
-    /// The options of `step`.
-    fn of(step: &Step) -> Result<Options, Error> {
-        let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", step.id) };
-        Typed::try_parse_from(&step.options).map_err(|e| refused(e.to_string()))?.acting.options()
+    /// The options of `job`.
+    fn of(job: &Job) -> Result<Options, Error> {
+        let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", job.id) };
+        Typed::try_parse_from(&job.options).map_err(|e| refused(e.to_string()))?.acting.options()
     }
 
     /// The options that the user typed, each as one word.
@@ -230,7 +230,7 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
     }
     let typed = matches.map(Acting::typed).unwrap_or_default();
     if let Some(path) = &args.run {
-        return steps(path, args, &typed);
+        return jobs(path, args, &typed);
     }
     if let Some(path) = &args.summarize {
         return summarize(path, args);
@@ -246,15 +246,15 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
     let found = found?;
     let brackets = found::planned(&found);
     let options = args.acting.options()?;
-    let steps = plan::plan(&brackets, &args.settings(typed, &options)?)?;
+    let jobs = plan::plan(&brackets, &args.settings(typed, &options)?)?;
     if args.dry_run {
-        crate::cli::tell(&if args.json { found::json(&found, &steps) } else { found::table(&found, &steps) })?;
-        return Ok(if steps.is_empty() { ExitCode::FAILURE } else { ExitCode::SUCCESS });
+        crate::cli::tell(&if args.json { found::json(&found, &jobs) } else { found::table(&found, &jobs) })?;
+        return Ok(if jobs.is_empty() { ExitCode::FAILURE } else { ExitCode::SUCCESS });
     }
-    if steps.is_empty() {
+    if jobs.is_empty() {
         return Err(found::nothing(&args.folders, &found));
     }
-    if args.plan { print_plan(&steps, &found, args) } else { night::run(&steps, &found, options, args) }
+    if args.plan { print_plan(&jobs, &found, args) } else { night::run(&jobs, &found, options, args) }
 }
 
 impl Args {
@@ -315,10 +315,10 @@ impl Args {
 }
 
 /// `--plan`.
-fn print_plan(steps: &[Step], found: &find::Found, args: &Args) -> Result<ExitCode, Error> {
-    let mut lines = Vec::with_capacity(steps.len());
-    for step in steps {
-        match step.to_line() {
+fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode, Error> {
+    let mut lines = Vec::with_capacity(jobs.len());
+    for job in jobs {
+        match job.to_line() {
             Ok(line) => lines.push(line + "\n"),
             Err(error) => crate::cli::say(format_args!("hdralign: {error}")),
         }
@@ -327,57 +327,57 @@ fn print_plan(steps: &[Step], found: &find::Found, args: &Args) -> Result<ExitCo
     if !args.work.quiet {
         crate::cli::say(found::counted(found, lines.len()));
     }
-    Ok(exit_code(Verdict::of(lines.len(), steps.len())))
+    Ok(exit_code(Verdict::of(lines.len(), jobs.len())))
 }
 
 /// `--run PLAN --id ID`.
-fn steps(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
+fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     if let Some(option) = typed.first() {
         let reason = format!("{option} changes the results, so it must be given with --plan");
         return Err(Error::Option { option: "--run", reason });
     }
-    let steps = Step::read(path, &args.id)?;
+    let jobs = Job::read(path, &args.id)?;
     let mut done = 0;
     let mut degraded = false;
     let mut results = String::new();
-    for step in &steps {
-        let mut options = Acting::of(step)?;
-        let folder = step.report.parent().unwrap_or(Path::new("."));
+    for job in &jobs {
+        let mut options = Acting::of(job)?;
+        let folder = job.report.parent().unwrap_or(Path::new("."));
         options.load.memory = args.work.memory(|| folder.to_owned());
         options.threads = args.work.threads;
-        options.load.max_pixels = largest(step, &args.work);
-        match step::run(step, &options, args.work.force, &pipeline::unwatched) {
+        options.load.max_pixels = largest(job, &args.work);
+        match job::run(job, &options, args.work.force, &pipeline::unwatched) {
             Ok((brief, is_new)) => {
                 done += 1;
                 degraded |= brief.degraded;
                 if !args.work.quiet {
-                    crate::cli::say(night::described(&step.id, &brief, is_new));
+                    crate::cli::say(night::described(&job.id, &brief, is_new));
                 }
-                results.extend(step.outputs.iter().map(|path| format!("{}\n", path.display())));
+                results.extend(job.outputs.iter().map(|path| format!("{}\n", path.display())));
             }
-            Err(error) => crate::cli::say(format_args!("hdralign: {}: {error}", step.id)),
+            Err(error) => crate::cli::say(format_args!("hdralign: {}: {error}", job.id)),
         }
     }
     crate::cli::tell(&results)?;
-    let verdict = Verdict::of(done, steps.len());
+    let verdict = Verdict::of(done, jobs.len());
     Ok(if args.work.strict && degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
 }
 
-/// The limit on pixels of a photograph of `step`: as given, or else the default, or its planned size if that is larger.
-fn largest(step: &Step, work: &Work) -> u64 {
-    let planned = (step.width_px as u64).saturating_mul(step.height_px as u64);
+/// The limit on pixels of a photograph of `job`: as given, or else the default, or its planned size if that is larger.
+fn largest(job: &Job, work: &Work) -> u64 {
+    let planned = (job.width_px as u64).saturating_mul(job.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
 }
 
 /// `--summarize PLAN`.
 fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
-    let steps = Step::read_all(path)?;
-    let Some(first) = steps.first() else {
+    let jobs = Job::read_all(path)?;
+    let Some(first) = jobs.first() else {
         let reason = format!("{}: the plan has no jobs", path.display());
         return Err(Error::Option { option: "--summarize", reason });
     };
     night::open_home(&first.summary, args)?;
-    let summary = Summary::collected(&steps);
+    let summary = Summary::collected(&jobs);
     night::finish(&summary, &first.summary, None, args)
 }
 

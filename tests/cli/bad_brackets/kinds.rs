@@ -66,7 +66,11 @@ fn a_tiff_goes_with_jpegs() {
 fn a_frame_of_16_bit_goes_with_ones_of_8() {
     let wide = DynamicImage::ImageRgb16(colour(4).to_rgb16());
     let merged = taken(encoded(&wide, ImageFormat::Png), "f3.png", "-e=-2,0,2");
-    assert!(merged.warns(false, &["f1.jpg: it has 8 bits per channel and other frames have 16"]), "{:?}", merged.warnings());
+    assert!(
+        merged.warns(false, &["f1.jpg: it has 8 bits per channel and other frames have 16"]),
+        "{:?}",
+        merged.warnings()
+    );
 }
 
 /// A bracket has no background to be laid over: what is there is taken, transparent or not.

@@ -165,7 +165,7 @@ fn bracket_with_the_name_of_the_summary_gets_another() {
     }
 }
 
-/// Killed between two names, a step has a report and not all of its results: the next run knows them for its own.
+/// Killed between two names, a job has a report and not all of its results: the next run knows them for its own.
 #[test]
 fn what_was_interrupted_is_ended() {
     let folder = Folder::empty();

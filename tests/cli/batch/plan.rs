@@ -1,4 +1,4 @@
-//! Plans, single steps, and summaries of steps that were done elsewhere.
+//! Plans, single jobs, and summaries of jobs that were done elsewhere.
 
 use super::{card, counts, refused, results, summary};
 use crate::support::Folder;
@@ -13,7 +13,7 @@ fn planned(folder: &Folder, options: &str) -> Vec<Value> {
 }
 
 #[test]
-fn steps_give_the_bytes_of_the_local_run() {
+fn jobs_give_the_bytes_of_the_local_run() {
     let folder = Folder::empty();
     card(&folder, 3);
     let options = "--weight gaussian --tmo drago --normalize set --shared-response";
@@ -45,13 +45,13 @@ fn steps_give_the_bytes_of_the_local_run() {
     assert!(results(&folder) == local);
     assert_eq!(counts(&folder), [4, 0, 0, 0]);
     assert!(summary(&folder)["time_s"].is_null());
-    // The local run knows what steps have done.
+    // The local run knows what jobs have done.
     folder.line(&format!("batch in -d out -q {options}")).done();
     assert_eq!(counts(&folder), [0, 4, 0, 0]);
 }
 
 #[test]
-fn a_step_that_fails_says_so_and_so_does_the_summary() {
+fn a_job_that_fails_is_reported_and_in_the_summary() {
     let folder = Folder::empty();
     let paths = card(&folder, 2);
     let lines = planned(&folder, "");
@@ -75,7 +75,7 @@ fn a_step_that_fails_says_so_and_so_does_the_summary() {
 
 /// An engine that lost sight of a job begins it again while it is still going on.
 #[test]
-fn a_step_may_be_done_twice_at_once() {
+fn a_job_may_be_run_twice_at_the_same_time() {
     let folder = Folder::empty();
     card(&folder, 1);
     let id = planned(&folder, "--page")[0]["id"].as_str().unwrap().to_owned();
@@ -100,7 +100,7 @@ fn what_is_no_plan_is_refused_with_the_line() {
     let line = &planned(&folder, "")[0];
     let id = line["id"].as_str().unwrap();
     let run = |options: &str| refused(folder.line(&format!("batch --run plan.jsonl {options}")));
-    assert!(run("--id nothing").contains("no step \"nothing\""));
+    assert!(run("--id nothing").contains("no job \"nothing\""));
     assert!(run("").contains("--id"));
     assert!(run(&format!("--id {id} --tmo drago")).contains("must be given with --plan"));
     folder.put("plan.jsonl", line.to_string().replace("hdralign 0", "hdralign 99").as_bytes());

@@ -72,7 +72,7 @@ fn ctrl_c_ends_what_has_begun_and_a_kill_loses_nothing_that_was_whole() {
 
     folder.line("batch in -d out -q").done();
     let [did, unchanged, ..] = counts(&folder);
-    // The step that was being named when it was killed may have been whole but for one name.
+    // The job that was being named when it was killed may have been whole but for one name.
     assert!(did + unchanged == BRACKETS as u64 && unchanged + 1 >= had, "{unchanged} of {had} were left alone");
     assert!(results(&folder) == whole);
     assert_eq!(hidden(&folder), 0);

@@ -1,7 +1,7 @@
 //! The result of the search for brackets, as text and as JSON.
 
 use hdralign::batch::find::{Found, FoundBracket, LeftOver, Reason, Shot};
-use hdralign::batch::plan::{Kind, Planned, Step};
+use hdralign::batch::plan::{Job, Kind, Planned};
 use hdralign::batch::summary::Unused;
 use hdralign::error::Error;
 use serde::Serialize;
@@ -27,12 +27,12 @@ pub fn unused(found: &Found) -> Vec<Unused> {
 }
 
 /// A line with the number of brackets and photographs.
-pub fn counted(found: &Found, steps: usize) -> String {
+pub fn counted(found: &Found, jobs: usize) -> String {
     let brackets = found.brackets.len();
     let photographs: usize = found.brackets.iter().map(|b| b.photographs.len()).sum();
     let mut words = vec![format!("{} of {}", many(brackets, "bracket"), many(photographs, "photograph"))];
-    if steps != brackets {
-        words.push(many(steps, "job"));
+    if jobs != brackets {
+        words.push(many(jobs, "job"));
     }
     if !found.left_over.is_empty() {
         words.push(format!("{} left over", many(found.left_over.len(), "photograph")));
@@ -64,14 +64,14 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
 }
 
 /// The table of `--dry-run`.
-pub fn table(found: &Found, steps: &[Step]) -> String {
-    let names: Vec<&Step> = steps.iter().filter(|step| step.kind == Kind::Merge).collect();
+pub fn table(found: &Found, jobs: &[Job]) -> String {
+    let names: Vec<&Job> = jobs.iter().filter(|job| job.kind == Kind::Merge).collect();
     let mut rows = vec![["result", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
-    for (bracket, step) in found.brackets.iter().zip(&names) {
+    for (bracket, job) in found.brackets.iter().zip(&names) {
         let shots = &bracket.photographs;
         rows.push([
-            one_line(&result(step)),
-            step.set.map(|set| set.to_string()).unwrap_or_default(),
+            one_line(&result(job)),
+            job.set.map(|set| set.to_string()).unwrap_or_default(),
             shots.len().to_string(),
             one_line(&shots.first().map(file_name).unwrap_or_default()),
             exposures(bracket),
@@ -107,10 +107,10 @@ pub fn table(found: &Found, steps: &[Step]) -> String {
     text + &counted(found, found.brackets.len()) + "\n"
 }
 
-/// The results of `step` without extension, relative to the folder of all results.
-fn result(step: &Step) -> String {
-    let home = step.summary.parent().unwrap_or(Path::new(""));
-    let report = step.report.strip_prefix(home).unwrap_or(&step.report);
+/// The results of `job` without extension, relative to the folder of all results.
+fn result(job: &Job) -> String {
+    let home = job.summary.parent().unwrap_or(Path::new(""));
+    let report = job.report.strip_prefix(home).unwrap_or(&job.report);
     report.with_extension("").to_string_lossy().into_owned()
 }
 
@@ -206,13 +206,13 @@ struct BracketJson {
 }
 
 /// Everything that was found, as JSON.
-pub fn json(found: &Found, steps: &[Step]) -> String {
-    let merges = steps.iter().filter(|step| step.kind == Kind::Merge);
-    let bracket = |(bracket, step): (&FoundBracket, &Step)| {
+pub fn json(found: &Found, jobs: &[Job]) -> String {
+    let merges = jobs.iter().filter(|job| job.kind == Kind::Merge);
+    let bracket = |(bracket, job): (&FoundBracket, &Job)| {
         let header = bracket.photographs.first().map(|shot| &shot.header);
         BracketJson {
-            id: step.id.clone(),
-            set: step.set,
+            id: job.id.clone(),
+            set: job.set,
             photographs: bracket.photographs.iter().map(|s| s.path.to_string_lossy().into_owned()).collect(),
             relative_exposures_ev: evs(bracket),
             begun: begun(bracket),

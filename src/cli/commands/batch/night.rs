@@ -10,9 +10,9 @@ use crate::cli::say;
 use crate::cli::summary::duration;
 use crate::cli::terminal::Terminal;
 use hdralign::batch::find::{self, Found};
-use hdralign::batch::plan::{Kind, Step};
+use hdralign::batch::job::Brief;
+use hdralign::batch::plan::{Job, Kind};
 use hdralign::batch::schedule::{self, Ending, Event, Limits};
-use hdralign::batch::step::Brief;
 use hdralign::batch::summary::{self, Row, Status, Summary, Verdict};
 use hdralign::error::Error;
 use hdralign::pipeline::Options;
@@ -63,7 +63,7 @@ fn is_shown(quiet: bool) -> bool {
 struct Board {
     bar: ProgressBar,
     began: Instant,
-    steps: usize,
+    jobs: usize,
     ended: AtomicUsize,
     /// Estimated seconds: of all jobs; of those done in this run; of all that ended.
     planned: (f64, Mutex<(f64, f64)>),
@@ -72,10 +72,10 @@ struct Board {
 }
 
 impl Board {
-    fn new(steps: &[Step], args: &Args) -> Board {
+    fn new(jobs: &[Job], args: &Args) -> Board {
         let target =
             if is_shown(args.work.quiet) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        let bar = ProgressBar::with_draw_target(Some(steps.len() as u64), target);
+        let bar = ProgressBar::with_draw_target(Some(jobs.len() as u64), target);
         let room = Terminal::of_stderr().width.min(79).saturating_sub(50).clamp(8, 30);
         if let Ok(style) =
             ProgressStyle::with_template(&format!("brackets [{{bar:{room}}}] {{pos}}/{{len}}  {{prefix}}"))
@@ -85,26 +85,26 @@ impl Board {
         Board {
             bar,
             began: Instant::now(),
-            steps: steps.len(),
+            jobs: jobs.len(),
             ended: AtomicUsize::new(0),
-            planned: (steps.iter().map(|step| step.time_s).sum(), Mutex::new((0.0, 0.0))),
+            planned: (jobs.iter().map(|job| job.time_s).sum(), Mutex::new((0.0, 0.0))),
             quiet: args.work.quiet,
             verbose: args.verbose,
         }
     }
 
     fn see(&self, event: &Event) {
-        let (step, ending) = match event {
+        let (job, ending) = match event {
             Event::Begins(_) => return,
-            Event::Fills(step) => return self.bar.suspend(|| say(full(step))),
-            Event::Ends(step, ending) => (step, ending),
+            Event::Fills(job) => return self.bar.suspend(|| say(full(job))),
+            Event::Ends(job, ending) => (job, ending),
         };
         let ended = self.ended.fetch_add(1, Ordering::SeqCst) + 1;
-        let number = format!("[{ended:>0$}/{1}]", self.steps.to_string().len(), self.steps);
+        let number = format!("[{ended:>0$}/{1}]", self.jobs.to_string().len(), self.jobs);
         let line = match ending {
-            Ending::Done(brief) => Some(format!("{number} {}", described(&step.id, brief, true))),
-            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", described(&step.id, brief, false))),
-            Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", step.id)),
+            Ending::Done(brief) => Some(format!("{number} {}", described(&job.id, brief, true))),
+            Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", described(&job.id, brief, false))),
+            Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", job.id)),
             Ending::NotBegun => None,
         };
         let is_failure = matches!(ending, Ending::Failed(_));
@@ -123,7 +123,7 @@ impl Board {
         });
         self.bar.set_position(ended as u64);
         let is_work = !matches!(ending, Ending::Unchanged(_));
-        self.bar.set_prefix(left(self.left_s(step.time_s, is_work)));
+        self.bar.set_prefix(left(self.left_s(job.time_s, is_work)));
     }
 
     /// Seconds left, from the ratio of measured to estimated time so far.
@@ -139,8 +139,8 @@ impl Board {
 }
 
 /// The message that is printed once if a disk is full.
-fn full(step: &Step) -> String {
-    let folder = step.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+fn full(job: &Job) -> String {
+    let folder = job.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
         "hdralign: {}: the disk is full, so no further bracket is started that writes there; free space and run the command again (finished brackets are kept)",
         folder.display()
@@ -167,20 +167,20 @@ pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
 }
 
 /// Does all jobs.
-pub fn run(steps: &[Step], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
-    let home = open_home(&steps[0].summary, args)?;
+pub fn run(jobs: &[Job], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
+    let home = open_home(&jobs[0].summary, args)?;
     let mut options = options;
     let limits = limits(&args.work, args.jobs, &home)?;
     options.load.memory.clone_from(&limits.memory);
     options.load.max_pixels = args.work.largest.pixels();
-    leftovers::clear(&steps.iter().flat_map(|step| [&step.report, &step.summary]).collect::<Vec<_>>());
+    leftovers::clear(&jobs.iter().flat_map(|job| [&job.report, &job.summary]).collect::<Vec<_>>());
     let stop = interrupt::stopping();
-    let board = Board::new(steps, args);
-    let endings = schedule::run(steps, &options, &limits, args.work.force, stop, &|event| board.see(&event));
+    let board = Board::new(jobs, args);
+    let endings = schedule::run(jobs, &options, &limits, args.work.force, stop, &|event| board.see(&event));
     board.bar.finish_and_clear();
-    let summary = Summary::new(steps, &endings, unused(found), board.began.elapsed().as_secs_f64());
+    let summary = Summary::new(jobs, &endings, unused(found), board.began.elapsed().as_secs_f64());
     let left_over = Some(LeftOver { count: left_over(found), unreadable: unreadable(found) });
-    finish(&summary, &steps[0].summary, left_over.as_ref(), args)
+    finish(&summary, &jobs[0].summary, left_over.as_ref(), args)
 }
 
 /// Creates and returns the folder of the summary `path`. Checks before hours of work that the summary can be written.
@@ -224,7 +224,7 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     let results = if args.json {
         summary.to_json()
     } else {
-        summary.steps.iter().flat_map(|row| &row.outputs).map(|path| format!("{path}\n")).collect()
+        summary.jobs.iter().flat_map(|row| &row.outputs).map(|path| format!("{path}\n")).collect()
     };
     crate::cli::tell(&results)?;
     let has_unreadable = left_over.is_some_and(|left_over| !left_over.unreadable.is_empty());
@@ -258,10 +258,10 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
     // A shared response is a job too.
-    let is_of_brackets = summary.steps.iter().all(|row| row.kind == Kind::Merge);
-    let steps = if is_of_brackets { "brackets" } else { "jobs" };
-    let mut lines = vec![format!("{steps:<11}{} of {}", words.join(", "), counts.steps)];
-    let with = |is: &dyn Fn(&&Row) -> bool| summary.steps.iter().filter(is).collect::<Vec<&Row>>();
+    let is_of_brackets = summary.jobs.iter().all(|row| row.kind == Kind::Merge);
+    let jobs = if is_of_brackets { "brackets" } else { "jobs" };
+    let mut lines = vec![format!("{jobs:<11}{} of {}", words.join(", "), counts.jobs)];
+    let with = |is: &dyn Fn(&&Row) -> bool| summary.jobs.iter().filter(is).collect::<Vec<&Row>>();
     let failed = with(&|row| row.status == Status::Failed);
     let why = |row: &&Row| format!("{}: {}", row.id, row.error.as_deref().unwrap_or_default());
     lines.extend(listed("failed", failed.iter().map(why)));
@@ -281,7 +281,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
     }
     if let Some(time) = summary.time_s {
         let rate = if counts.done > 0 && time > 0.0 {
-            format!(", {:.0} {steps} an hour", counts.done as f64 / time * 3600.0)
+            format!(", {:.0} {jobs} an hour", counts.done as f64 / time * 3600.0)
         } else {
             String::new()
         };

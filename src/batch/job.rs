@@ -1,13 +1,13 @@
-//! One step: merge a bracket or recover a response, completely or not at all, and only if it is not done yet.
+//! One job: merge a bracket or recover a response, completely or not at all, and only if it is not done yet.
 //!
-//! In: a [`Step`] and its options. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`,
+//! In: a [`Job`] and its options. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`,
 //! and of reading inputs and outputs once for their hashes.
 //!
-//! A step may be started again at any time by any process: complete results are kept, and interrupted steps are run
-//! again. A step replaces only its own earlier results. Two processes that run the same step at the same time end
+//! A job may be started again at any time by any process: complete results are kept, and interrupted jobs are run
+//! again. A job replaces only its own earlier results. Two processes that run the same job at the same time end
 //! with the same files.
 
-use super::plan::{Kind, Step};
+use super::plan::{Job, Kind};
 use super::record::{self, Content, Record};
 use crate::error::{Error, Result};
 use crate::intake::{self, Stamp};
@@ -63,7 +63,7 @@ impl Brief {
     }
 }
 
-/// The state of a step when its pixels are computed.
+/// The state of a job when its pixels are computed.
 #[derive(Debug)]
 pub enum Begun<'a> {
     /// It was done before, with the same inputs, options and version.
@@ -72,90 +72,90 @@ pub enum Begun<'a> {
     Made(Box<Made<'a>>),
 }
 
-/// Files of a step that wait for the disk and for their names.
+/// Files of a job that wait for the disk and for their names.
 #[derive(Debug)]
 pub struct Made<'a> {
-    step: &'a Step,
+    job: &'a Job,
     key: String,
     inputs: Vec<Content>,
     replaced: Vec<String>,
-    /// Existing results and report of this step.
+    /// Existing results and report of this job.
     existing: Vec<PathBuf>,
     prepared: Prepared,
 }
 
-/// Results of either kind of step.
+/// Results of either kind of job.
 #[derive(Debug)]
 enum Prepared {
     Merged(Box<pipeline::Prepared<Report>>),
     Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
-/// Runs `step` up to the naming of its files. All `options` apply except those in the step itself: files and
+/// Runs `job` up to the naming of its files. All `options` apply except those in the job itself: files and
 /// response. With `force` it is run again, and files of others are replaced.
 ///
 /// # Errors
 /// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run; [`Error::OutputExists`],
-/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for a result that neither this step nor an earlier form
+/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for a result that neither this job nor an earlier form
 /// of it wrote; [`Error::FrameLost`].
-pub fn begin<'a>(step: &'a Step, options: &Options, force: bool, watch: Watch) -> Result<Begun<'a>> {
-    let stamps: Vec<Stamp> = step.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
-    let inputs: Vec<Content> = step.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
-    let options = &acting(step, options);
-    let key = record::key(step, &inputs, options)?;
-    let known = Record::read(&step.report);
-    let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
+pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> Result<Begun<'a>> {
+    let stamps: Vec<Stamp> = job.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
+    let inputs: Vec<Content> = job.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
+    let options = &acting(job, options);
+    let key = record::key(job, &inputs, options)?;
+    let known = Record::read(&job.report);
+    let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
     let is_same = known.as_ref().is_some_and(|record| record.key == key && record.is_whole(&results));
-    if let Some(brief) = Brief::read(&step.report).filter(|_| is_same && !force) {
-        forget_failure(step);
+    if let Some(brief) = Brief::read(&job.report).filter(|_| is_same && !force) {
+        forget_failure(job);
         return Ok(Begun::Unchanged(brief));
     }
     let existing: Vec<PathBuf> =
-        results.iter().chain([&step.report]).filter(|path| fs::symlink_metadata(path).is_ok()).cloned().collect();
+        results.iter().chain([&job.report]).filter(|path| fs::symlink_metadata(path).is_ok()).cloned().collect();
     if !force {
-        check_existing(step, &existing, known.as_ref(), &inputs)?;
+        check_existing(job, &existing, known.as_ref(), &inputs)?;
     }
-    let folder = step.report.parent().unwrap_or(Path::new("."));
+    let folder = job.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
     // The run itself would report -o, which is not an option of a batch.
-    write::check_targets(&Target::of("--name", &results), &step.inputs, true)?;
-    let older = existing.iter().filter(|path| **path != step.report);
+    write::check_targets(&Target::of("--name", &results), &job.inputs, true)?;
+    let older = existing.iter().filter(|path| **path != job.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
-    let prepared = match step.kind {
-        Kind::Merge => Prepared::Merged(Box::new(pipeline::prepare(&step.inputs, options, watch)?)),
+    let prepared = match job.kind {
+        Kind::Merge => Prepared::Merged(Box::new(pipeline::prepare(&job.inputs, options, watch)?)),
         Kind::Response => {
             let options = camera::Options {
                 pipeline: options.clone(),
-                curves: step.outputs.clone(),
+                curves: job.outputs.clone(),
                 plots: Vec::new(),
                 // One failing bracket does not stop the others.
                 lenient: true,
             };
-            Prepared::Recovered(Box::new(camera::prepare(&step.by_bracket(), &options, watch)?))
+            Prepared::Recovered(Box::new(camera::prepare(&job.by_bracket(), &options, watch)?))
         }
     };
     // The record must describe the photographs that were merged: they are read once for the record, and once for
     // their pixels.
     stamps.iter().try_for_each(Stamp::check)?;
-    Ok(Begun::Made(Box::new(Made { step, key, inputs, replaced, existing, prepared })))
+    Ok(Begun::Made(Box::new(Made { job, key, inputs, replaced, existing, prepared })))
 }
 
-/// Checks that existing files may be replaced: this step wrote them before, from these photographs.
-fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inputs: &[Content]) -> Result<()> {
+/// Checks that existing files may be replaced: this job wrote them before, from these photographs.
+fn check_existing(job: &Job, existing: &[PathBuf], known: Option<&Record>, inputs: &[Content]) -> Result<()> {
     let Some(record) = known else {
         return existing.first().map_or(Ok(()), |path| Err(Error::OutputExists { path: path.clone() }));
     };
     if !record.is_of(inputs) {
-        return Err(Error::OtherPhotographs { path: step.report.clone() });
+        return Err(Error::OtherPhotographs { path: job.report.clone() });
     }
-    let folders: BTreeSet<&Path> = step.inputs.iter().filter_map(|path| path.parent()).collect();
+    let folders: BTreeSet<&Path> = job.inputs.iter().filter_map(|path| path.parent()).collect();
     let is_lost = |name: &str| {
         inputs.iter().all(|content| content.name != name) && folders.iter().any(|folder| folder.join(name).exists())
     };
-    if let Some(lost) = record.inputs.iter().find(|content| step.kind == Kind::Merge && is_lost(&content.name)) {
-        return Err(Error::FrameLost { path: step.report.clone(), photograph: lost.name.clone() });
+    if let Some(lost) = record.inputs.iter().find(|content| job.kind == Kind::Merge && is_lost(&content.name)) {
+        return Err(Error::FrameLost { path: job.report.clone(), photograph: lost.name.clone() });
     }
-    for path in existing.iter().filter(|path| **path != step.report) {
+    for path in existing.iter().filter(|path| **path != job.report) {
         if !record.made(path)? {
             let is_named =
                 record.outputs.iter().any(|content| path.file_name().is_some_and(|name| *name == *content.name));
@@ -166,15 +166,15 @@ fn check_existing(step: &Step, existing: &[PathBuf], known: Option<&Record>, inp
     Ok(())
 }
 
-/// Returns the options of the pipeline for `step`.
-fn acting(step: &Step, options: &Options) -> Options {
+/// Returns the options of the pipeline for `job`.
+fn acting(job: &Job, options: &Options) -> Options {
     let mut options = options.clone();
-    let results = step.outputs.iter().filter(|path| !step.pictures.contains(path));
+    let results = job.outputs.iter().filter(|path| !job.pictures.contains(path));
     options.outputs = results.cloned().collect();
-    options.pictures.clone_from(&step.pictures);
-    options.report.clone_from(&step.page);
-    options.response_file.clone_from(&step.response);
-    options.unit_exposure = step.unit_exposure_s;
+    options.pictures.clone_from(&job.pictures);
+    options.report.clone_from(&job.page);
+    options.response_file.clone_from(&job.response);
+    options.unit_exposure = job.unit_exposure_s;
     // Existing files are checked here, one by one.
     options.write.overwrite = true;
     options
@@ -182,12 +182,12 @@ fn acting(step: &Step, options: &Options) -> Options {
 
 impl Made<'_> {
     /// Waits until everything is on the disk and names the files: first the report, so that the others are known as
-    /// this step's even if it is interrupted.
+    /// this job's even if it is interrupted.
     ///
     /// # Errors
     /// [`Error::Write`]; [`Error::OutputExists`] if a file was created in the meantime.
     pub fn commit(self) -> Result<Brief> {
-        let Made { step, key, inputs, replaced, existing, prepared } = self;
+        let Made { job, key, inputs, replaced, existing, prepared } = self;
         let (mut report, files) = match prepared {
             Prepared::Merged(prepared) => {
                 let (report, files) = prepared.complete()?;
@@ -200,22 +200,22 @@ impl Made<'_> {
         };
         let outputs = files.iter().map(content).collect::<Result<Vec<_>>>()?;
         let record = Record {
-            id: step.id.clone(),
+            id: job.id.clone(),
             key,
-            software: step.software.clone(),
-            options: step.options.clone(),
+            software: job.software.clone(),
+            options: job.options.clone(),
             inputs,
             outputs,
             replaced,
         };
         report["step"] = as_value(&record);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default() + "\n";
-        let placed = place(write::complete(&step.report, text.as_bytes())?, files, &existing, twin(step, &record.key));
+        let placed = place(write::complete(&job.report, text.as_bytes())?, files, &existing, twin(job, &record.key));
         match placed {
-            Err(Error::OutputExists { .. }) if is_done_by_twin(step, &record) => {}
+            Err(Error::OutputExists { .. }) if is_done_by_twin(job, &record) => {}
             other => other?,
         }
-        forget_failure(step);
+        forget_failure(job);
         Ok(Brief::of(&report))
     }
 }
@@ -233,16 +233,16 @@ fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], t
     write::rename_all(new, false)
 }
 
-/// Returns the record of another process that ran the same step in the meantime: an engine may start a step again
+/// Returns the record of another process that ran the same job in the meantime: an engine may start a job again
 /// while it is still running elsewhere.
-fn twin(step: &Step, key: &str) -> Option<Record> {
-    Record::read(&step.report).filter(|record| record.key == key)
+fn twin(job: &Job, key: &str) -> Option<Record> {
+    Record::read(&job.report).filter(|record| record.key == key)
 }
 
 /// Whether a twin has named all of its files, which are the same; waits if it is about to.
-fn is_done_by_twin(step: &Step, own: &Record) -> bool {
-    let results: Vec<PathBuf> = step.outputs.iter().chain(&step.page).cloned().collect();
-    let is_done = || twin(step, &own.key).is_some_and(|record| record.is_whole(&results));
+fn is_done_by_twin(job: &Job, own: &Record) -> bool {
+    let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
+    let is_done = || twin(job, &own.key).is_some_and(|record| record.is_whole(&results));
     (0..TRIES).any(|i| {
         std::thread::sleep(Duration::from_millis(if i == 0 { 0 } else { 100 }));
         is_done()
@@ -264,37 +264,37 @@ fn as_value(report: &impl Serialize) -> Value {
     serde_json::to_value(report).unwrap_or_default()
 }
 
-/// Runs `step` completely. Returns its brief, and whether there was work to do.
+/// Runs `job` completely. Returns its brief, and whether there was work to do.
 ///
 /// # Errors
-/// Those of [`begin`] and [`Made::commit`]; they are also written to [`Step::failure`].
-pub fn run(step: &Step, options: &Options, force: bool, watch: Watch) -> Result<(Brief, bool)> {
-    let outcome = begin(step, options, force, watch).and_then(|begun| match begun {
+/// Those of [`begin`] and [`Made::commit`]; they are also written to [`Job::failure`].
+pub fn run(job: &Job, options: &Options, force: bool, watch: Watch) -> Result<(Brief, bool)> {
+    let outcome = begin(job, options, force, watch).and_then(|begun| match begun {
         Begun::Unchanged(brief) => Ok((brief, false)),
         Begun::Made(made) => Ok((made.commit()?, true)),
     });
     if let Err(error) = &outcome {
-        remember_failure(step, &error.to_string());
+        remember_failure(job, &error.to_string());
     }
     outcome
 }
 
-/// The reason why a step failed, stored beside its results.
+/// The reason why a job failed, stored beside its results.
 #[derive(Debug, Clone, PartialEq, Serialize, serde::Deserialize)]
 pub struct Failure {
     /// `hdralign-failure/1`.
     pub schema: String,
-    /// [`Step::id`].
+    /// [`Job::id`].
     pub id: String,
     /// The error message.
     pub error: String,
 }
 
 impl Failure {
-    /// The recorded failure of `step`, if any.
-    pub fn read(step: &Step) -> Option<Failure> {
+    /// The recorded failure of `job`, if any.
+    pub fn read(job: &Job) -> Option<Failure> {
         let failure: Failure =
-            serde_json::from_slice(&intake::whole(&step.failure, intake::MOST_OF_A_TEXT).ok()?).ok()?;
+            serde_json::from_slice(&intake::whole(&job.failure, intake::MOST_OF_A_TEXT).ok()?).ok()?;
         (failure.schema == FAILURE).then_some(failure)
     }
 }
@@ -302,21 +302,21 @@ impl Failure {
 /// The version of the format of failures.
 const FAILURE: &str = "hdralign-failure/1";
 
-/// Writes the error of `step` to a file beside its results. If that is not possible, or a file of somebody else has
+/// Writes the error of `job` to a file beside its results. If that is not possible, or a file of somebody else has
 /// the name, nothing is written.
-pub fn remember_failure(step: &Step, error: &str) {
-    let failure = Failure { schema: FAILURE.into(), id: step.id.clone(), error: error.into() };
+pub fn remember_failure(job: &Job, error: &str) {
+    let failure = Failure { schema: FAILURE.into(), id: job.id.clone(), error: error.into() };
     let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
-    let folder = step.failure.parent().unwrap_or(Path::new("."));
+    let folder = job.failure.parent().unwrap_or(Path::new("."));
     let _ = fs::create_dir_all(folder);
-    let is_ours = Failure::read(step).is_some();
-    let _ = write::complete(&step.failure, text.as_bytes()).and_then(|whole| write::rename_all(vec![whole], is_ours));
+    let is_ours = Failure::read(job).is_some();
+    let _ = write::complete(&job.failure, text.as_bytes()).and_then(|whole| write::rename_all(vec![whole], is_ours));
 }
 
-/// Removes the recorded failure of a completed step.
-fn forget_failure(step: &Step) {
-    if Failure::read(step).is_some() {
+/// Removes the recorded failure of a completed job.
+fn forget_failure(job: &Job) {
+    if Failure::read(job).is_some() {
         // A failure file that cannot be removed is older than the report, which the summary checks.
-        let _ = fs::remove_file(&step.failure);
+        let _ = fs::remove_file(&job.failure);
     }
 }
