@@ -101,7 +101,7 @@ mod tests {
             ("1,2,3", "X,Y,WIDTH,HEIGHT"),
             ("-1,2,3,4", "X,Y,WIDTH,HEIGHT"),
             ("1,2,0,4", "empty"),
-            ("1,2,18446744073709551615,4", "no end"),
+            ("1,2,18446744073709551615,4", "too large"),
         ] {
             let error = text.parse::<Crop>().unwrap_err();
             assert!(error.contains(said), "{text}: {error}");

@@ -137,7 +137,8 @@ mod tests {
         assert_eq!([of("2048", (4000, 3000)), of("2048", (3000, 4000))], [(2048, 1536), (1536, 2048)]);
         assert_eq!([of("50%", (301, 200)), of("12.5 %", (800, 1))], [(151, 100), (100, 1)]);
         assert_eq!([of("2048", (300, 200)), of("100%", (300, 200))], [(300, 200); 2]);
-        for (text, said) in [("0", "`2048`"), ("0%", "`50%`"), ("-3", "no size"), ("1e3", "no size"), ("101%", "never")]
+        for (text, said) in
+            [("0", "`2048`"), ("0%", "`50%`"), ("-3", "not a size"), ("1e3", "not a size"), ("101%", "never")]
         {
             let error = text.parse::<Size>().unwrap_err();
             assert!(error.contains(said), "{text}: {error}");

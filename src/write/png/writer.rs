@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::simd::{Loops, vectorised};
 use crate::tonemap::display::codes::Colours;
 use crate::write::bands::Bands;
-use crate::write::deflate::{Adler, deflate};
+use crate::write::deflate::{Adler, HEADER, deflate};
 use crate::write::exif;
 use crate::write::metadata::{Metadata, one_line};
 use crate::write::row_writer::RowWriter;
@@ -70,7 +70,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
                 encode_band(T::bytes(pixels, bytes), size_of::<[T; 3]>(), width, (first == 0, last), raw, out)
             },
             |chunk, of_band| {
-                *adler = adler.followed_by(of_band);
+                *adler = adler.followed_by(of_band.map_err(|e| file.error(e))?);
                 file.put(chunk)
             },
         )
@@ -146,7 +146,7 @@ fn encode_band(
     (first, last): (bool, bool),
     raw: &mut Vec<u8>,
     out: &mut Vec<u8>,
-) -> Adler {
+) -> io::Result<Adler> {
     let stride = pixel * width;
     raw.resize(bytes.len() + bytes.len() / stride, 0);
     match pixel {
@@ -156,12 +156,11 @@ fn encode_band(
     let start = out.len();
     out.extend_from_slice(b"\0\0\0\0IDAT");
     if first {
-        // zlib: deflate, window of 32 KB, fastest.
-        out.extend_from_slice(&[0x78, 0x01]);
+        out.extend_from_slice(&HEADER);
     }
-    deflate(raw, last, out);
+    deflate(raw, last, out)?;
     end_chunk(start, out);
-    Adler::of(raw)
+    Ok(Adler::of(raw))
 }
 
 /// Filters rows of `stride` bytes, `PIXEL` per pixel: the number of the filter and the filtered row. Paeth, or Sub if

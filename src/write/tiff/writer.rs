@@ -82,7 +82,14 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
     fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
         let Writer { strips, bands } = self;
         let width = bands.width;
-        bands.push(rows, |_, pixels, raw, out| pack(pixels, width, raw, out), |strip, ()| strips.put(strip))
+        bands.push(
+            rows,
+            |_, pixels, raw, out| pack(pixels, width, raw, out),
+            |strip, packed| {
+                packed.map_err(|e| strips.file.error(e))?;
+                strips.put(strip)
+            },
+        )
     }
 
     fn finish(self: Box<Self>) -> Result<Written> {
@@ -92,13 +99,13 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 }
 
 /// Appends a compressed strip.
-fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) {
+fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) -> io::Result<()> {
     raw.clear();
     raw.reserve(size_of_val(pixels));
     for row in pixels.chunks_exact(width) {
         T::put_predicted(row, raw);
     }
-    zlib(raw, out);
+    zlib(raw, out)
 }
 
 #[cfg(test)]
