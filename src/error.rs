@@ -329,7 +329,9 @@ fn write_remedy(source: &io::Error) -> &'static str {
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
         // Only for folders; existing files are `Error::OutputExists`.
-        AlreadyExists | NotADirectory => "; it is in the place of a folder: name another, or move the file away",
+        AlreadyExists | NotADirectory => {
+            "; a file has the name of this folder: choose another folder, or move the file"
+        }
         IsADirectory if source.raw_os_error().is_some() => "; a folder has that name: move it away, or choose another",
         _ => remedy(source, "; check the folder, its permissions and the space left"),
     }

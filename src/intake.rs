@@ -76,7 +76,7 @@ pub(crate) fn text(path: &Path, most: u64) -> Result<String> {
 /// [`Error::Read`].
 pub(crate) fn open(path: &Path) -> Result<File> {
     if path.is_dir() {
-        return Err(refused(path, "it is a folder; name the files in it, as in `folder/*.jpg`".into()));
+        return Err(refused(path, "it is a folder; name the files in it, for example `folder/*.jpg`".into()));
     }
     File::open(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }

@@ -127,9 +127,9 @@ impl SavedAlignment {
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header =
-            serde_json::from_str(text).map_err(|e| wrong(format!("it is no JSON with a \"schema\" ({e})")))?;
+            serde_json::from_str(text).map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is read", header.schema)));
+            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is supported", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let size = (document.width_px, document.height_px);
@@ -262,7 +262,7 @@ mod tests {
         let json = saved().to_json();
         let refused = |text: &str| SavedAlignment::from_json(text, Path::new("t.json")).unwrap_err().to_string();
         for (text, says) in [
-            ("no json".to_owned(), "no JSON"),
+            ("no json".to_owned(), "not JSON"),
             (json.replace("transforms/1", "transforms/9"), "schema"),
             (json.replace("-7.25", "1e999"), "t.json"),
             (json.replace("0.999", "-0.999"), "a.jpg: its homography"),

@@ -83,7 +83,9 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
         Format::Png => png::decode(&bytes, limits),
         Format::Tiff => tiff::decode(bytes, limits),
     }))
-    .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
+    .unwrap_or_else(|_| {
+        Err("the content is damaged in a way that the decoder does not recognise; copy the file again".into())
+    })
     .map_err(|reason| Error::Decode { path: path.into(), format: format.name(), reason })?;
 
     let mut notes = stored.notes;
@@ -159,7 +161,9 @@ pub(super) fn head(path: &Path, file: impl Read + Seek, wanted: &[Tag], limits: 
         Format::Png => png::head(&mut reader),
         Format::Tiff => tiff::head(&mut reader, wanted),
     }))
-    .unwrap_or_else(|_| Err("the content is damaged beyond what its decoder can tell; copy the file again".into()))
+    .unwrap_or_else(|_| {
+        Err("the content is damaged in a way that the decoder does not recognise; copy the file again".into())
+    })
     .map_err(error)?;
     limits.check_size(found.width, found.height).map_err(error)?;
     let exif = found.exif.and_then(|raw| fields::parsed(raw, 0));

@@ -26,7 +26,7 @@ impl Frame {
         }
         let samples = match image.color() {
             ColorType::Rgb32F | ColorType::Rgba32F => {
-                return refused("the image holds floats; give the 8- or 16-bit values of the camera");
+                return refused("the image contains floats; give the 8- or 16-bit values of the camera");
             }
             ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
                 Samples::Sixteen(image.into_rgb16().into_raw())

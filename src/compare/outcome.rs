@@ -21,14 +21,18 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
         false => refused(option, format!("{value} is not {needed}")),
     };
     match *criterion {
-        Criterion::Psnr { least_db } => check("--min-psnr", least_db, f64::MAX, "a PSNR; give dB from 0 up, as 40"),
+        Criterion::Psnr { least_db } => {
+            check("--min-psnr", least_db, f64::MAX, "a PSNR; give dB from 0 up, for example 40")
+        }
         Criterion::Pixels { tolerance, most_differing_percent } => {
             match tolerance {
                 Tolerance::ByKind => {}
                 Tolerance::Stops(v) => {
-                    check("--tolerance-stops", v, f64::MAX, "a tolerance; give stops from 0 up, as 0.01")?
+                    check("--tolerance-stops", v, f64::MAX, "a tolerance; give stops from 0 up, for example 0.01")?
                 }
-                Tolerance::DeltaE(v) => check("--tolerance-de", v, f64::MAX, "a tolerance; give a dE from 0 up, as 1")?,
+                Tolerance::DeltaE(v) => {
+                    check("--tolerance-de", v, f64::MAX, "a tolerance; give a dE from 0 up, for example 1")?
+                }
             }
             check("--max-differing", most_differing_percent, 100.0, "a share; give 0 to 100 percent of the pixels")
         }

@@ -210,7 +210,7 @@ impl Pairs {
         }
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
-            return Err(format!("the exposures found are the power {power:.2} of those given"));
+            return Err(format!("the estimated exposures are the power {power:.2} of the given ones"));
         }
         let error = error / power;
         let g = f.map(|v| libm::log(v) / power);

@@ -89,8 +89,11 @@ fn what_would_be_done_is_reported_first() {
     folder.put("in/notes.txt", b"x");
     let table = folder.line("batch in --dry-run -d out").done().stdout;
     assert!(table.contains("IMG_0001-IMG_0003") && table.contains("0 -2 +2"), "{table}");
-    assert!(table.contains("left over, 1 photograph") && table.contains("IMG_0007.JPG"), "{table}");
-    assert!(table.contains("2 brackets of 6 photographs, 1 photograph left over, 1 file of other kinds"), "{table}");
+    assert!(table.contains("in no bracket, 1 photograph") && table.contains("IMG_0007.JPG"), "{table}");
+    assert!(
+        table.contains("2 brackets of 6 photographs, 1 photograph in no bracket, 1 file of other kinds"),
+        "{table}"
+    );
     let json: Value = serde_json::from_str(&folder.line("batch in --dry-run --json").done().stdout).unwrap();
     assert_eq!(json["schema"], "hdralign-found/1");
     assert_eq!(json["brackets"][1]["photographs"][2], "in/IMG_0006.JPG");

@@ -234,9 +234,9 @@ fn folders_are_left_to_batch() {
         refused(&folder, line, 1, &["it is a folder", "./*.jpg", "`hdralign batch .`"]);
     }
     for (line, said) in [
-        ("batch . --by-folder -d w1.jpg", "in the place of a folder"),
-        ("batch . --by-folder -d w1.jpg/out", "in the place of a folder"),
-        ("man w1.jpg", "in the place of a folder"),
+        ("batch . --by-folder -d w1.jpg", "has the name of this folder"),
+        ("batch . --by-folder -d w1.jpg/out", "has the name of this folder"),
+        ("man w1.jpg", "has the name of this folder"),
         ("inspect w2.jpg w3.jpg -d w1.jpg", "name another with -d"),
     ] {
         refused(&folder, line, 1, &["w1.jpg", said]);

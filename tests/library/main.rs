@@ -7,6 +7,7 @@ mod accuracy;
 mod architecture;
 mod language;
 mod licences;
+mod messages;
 mod progress;
 mod properties;
 mod same_bytes;

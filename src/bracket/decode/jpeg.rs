@@ -172,7 +172,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut std::io::BufReader<R>) -> Result
     loop {
         let code = next_code(reader).map_err(damaged)?;
         match code {
-            0xD9 => return Err("it holds no picture data; copy the file again".into()),
+            0xD9 => return Err("it contains no picture data; copy the file again".into()),
             0x01 | 0xD0..=0xD8 => continue,
             0xDA => break,
             _ => {}

@@ -44,7 +44,7 @@ const OTHERS: [(&[u8], &str); 22] = [
     (b"MMOR", "camera raw (Olympus ORF)"),
     (b"IIU\0", "camera raw (Panasonic RW2)"),
     (b"PK\x03\x04", "ZIP archive"),
-    (b"\0\0\0\0", "nothing but zeros; copy it again"),
+    (b"\0\0\0\0", "only zeros; copy the file again"),
 ];
 
 /// Returns the format of `bytes`, or as an error what else they look like.

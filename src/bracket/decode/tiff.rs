@@ -21,7 +21,7 @@ const HEADER: usize = 8;
 
 const ICC: Tag = Tag::Unknown(34675);
 
-const FLOATING_POINT: &str = "it holds floating-point values, which no camera writes and which are linear already; \
+const FLOATING_POINT: &str = "it contains floating-point values, which are linear already and not from a camera; \
                               give the camera's own 8- or 16-bit pictures";
 
 /// Decodes the first image of a TIFF file that is not a thumbnail.
@@ -116,7 +116,7 @@ impl Kind {
             Some(6) => return unsupported("YCbCr"),
             Some(8..=10) => return unsupported("CIE L*a*b*"),
             Some(32844 | 32845) => return unsupported("LogLuv"),
-            _ => return unsupported("of no known kind of colour"),
+            _ => return unsupported("of an unknown kind of colour"),
         };
         let is_palette = matches!(colour, Colour::Palette(_));
         if depth > 8 && (depth != 16 || is_palette) {

@@ -68,7 +68,7 @@ pub(super) fn settle(
         for (at, &i) in order.iter().enumerate().filter(|(_, i)| !accepted.contains(i)) {
             let (from, anchor) = places.anchor(at);
             let estimated = Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from));
-            exposures[i] = Some(estimated.ok_or_else(|| unknown("the pixels give no usable number"))?);
+            exposures[i] = Some(estimated.ok_or_else(|| unknown("the pixels do not determine the exposures"))?);
         }
         let uncertainty = estimate.uncertainty();
         let mut by_step = estimate.evs;

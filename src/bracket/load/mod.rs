@@ -101,7 +101,7 @@ pub(crate) fn load_for(
     if let Some(path) = paths.iter().find(|path| path.is_dir()) {
         let folder = path.display();
         let reason = format!(
-            "it is a folder; name the photographs of a bracket in it, as in `{folder}/*.jpg`, or merge all brackets in it by \
+            "it is a folder; name the photographs of a bracket in it, for example `{folder}/*.jpg`, or merge all brackets in it with \
              `hdralign batch {folder}`"
         );
         let source = io::Error::new(io::ErrorKind::IsADirectory, reason);
@@ -214,8 +214,9 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
     ev.iter()
         .map(|&ev| {
             let exposure = Exposure::given(ev).filter(|_| ev.abs() <= MOST_EV);
-            exposure
-                .ok_or_else(|| wrong(format!("{ev} is no exposure; give stops within +-{MOST_EV}, as in `-e=-2,0,2`")))
+            exposure.ok_or_else(|| {
+                wrong(format!("{ev} is not an exposure; give stops within +-{MOST_EV}, as in `-e=-2,0,2`"))
+            })
         })
         .collect()
 }

@@ -291,8 +291,7 @@ impl Args {
         acting.write.check(&results.concat())?;
         let normalisation = self.acting.normalize;
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
-            let reason =
-                "radiance in cd/m2 already has one unit; leave out --normalize, or --absolute and --calibration-factor";
+            let reason = "radiance in cd/m2 already has the same unit in all brackets; remove --normalize, or --absolute and --calibration-factor";
             return Err(Error::Option { option: "--normalize", reason: reason.into() });
         }
         Ok(Settings {

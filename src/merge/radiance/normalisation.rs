@@ -25,12 +25,11 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
         return refused(format!("{unit_exposure} s is not an exposure; give t ISO / N^2 in seconds, above 0"));
     }
     if calibration.camera {
-        return refused("with --absolute all brackets are in cd/m2 already; leave out one of the two options".into());
+        return refused("with --absolute all brackets are in cd/m2 already; remove one of the two options".into());
     }
     if calibration.is_asked() {
         return refused(
-            "--calibration-factor alone refers to the unit of one reference frame; add --absolute, or leave it out"
-                .into(),
+            "--calibration-factor alone refers to the unit of one reference frame; add --absolute, or remove it".into(),
         );
     }
     Ok(())

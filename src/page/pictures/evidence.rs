@@ -193,7 +193,7 @@ fn behind(photograph: &Picture, left: usize) -> String {
 fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (String, [usize; 3]) {
     let counts = layers.each_ref().map(Vec::len);
     let words = format!(
-        "{} keypoints of the plain picture alone, {} of its bitmaps alone, {} in both.",
+        "{} keypoints only in the photograph, {} only in its bitmaps, {} in both.",
         counts[0], counts[1], counts[2]
     );
     let mut svg = opened((UNITS * photograph.width, UNITS * photograph.height), &words);

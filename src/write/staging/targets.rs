@@ -83,7 +83,7 @@ fn folder(target: &Target) -> Result<Identity> {
         Ok(there) if there.is_dir() => None,
         Ok(_) => Some(format!("{} is not a folder; choose another", folder.display())),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Some(format!(
-            "the folder {} does not exist; make it first, as in `mkdir -p {}`",
+            "the folder {} does not exist; create it first, for example with `mkdir -p {}`",
             folder.display(),
             folder.display()
         )),
@@ -126,7 +126,7 @@ mod tests {
         };
         fails(&["a.exr", "sub.exr/../a.exr"], true, "a.exr is named twice; ");
         fails(&["sub.exr/../in.png"], true, "also an input file");
-        fails(&["none/a.exr"], true, "make it first");
+        fails(&["none/a.exr"], true, "create it first");
         fails(&["in.png/a.exr"], true, "not a folder");
         fails(&["sub.exr"], true, "it is a folder");
         fs::write(at("old.exr"), "x").unwrap();

@@ -1,6 +1,6 @@
 //! The plan of the house, held: layers, rivals, portable arithmetic, a silent library, short files. Read from the sources.
 
-mod source;
+pub mod source;
 
 use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};

@@ -11,8 +11,10 @@ pub struct Source {
     pub module: Vec<String>,
     /// Its lines, all of them.
     pub lines: usize,
-    /// What is left without comments, texts and tests.
+    /// The code without comments, texts and tests.
     pub code: String,
+    /// The string literals outside of tests, as written.
+    pub texts: Vec<String>,
 }
 
 impl Source {
@@ -22,7 +24,13 @@ impl Source {
         if matches!(module.last().map(String::as_str), Some("mod" | "lib" | "main")) {
             module.pop();
         }
-        Source { path: path.to_owned(), module, lines: text.lines().count(), code: without_tests(&blank(text)) }
+        let (blanked, literals) = blank(text);
+        let code = without_tests(&blanked);
+        // Blanking keeps the number of characters, so the marks of literals outside of tests are where they were.
+        let marks: Vec<char> = code.chars().collect();
+        let texts = literals.into_iter().filter(|(at, _)| marks[*at] == MARK).map(|(_, text)| text).collect();
+        let code = code.replace(MARK, " ");
+        Source { path: path.to_owned(), module, lines: text.lines().count(), code, texts }
     }
 
     /// `file:line` of the byte `at` of the code.
@@ -104,9 +112,15 @@ fn tree<'a>(text: &'a str, base: &[String], found: &mut Vec<Vec<String>>) -> &'a
     }
 }
 
-/// The text with comments, strings and characters blanked, byte for byte but for those of more than one byte.
-fn blank(text: &str) -> String {
+/// Marks the start of a blanked string literal.
+const MARK: char = '\u{1}';
+
+/// Blanks comments, strings and characters, character by character. Returns also the strings, each with its position in characters, at which
+/// the blanked text has a [`MARK`].
+fn blank(text: &str) -> (String, Vec<(usize, String)>) {
     let mut out = String::with_capacity(text.len());
+    let mut literals = Vec::new();
+    let mut length = 0;
     let mut rest = text;
     while let Some(c) = rest.chars().next() {
         let end = if rest.starts_with("//") {
@@ -123,13 +137,28 @@ fn blank(text: &str) -> String {
             quoted(rest, '\'')
         } else {
             out.push(c);
+            length += 1;
             rest = &rest[c.len_utf8()..];
             continue;
         };
-        out.extend(rest[..end].chars().map(|c| if c == '\n' { '\n' } else { ' ' }));
+        let is_string = c == '"' || c == 'r';
+        if is_string {
+            literals.push((length, rest[..end].trim_start_matches(['r', '#']).trim_matches(['#', '"']).to_owned()));
+        }
+        let blanks = rest[..end].chars().enumerate();
+        out.extend(blanks.map(|(i, c)| {
+            if is_string && i == 0 {
+                MARK
+            } else if c == '\n' {
+                '\n'
+            } else {
+                ' '
+            }
+        }));
+        length += rest[..end].chars().count();
         rest = &rest[end..];
     }
-    out
+    (out, literals)
 }
 
 /// The number of `#` where a raw string begins.

@@ -49,7 +49,7 @@ impl Layout {
                 0xD9 => {
                     layout.end = at;
                     return if layout.scan_ends.is_empty() {
-                        Err("it holds no picture data; copy the file again".into())
+                        Err("it contains no picture data; copy the file again".into())
                     } else {
                         Ok(layout)
                     };

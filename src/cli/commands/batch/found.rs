@@ -35,7 +35,7 @@ pub fn counted(found: &Found, jobs: usize) -> String {
         words.push(many(jobs, "job"));
     }
     if !found.left_over.is_empty() {
-        words.push(format!("{} left over", many(found.left_over.len(), "photograph")));
+        words.push(format!("{} in no bracket", many(found.left_over.len(), "photograph")));
     }
     if found.other_files > 0 {
         words.push(format!("{} of other kinds", many(found.other_files, "file")));
@@ -53,7 +53,7 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
         Some(shots) => format!(
-            "{} left over, {} of them as {}",
+            "{} in no bracket, {} of them: {}",
             many(found.left_over.len(), "photograph"),
             shots.len(),
             shots[0].reason
@@ -66,7 +66,8 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
 /// The table of `--dry-run`.
 pub fn table(found: &Found, jobs: &[Job]) -> String {
     let names: Vec<&Job> = jobs.iter().filter(|job| job.kind == Kind::Merge).collect();
-    let mut rows = vec![["result", "set", "photographs", "first", "EV", "begun", "lasts", "camera"].map(str::to_owned)];
+    let mut rows =
+        vec![["result", "set", "photographs", "first", "EV", "start", "duration", "camera"].map(str::to_owned)];
     for (bracket, job) in found.brackets.iter().zip(&names) {
         let shots = &bracket.photographs;
         rows.push([
@@ -75,7 +76,7 @@ pub fn table(found: &Found, jobs: &[Job]) -> String {
             shots.len().to_string(),
             one_line(&shots.first().map(file_name).unwrap_or_default()),
             exposures(bracket),
-            begun(bracket).unwrap_or_else(|| "unknown".into()),
+            start(bracket).unwrap_or_else(|| "unknown".into()),
             lasts_s(bracket).map_or_else(|| "unknown".into(), |s| format!("{s:.1} s")),
             shots.first().and_then(|shot| shot.header.camera.clone()).unwrap_or_else(|| "unknown".into()),
         ]);
@@ -95,7 +96,7 @@ pub fn table(found: &Found, jobs: &[Job]) -> String {
         let reasons: BTreeSet<String> = shots.iter().map(|shot| shot.reason.to_string()).collect();
         let common = reasons.first().filter(|_| reasons.len() == 1);
         let heading = common.map(|reason| format!(": {reason}")).unwrap_or_default();
-        text += &format!("left over, {}{heading}\n", many(shots.len(), "photograph"));
+        text += &format!("in no bracket, {}{heading}\n", many(shots.len(), "photograph"));
         for shot in shots.iter().take(LISTED) {
             let own = if common.is_some() { String::new() } else { format!(": {}", shot.reason) };
             text += &format!("  {}{own}\n", one_line(&shot.path.display().to_string()));
@@ -172,7 +173,7 @@ fn evs(bracket: &FoundBracket) -> Vec<Option<f64>> {
     bracket.exposures().into_iter().map(|exposure| exposure.map(libm::log2)).collect()
 }
 
-fn begun(bracket: &FoundBracket) -> Option<String> {
+fn start(bracket: &FoundBracket) -> Option<String> {
     Some(bracket.photographs.first()?.header.taken?.to_string())
 }
 
@@ -215,7 +216,7 @@ pub fn json(found: &Found, jobs: &[Job]) -> String {
             set: job.set,
             photographs: bracket.photographs.iter().map(|s| s.path.to_string_lossy().into_owned()).collect(),
             relative_exposures_ev: evs(bracket),
-            begun: begun(bracket),
+            begun: start(bracket),
             lasts_s: lasts_s(bracket),
             camera: header.and_then(|h| h.camera.clone()),
             lens: header.and_then(|h| h.lens.clone()),
